@@ -9,12 +9,14 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.clocks import falls_of, gaps_of, repeated_times_text, rising_rows
+from dssc_jax.flight_logs.clocks import falls_of, gaps_of, repeated_times_text, rising_rows, row_numbers_text
 from dssc_jax.flight_logs.contents import log_contents, topic_table
-from dssc_jax.flight_logs.coverage import few_samples_remedy
+from dssc_jax.flight_logs.coverage import few_samples_remedy, time_unit_text, times_text
+from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.ulog import list_topics
 from tests.cli.conftest import last_json
+from tests.flight_logs.test_fit import linear
 from tests.flight_logs.test_ulog import TAKEOFF, log_head, message
 
 pytest.importorskip("pyulog")
@@ -220,6 +222,7 @@ def test_a_column_with_text_is_named(tmp_path):
     table.write_text("t,y,z,armed\n0,1,1,False\n0.1,ERR,2,True\n0.2,3,3,True\n")
     contents = log_contents(table)
     assert contents.text_columns == ("y",)  # truth values are no text
+    assert contents.text_cells == ("y: line 3 has 'ERR'",)
     assert [field.name for field in contents.fields] == ["t", "z"]
 
 
@@ -247,3 +250,40 @@ def test_a_topic_that_is_sent_in_bursts_has_no_gap(tmp_path):
     steady = np.concatenate([0.02 * np.arange(200), 9.0 + 0.02 * np.arange(50)])
     gaps = log_contents(ulog(tmp_path / "bursts.ulg", bursts, steady)).gaps
     assert [gap.topics for gap in gaps] == [("other",)]
+
+
+def test_times_that_count_rows_are_told():
+    """Of a log far longer than the study; one that has a value a second is a rare one."""
+    rows = np.arange(601.0)
+    assert row_numbers_text(rows).startswith("counts 0, 1, 2 and so on: are these the numbers of rows?")
+    assert row_numbers_text(0.02 * rows) == row_numbers_text(rows[:5]) == row_numbers_text(rows + 0.5) == ""
+    log = FlightLog("log", {"y": Column(rows, np.sin(rows))}, 0.0)
+    assert times_text(log, 12.0) == row_numbers_text(rows)
+    assert times_text(log, 600.0) == ""
+    assert time_unit_text(log, 0.02) == f"; its column of times {row_numbers_text(rows)}"
+    rounded = log._replace(columns={"y": Column(np.floor(0.02 * rows), rows)})
+    assert "repeats from one row to the next in 588 of 601 rows" in time_unit_text(rounded, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("y,u\n0,1\n1,2\n", "a.csv: no column of times with numbers (t, or a name that begins with time"),
+        ("t,y\n2024-06-01T12:00:00,1\n2024-06-01T12:00:01,2\n", "not shown: t (t: line 2 has '2024-06-01T12:00:00')"),
+        ("t,y\ns,m\n0,1\n", "not shown: t, y (t: line 2 has 's'; y: line 2 has 'm')"),
+    ],
+)
+def test_a_table_without_times_has_no_span(tmp_path, capsys, content, told):
+    (tmp_path / "a.csv").write_text(content)
+    assert guarded(["log", str(tmp_path / "a.csv")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert told in printed
+    assert "a.csv: no column of times" in printed
+    assert "0 s" not in printed
+
+
+def test_a_fit_of_a_log_without_an_output_names_the_column():
+    """Before it counts values."""
+    log = FlightLog("log", {name: Column(RATE, np.sin(RATE)) for name in ("y_dot", "u_total")}, 0.0)
+    with pytest.raises(ConfigError, match=r"has no column of the measured output \(y, .*\) among y_dot, u_total"):
+        fit_log(linear(), log)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dssc_jax.flight_logs.command_hints import best_shift, command_hint
+from dssc_jax.flight_logs.command_hints import best_shift, command_hint, stuck_spans
 
 DT = 0.02
 
@@ -47,6 +47,40 @@ def test_another_controller_is_told():
     text = command_hint(replayed + 0.1 * rate, replayed, DT, "N")
     assert text.startswith("is not what the analysed controller gives for the logged measurements: they differ by 0.")
     assert command_hint(np.zeros(500), replayed, DT, "N").startswith("is not what the analysed")
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("length", [5, 15, 40])
+def test_a_command_that_sticks_is_told_with_its_times(seed, length):
+    """To a log's resolution, with missing values, and at a limit before."""
+    replayed = np.clip(1.5 * command(seed), -1.2, 1.2)
+    logged = np.round(replayed, 4)
+    logged[10:14] = np.nan
+    assert command_hint(logged, replayed, DT, "N") == ""
+    logged[325 : 325 + length] = logged[325]
+    end = DT * (324 + length)
+    text = command_hint(logged, replayed, DT, "N")
+    assert text.startswith(f"repeats one value from 6.5 s to {end:.4g} s of the study, where the analysed controller's")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_limits_rest_and_other_controllers_do_not_stick(seed):
+    replayed = command(seed)
+    rows = np.arange(500)
+    limited = np.clip(3.0 * replayed, -1.0, 1.0)
+    relay = np.sign(np.sin(0.05 * rows))
+    late_relay = np.sign(np.sin(0.05 * rows - 0.05))
+    coarse = np.round(replayed, 0)
+    resting = np.where(rows < 100, 0.0, replayed)
+    for logged, analysed in (
+        (limited, limited),
+        (limited, np.clip(3.0 * replayed + 0.5 * np.exp(-0.02 * rows), -1.0, 1.0)),
+        (late_relay, relay),
+        (coarse, replayed),
+        (resting, resting),
+        (np.full(500, 0.5), replayed),
+    ):
+        assert stuck_spans(logged, analysed) == []
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -62,7 +62,7 @@ def test_gaps_of_several_signals_are_told_as_one():
     assert gap.end - gap.begin == pytest.approx(0.7, abs=0.05)
     text = gap_text(log, (gap._replace(begin=4.01, end=4.72),), 0.02)
     assert "0.71 s from 4.01 s on (x_u_total, y_u_total)" in text
-    assert "loop.duration = 4, or the part after with a start of 4.72 s" in text
+    assert "loop.duration = 4, or the part after with a start of 4.72 s and a law of the initial state" in text
     many = gap_text(log, tuple(Gap(float(k), k + 0.5, ("x_u_total",)) for k in range(1, 6)), 0.02)
     assert "and 2 more times" in many
 

@@ -122,3 +122,21 @@ def test_a_ulog_by_another_name(tmp_path):
     )
     with pytest.raises(ConfigError, match=r"is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table"):
         recorded_columns(path, ["t"])
+
+
+@pytest.mark.parametrize("content", ["t y u_total\n0 1 2.5\n0.02 1e-3 -2\n", "  t   y\n  0   1\n"])
+def test_cells_between_blanks_are_told(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match="has cells that are separated by blanks: separate them by commas"):
+        dj.read_log(path)
+    path.write_text("the time\n1\n2\n")  # of one column
+    assert csv_form(path, path.read_bytes()) == CsvForm()
+
+
+@pytest.mark.parametrize("content", ["", " \n\n"])
+def test_an_empty_table_is_called_empty(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match=r"log\.csv' is empty$"):
+        dj.read_log(path)

@@ -188,7 +188,7 @@ def test_a_pipe_is_no_record(tmp_path):
         ("t,y\n0,1\n0.1,inf\n", r"must hold finite numbers; line 3 does not"),
         ("t,y\n0,1\n0.1,two\n", r"must hold numbers there; line 3 has 'two'"),
         ("t,y\n", r"reference.file: 'log.csv' has no row with numbers in 't', 'y'"),
-        ("", r"reference.file: '.*log.csv' cannot be read"),
+        ("", r"reference.file: '.*log.csv' is empty"),
         ("t,z\n0,1\n", r"reference.column: 'log.csv' has no column 'y'"),
         ("t,y\n0,1\n", r"reference.time: must hold 2 to"),
     ],

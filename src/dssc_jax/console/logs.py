@@ -10,6 +10,7 @@ from dssc_jax.flight_logs.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
 """What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
+NO_TIMES = "no column of times with numbers (t, or a name that begins with time, stamp or seconds)"
 DERIVED_MARK = "*"
 FAR = 1e6  # s; no log is as long
 
@@ -18,7 +19,8 @@ def show_log(log: LogContents) -> None:
     """Print span, segments and topics of a log, and the fields of the topics that were asked for."""
     say = partial(output().print, soft_wrap=True, markup=False)
     system = ", ".join(log.system[name] for name in SYSTEM if name in log.system)
-    say(f"{log.name}: {log.duration:.4g} s{f', {system}' if system else ''}")
+    duration = NO_TIMES if log.lacks_times else f"{log.duration:.4g} s"
+    say(f"{log.name}: {duration}{f', {system}' if system else ''}")
     for segment in log.segments:
         say(f"{segment.name}: {segment.begin:.4g} s to {segment.end:.4g} s")
     if log.topics and not log.segments:
@@ -33,7 +35,8 @@ def show_log(log: LogContents) -> None:
     if log.damaged is not None:
         say(f"damaged: byte {log.damaged} is no message; {log.lost:,} bytes at {places(log.damages)} are passed over")
     if log.text_columns:
-        say(f"text in some cells, and so not shown: {', '.join(log.text_columns)}")
+        places_of_texts = f" ({'; '.join(log.text_cells)})" if log.text_cells else ""
+        say(f"text in some cells, and so not shown: {', '.join(log.text_columns)}{places_of_texts}")
     if log.cut:
         say("cut off: the file ends within a message, and what was to come is not in it")
     for step in log.falls:

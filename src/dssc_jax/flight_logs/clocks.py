@@ -127,6 +127,20 @@ def repeated_times_text(time: np.ndarray) -> str:
     )
 
 
+def row_numbers_text(time: np.ndarray) -> str:
+    """A sentence that asks whether times are the numbers of rows; empty if they do not count by one.
+
+    Args:
+        time: Finite times that do not fall [s], shape (n,).
+    """
+    if len(time) < LEAST_MESSAGES or not (np.diff(time) == 1.0).all() or not float(time[0]).is_integer():
+        return ""
+    return (
+        f"counts {time[0]:.10g}, {time[1]:.10g}, {time[2]:.10g} and so on: are these the numbers of rows? Times must "
+        "be in seconds; give the time between two rows as the scale of the column"
+    )
+
+
 def grouped_steps(topic_stamps: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
     """Group topics with nearly the same stamps into one step each, in order of time."""
     steps: list[ClockStep] = []

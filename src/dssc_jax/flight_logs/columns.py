@@ -6,6 +6,7 @@ from typing import NamedTuple, TypeGuard
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.flight_logs.ulog import topic_place
 from dssc_jax.study.recorded import TIME
 
 ENTRIES = ("signals", "time", "start", "segment")
@@ -99,3 +100,18 @@ def signal_source(name: str, entry: object) -> SignalSource:
 def is_finite_number(value: object) -> TypeGuard[float]:
     """Whether a value of TOML is a finite number."""
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+class ColumnPlace(NamedTuple):
+    """A column of a ULog, ``topic.field`` or ``topic:1.field``."""
+
+    topic: str
+    label: str  # with the instance
+    field: str
+
+
+def column_place(column: str) -> ColumnPlace:
+    """Topic and field of a column."""
+    label, _, field = column.partition(".")
+    topic, key = topic_place(label)
+    return ColumnPlace(topic, key, field)

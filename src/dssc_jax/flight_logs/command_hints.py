@@ -7,6 +7,7 @@ controller.
 
 import numpy as np
 
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.conversions import FEWER, multiple_of, rms
 from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reader import forward_filled
@@ -17,6 +18,9 @@ EXPLAINED = 0.1  # share of the command's deviation from its median that may be 
 LARGE_OFFSET = 0.1  # share of that deviation: a smaller offset is not told
 LEAST_VALUES = 20
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
+LEAST_STUCK = 5  # equal samples in a row of a command that sticks
+STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
+MOST_SPANS = 3  # in which a command sticks
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 
 
@@ -44,6 +48,14 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     if difference <= ROUNDING * rms(logged):
         return ""
     hold = usual_hold(logged)
+    spans = stuck_spans(logged, replayed) if hold == 1 else []
+    if spans:
+        times = " and ".join(f"from {begin * sample_time:.4g} s to {end * sample_time:.4g} s" for begin, end in spans)
+        return (
+            f"repeats one value {times} of the study, where the analysed controller's changes: its topic sticks, the "
+            "controller was off, or it has a lower limit. A fit takes it for what the vehicle got; if it is not, "
+            "fit the part before or after"
+        )
     if hold > 1 and rms(logged - held_like(logged, replayed)) <= min(largest_residual, FEWER * difference):
         return (
             f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
@@ -72,6 +84,32 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
     return ""
+
+
+def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int]]:
+    """The first and last samples of spans in which a command sticks; none where they are many, or nothing is certain.
+
+    A command sticks where it repeats one value, the replayed one differs at most of the samples, and both agree outside
+    of such spans. A command at its limits does not, as the replayed one rests there, too.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    difference = np.abs(logged - replayed)
+    usual_difference = float(np.median(difference[np.isfinite(difference)]))
+    least_difference = max(STUCK * usual_difference, ROUNDING * rms(logged))
+    is_outside = np.isfinite(difference)
+    spans = []
+    for begin, end in zip(*flag_runs(np.diff(logged) == 0.0), strict=True):
+        rows = slice(int(begin), int(end) + 1)
+        is_long = end + 1 - begin >= LEAST_STUCK
+        if is_long and np.mean(difference[rows] > least_difference) > 0.5 and np.ptp(replayed[rows]) > least_difference:
+            spans.append((int(begin), int(end)))
+            is_outside[rows] = False
+    outside = rms(difference[is_outside])
+    agrees = all(STUCK * outside < rms(difference[begin : end + 1]) for begin, end in spans)
+    return spans if len(spans) <= MOST_SPANS and agrees else []
 
 
 def held_like(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:

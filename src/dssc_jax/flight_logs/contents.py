@@ -37,7 +37,7 @@ from dssc_jax.flight_logs.ulog import (
     topic_place,
 )
 from dssc_jax.flight_logs.ulog_scan import LogTopic
-from dssc_jax.study.recorded import TIME, recorded_frame
+from dssc_jax.study.recorded import TIME, first_text, recorded_frame
 
 TIME_NAMES = ("time", "stamp", "seconds")
 """Beginnings of the names that columns of times usually have."""
@@ -83,6 +83,7 @@ class LogContents:
         late: Last messages of topics long after the span.
         clock: The times of a table.
         text_columns: Columns of a table that hold text, in some cells at least.
+        text_cells: The first such cell of each of them, in words; without columns whose texts are all numbers.
     """
 
     name: str
@@ -101,6 +102,12 @@ class LogContents:
     late: tuple[LateMessage, ...] = ()
     clock: LogTopic | None = None
     text_columns: tuple[str, ...] = ()
+    text_cells: tuple[str, ...] = ()
+
+    @property
+    def lacks_times(self) -> bool:
+        """Whether it is a table that has columns, but none of times in numbers."""
+        return self.clock is None and not self.topics and bool(self.fields or self.text_columns)
 
     @property
     def clocks(self) -> tuple[LogTopic, ...]:
@@ -210,7 +217,9 @@ def table_contents(path: Path) -> LogContents:
     """
     whole_frame = recorded_frame(path)
     frame = whole_frame.select_dtypes("number")
-    text_columns = tuple(map(str, whole_frame.select_dtypes(exclude=["number", "bool"]).columns))
+    texts = whole_frame.select_dtypes(exclude=["number", "bool"])
+    text_columns = tuple(map(str, texts.columns))
+    text_cells = tuple(f"{name}: {cell}" for name, column in texts.items() if (cell := first_text(column, path)))
     columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
     names = [name for name in columns if name.strip().lower().startswith(TIME_NAMES)]
@@ -235,6 +244,7 @@ def table_contents(path: Path) -> LogContents:
         fields=fields,
         clock=clock,
         text_columns=text_columns,
+        text_cells=text_cells,
     )
 
 

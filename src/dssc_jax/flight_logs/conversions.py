@@ -230,17 +230,29 @@ def reference_conversion(
     return ""
 
 
+def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
+    """Whether a logged reference is the study's.
+
+    It may differ at few samples, none next to another, where an edge falls to the sample before or after.
+
+    Args:
+        logged: Values, NaN where missing, shape (samples,).
+        reference: The study's at the same times.
+    """
+    tolerance = SAME_REFERENCE * rms(reference - np.mean(reference))
+    difference = (logged - reference)[np.isfinite(logged)]
+    is_different = np.abs(difference) > tolerance
+    is_few = np.count_nonzero(is_different) <= FEW_SAMPLES * len(difference) and longest_run(is_different) <= 1
+    return bool(is_few) or rms(difference) <= tolerance
+
+
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
 
-    It is the same, too, if it differs at few samples, none next to another, where an edge falls to the sample before or
-    after. Of several shifts the smallest counts.
+    Of several shifts the smallest counts.
     """
     variation = rms(reference - np.mean(reference))
-    difference = (logged - reference)[np.isfinite(logged)]
-    is_different = np.abs(difference) > SAME_REFERENCE * variation
-    is_few = np.count_nonzero(is_different) <= FEW_SAMPLES * len(difference) and longest_run(is_different) <= 1
-    if variation == 0.0 or rms(difference) <= SAME_REFERENCE * variation or is_few:
+    if variation == 0.0 or is_same_reference(logged, reference):
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
@@ -272,7 +284,7 @@ class LogHints(NamedTuple):
 
     Args:
         conversions: Signals that are the study's in another unit, sign or column.
-        shifts: References that are the study's at another time.
+        shifts: References that are the study's at another time, or by another clock.
         slopes: Rates that are not the slope of the study's reference.
         starts: Numbers at which the study starts while the flight cannot have.
         attitudes: Numbers of the attitude at which the study starts while the log has another.
@@ -280,6 +292,7 @@ class LogHints(NamedTuple):
         factors: Outputs that stick, or are not the integrals of their derivatives by a factor that names no unit;
             commands that are not the analysed controller's; times ``t`` that repeat.
         jumps: Outputs that jump while their derivatives do not.
+        others: References that are not the study's, for no reason that is known.
     """
 
     conversions: Mapping[str, str]
@@ -290,9 +303,11 @@ class LogHints(NamedTuple):
     estimator: Mapping[str, str] = MappingProxyType({})
     factors: Mapping[str, str] = MappingProxyType({})
     jumps: Mapping[str, str] = MappingProxyType({})
+    others: Mapping[str, str] = MappingProxyType({})
 
     def all(self) -> dict[str, str]:
         """All of them, by signal or number."""
         numbers = (self.starts, self.attitudes)
-        parts = (self.factors, self.jumps, self.conversions, self.shifts, self.slopes, *numbers, self.estimator)
+        references = (self.shifts, self.others, self.slopes)
+        parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)
         return {name: text for part in parts for name, text in part.items()}

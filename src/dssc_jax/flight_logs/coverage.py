@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.clocks import repeated_times_text, row_numbers_text
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.study import Study
 
@@ -12,6 +13,7 @@ LEAST_COMPARED = 5
 """Samples of a study at which a log needs a value to be compared."""
 UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
 USUAL_GAP = (0.1, 10.0)
+LONGER = 2.0  # times a study's duration: the times of a longer log that count by one may be the numbers of its rows
 COARSE = 0.1  # sample times between two floating-point numbers at the log's start: more blur its times
 
 
@@ -31,8 +33,19 @@ TIME_UNITS = (
 )
 
 
+def times_text(log: FlightLog, duration: float) -> str:
+    """That a log's times repeat, or look like the numbers of rows in a log longer than a study [s]; empty if not."""
+    columns = log.columns.values()
+    repeated = next(filter(None, (repeated_times_text(column.time) for column in columns)), "")
+    counted = next(filter(None, (row_numbers_text(column.time) for column in columns)), "")
+    return repeated or (counted if log.end - log.start > LONGER * duration else "")
+
+
 def time_unit_text(log: FlightLog, sample_time: float) -> str:
-    """A question about the unit of a log's times, if their gaps do not look like seconds; empty if they do."""
+    """What is wrong with a log's times, if they repeat, count rows, or do not look like seconds; empty if they do."""
+    doubt_of_times = times_text(log, sample_time)
+    if doubt_of_times:
+        return f"; its column of times {doubt_of_times}"
     gaps = [np.median(np.diff(column.time)) for column in log.columns.values() if len(column.time) > 1]
     gap = min((float(gap) for gap in gaps if gap > 0.0), default=0.0)
     if gap == 0.0 or UNUSUAL_GAP[0] <= gap / sample_time <= UNUSUAL_GAP[1]:

@@ -78,7 +78,8 @@ def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
     duration = sample_time * np.floor((longest.begin - log.start) / sample_time)
     parts = [f"the part before with loop.duration = {duration:g}"] if duration > 0.0 else []
     if longest.end < log.end - sample_time:
-        parts.append(f"the part after with a start of {longest.end:.4g} s")
+        part = f"the part after with a start of {longest.end:.4g} s and a law of the initial state (plant.initial)"
+        parts.append(part)
     return (
         f"messages are missing for {', '.join(spans)}{further}, and commands are held where the flight had others. "
         f"Fit {', or '.join(parts) or 'another log'}"

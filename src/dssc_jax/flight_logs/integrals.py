@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from dssc_jax.flight_logs.conversions import RATE_CONVERSIONS
 from dssc_jax.flight_logs.held_outputs import stuck_span
+from dssc_jax.flight_logs.output_steps import step_cause
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
 
@@ -198,7 +199,7 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
     end = log.start + loop.sample_time * (loop.steps - 1)
     if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
         return hints
-    for channel, unit in zip(loop.channels, study.units, strict=True):
+    for index, (channel, unit) in enumerate(zip(loop.channels, study.units, strict=True)):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
         span = stuck_span(values_between(log.columns[y], log.start, end)) if y in log.columns else None
         if span is not None:
@@ -218,11 +219,10 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
             continue
         jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
         if jumps:
-            times = ", ".join(f"by {jump.size:.3g} {unit.output} at {jump.time:.4g} s" for jump in jumps)
-            hints.jumps[y] = (
-                f"jumps {times} of the log, and {rate} has no such peak: a reset of the estimator that the log does "
-                "not count, or two flights in one log. Take the part before or after"
-            )
+            words = ", ".join(f"by {jump.size:.3g} {unit.output} at {jump.time:.4g} s" for jump in jumps)
+            times = [jump.time - log.start for jump in jumps]
+            cause = step_cause(study, index, times, [jump.size for jump in jumps])
+            hints.jumps[y] = f"jumps {words} of the log, and {rate} has no such peak: {cause}"
             continue
         if factor is None or not factor.differs:
             continue

@@ -6,6 +6,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.integrals import usual_size
 from dssc_jax.flight_logs.least_squares import FitProblem
+from dssc_jax.flight_logs.output_steps import step_cause
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.refusals import Doubt
 
@@ -80,10 +81,9 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
             text = f"single readings of {name} stand out {list_text(single, unit)} of the study. Leave such cells empty"
             doubts.append(Doubt(name, text))
         if jumps:
-            text = (
-                f"{name} jumps {list_text(jumps, unit)} of the study, and what is predicted does not: a reset of the "
-                "estimator, or two flights in one log. Fit the part before or after"
-            )
+            sizes = [jump.size for jump in jumps]
+            cause = step_cause(problem.study, readings.channel, [jump.time for jump in jumps], sizes)
+            text = f"{name} jumps {list_text(jumps, unit)} of the study, and what is predicted does not: {cause}"
             doubts.append(Doubt(name, text))
     return tuple(doubts)
 

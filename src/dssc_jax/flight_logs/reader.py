@@ -10,8 +10,9 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight_logs.clocks import sound_rows
-from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, TimeSource, column_map
+from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, TimeSource, column_map, column_place
 from dssc_jax.flight_logs.frames import PX4_COLUMNS, derived_fields, field_values
+from dssc_jax.flight_logs.placeholders import require_no_placeholder
 from dssc_jax.flight_logs.resets import (
     InvalidSpan,
     Reset,
@@ -31,7 +32,6 @@ from dssc_jax.flight_logs.ulog import (
     read_topics,
     segments_of,
     stamps,
-    topic_place,
 )
 from dssc_jax.study import Study
 from dssc_jax.study.recorded import numbers_of, recorded_frame
@@ -130,8 +130,8 @@ def read_log(
         allow_damaged: Whether rows whose times fall are left out, the fewest possible; at most 5 %.
 
     Raises:
-        ConfigError: the file cannot be read, a column is absent or holds no numbers, its times fall, or it ends before
-            its start.
+        ConfigError: the file cannot be read, a column is absent or holds no numbers, or one that stands for missing
+            ones, its times fall, or it ends before its start.
     """
     file = Path(path)
     columns = column_map(table or {}, log_signals(channels))
@@ -149,6 +149,7 @@ def read_log(
             source = columns.signals.get(name, SignalSource(name))
             if not (np.isfinite(column.time) & np.isfinite(column.value)).any():
                 raise ConfigError(name, f"has no finite value in the log{raw_log.reason}")
+            require_no_placeholder(name, column.value)
             converted[name], count = converted_column(name, column, source, allow_damaged)
             if count:
                 dropped[name] = count
@@ -257,21 +258,6 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> L
     return LogColumns(
         columns=signals, begin=segment_begin, damaged=damaged, airborne=airborne, resets=resets, invalid=invalid
     )
-
-
-class ColumnPlace(NamedTuple):
-    """A column of a ULog, ``topic.field`` or ``topic:1.field``."""
-
-    topic: str
-    label: str  # with the instance
-    field: str
-
-
-def column_place(column: str) -> ColumnPlace:
-    """Topic and field of a column."""
-    label, _, field = column.partition(".")
-    topic, key = topic_place(label)
-    return ColumnPlace(topic, key, field)
 
 
 def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

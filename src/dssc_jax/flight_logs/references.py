@@ -8,12 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.numerics import arithmetic, as_arrays
-from dssc_jax.flight_logs.conversions import SAME_REFERENCE, is_shifted, reference_conversion, reference_shift, rms
+from dssc_jax.flight_logs.conversions import (
+    SAME_REFERENCE,
+    is_same_reference,
+    is_shifted,
+    reference_conversion,
+    reference_shift,
+    rms,
+)
 from dssc_jax.flight_logs.reader import FlightLog, first_time, signal_name
+from dssc_jax.flight_logs.reference_clocks import StretchedReference, fine_times, reference_stretch, stretch_text
 from dssc_jax.study import Study
 
 USUAL = 0.9
 """Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
+OTHER = 0.1  # share of a reference's range: a larger difference is told, though nothing explains it
 RATE_REMEDY = (
     "the slope of a record whose time stamps jitter is rough. Give it the log's rate, by rate_column and rate_file"
 )
@@ -26,7 +35,8 @@ class ComparedReferences(NamedTuple):
         differences: Largest difference of y_ref, by channel.
         rates: Largest difference of y_ref_dot, at the times of the log, by channel.
         conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
-        shifts: References that are the study's at another time.
+        shifts: References that are the study's at another time, or by another clock.
+        others: References that are not the study's, for no reason that is known.
         slopes: Rates that are not the slope of the study's reference, though the reference is.
     """
 
@@ -34,6 +44,7 @@ class ComparedReferences(NamedTuple):
     rates: dict[str, float]
     conversions: dict[str, str]
     shifts: dict[str, str]
+    others: dict[str, str]
     slopes: dict[str, str]
 
 
@@ -72,8 +83,9 @@ def compared_references(
         references: The study's, shape (channels, 3, samples).
     """
     loop = study.loop
-    comparison = ComparedReferences({}, {}, {}, {}, {})
+    comparison = ComparedReferences({}, {}, {}, {}, {}, {})
     rates = rate_distances(study, log)
+    unexplained: list[int] = []
     logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
     for index, values in logged.items():
         channel = loop.channels[index]
@@ -85,12 +97,9 @@ def compared_references(
         if text:
             comparison.conversions[name] = text
         elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
-            side = "later" if shift > 0 else "earlier"
-            start = log.start + shift * loop.sample_time
-            remedy = f"set start to {start:g} s"
-            if start < first_time(log.columns):
-                remedy = "the log does not begin so early: shift the study's reference, or let its record begin there"
-            comparison.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
+            comparison.shifts[name] = shifted_text(log, shift * loop.sample_time)
+        elif not is_same_reference(values, reference):
+            unexplained.append(index)
         if channel not in rates:
             continue
         distance, rate = rates[channel]
@@ -105,7 +114,67 @@ def compared_references(
                 f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
                 f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
             )
+    stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
+    for index in unexplained:
+        name = signal_name(loop.channels[index], "y_ref")
+        if stretch is not None:
+            comparison.shifts[name] = stretch_text(log, stretch)
+            continue
+        text = other_reference_text(logged[index], references[index, 0], study.units[index].output)
+        if text:
+            comparison.others[name] = text
     return comparison
+
+
+def shifted_text(log: FlightLog, shift: float) -> str:
+    """That a logged reference is later than the study's by a time [s], or earlier, with both remedies."""
+    start = log.start + shift
+    remedy = f"set start to {start:g} s"
+    if start < first_time(log.columns):
+        remedy = "shift the study's reference, or let its record begin there, as the log does not begin so early"
+    side = "late" if shift > 0.0 else "early"
+    return (
+        f"is the study's, {abs(shift):g} s {'later' if shift > 0.0 else 'earlier'}: if y and the command are as "
+        f"{side}, {remedy}; if not, only its topic is {side}, and a fit of logged commands does not use it"
+    )
+
+
+def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
+    """The factor by which the times of all logged references are the study's; None if there is none.
+
+    Angles are left out, which a log may give in one turn.
+    """
+    loop = study.loop
+    fine = fine_times(loop.sample_time, samples)
+    references = references_at(study, fine)[:, 0]
+    stretched = []
+    for index, channel in enumerate(loop.channels):
+        column = log.columns.get(signal_name(channel, "y_ref"))
+        if column is None or channel in loop.plant.angles:
+            continue
+        time = column.time - log.start
+        is_inside = (time >= 0.0) & (time <= loop.sample_time * (samples - 1))
+        stretched.append(StretchedReference(time[is_inside], column.value[is_inside], fine, references[index]))
+    return reference_stretch(stretched)
+
+
+def other_reference_text(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
+    """That a logged reference is another one, with the size of the difference; empty if the difference is small.
+
+    Args:
+        logged: Values, NaN where missing, in the output's unit, shape (samples,).
+        reference: The study's at the same times.
+        unit: Unit of the output.
+    """
+    difference = rms(logged - reference)
+    if not np.isfinite(difference) or difference <= max(OTHER * np.ptp(reference), SAME_REFERENCE * rms(reference)):
+        return ""
+    return (
+        f"differs from the study's by {difference:.3g} {unit} rms, whose range is {np.ptp(reference):.3g} {unit}, and "
+        "is neither a multiple of it nor the same at other times. The draws follow the study's reference, a replay "
+        "follows the logged one, and a fit of logged commands needs neither. If the flight had the logged one, give it "
+        "to the study (reference.kind = 'record'); if not, compare times and columns"
+    )
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:

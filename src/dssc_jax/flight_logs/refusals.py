@@ -169,15 +169,18 @@ def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
     """The doubts about residuals that are clearly larger than noise explains, by channel, with the remedy."""
     reasons = []
+    columns = problem.columns(x) if any(result.is_doubtful for result in results) else []
     for place, result in enumerate(results):
         if not result.is_doubtful:
             continue
         name, unit = signal_and_unit(problem, place)
+        largest_at = problem.readings[place].times[int(np.argmax(np.abs(columns[place][:, 0])))]
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
-            f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
-            "the study lacks something of this flight, such as a limit or friction, or the log is not what the study "
-            f"takes it for. Estimates may be wrong by more than their intervals. {REMEDY}"
+            f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains, "
+            f"and largest at {largest_at:.4g} s of the study: the study lacks something of this flight, such as a "
+            "limit or friction, or the log is not what the study takes it for. Estimates may be wrong by more than "
+            f"their intervals. {REMEDY}"
             f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))

@@ -20,11 +20,11 @@ from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.clocks import repeated_times_text
 from dssc_jax.flight_logs.command_hints import command_hint
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
-from dssc_jax.flight_logs.coverage import few_samples_remedy
+from dssc_jax.flight_logs.coverage import few_samples_remedy, times_text
 from dssc_jax.flight_logs.integrals import integral_hints
+from dssc_jax.flight_logs.output_steps import is_reference
 from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
@@ -258,14 +258,18 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     integrals = integral_hints(study, log)
     conversions = integrals.units | comparison.conversions
     factors = dict(integrals.factors)
-    repeated = next(filter(None, (repeated_times_text(column.time) for column in log.columns.values())), "")
-    if repeated:
-        factors["t"] = repeated
+    doubt_of_times = times_text(log, loop.sample_time * loop.steps)
+    if doubt_of_times:
+        factors["t"] = doubt_of_times
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
         if followed_text:
             conversions.setdefault(signal_name(channel, "y"), followed_text)
+        y_ref = signal_name(channel, "y_ref")
+        if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
+            conversions[signal_name(channel, "y")] = f"looks exchanged with {y_ref}: it is the study's reference"
+            del comparison.others[y_ref]
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])
@@ -292,6 +296,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         estimator=reset_hints(study, log),
         factors=factors,
         jumps=integrals.jumps,
+        others=comparison.others,
     )
     differences = comparison.differences
     dropped = dict(log.dropped)
@@ -309,7 +314,18 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
-    """Require that no signal of a log is the study's in another unit, sign or column; raises ConfigError."""
+    """Require that a log has an output, and that no signal is the study's in another unit, sign or column.
+
+    Raises:
+        ConfigError: it has none, or one is.
+    """
+    if not any(name.endswith("y") for name in log.columns):
+        names = ", ".join(log.columns)
+        raise ConfigError(
+            log.name,
+            f"has no column of the measured output (y, of a channel x x_y) among {names}: a fit compares it with the "
+            "study's. Give its column in a table of columns, or by --column y=COLUMN",
+        )
     wrong = replay.hints.conversions
     if wrong:
         reasons = "; ".join(f"{name} {text}" for name, text in wrong.items())

@@ -14,6 +14,7 @@ SEPARATORS = (b",", b";", b"\t")
 QUOTED = re.compile(rb'"[^"]*"')
 DECIMAL_COMMA = re.compile(rb"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
+DECIMAL = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
 """What spreadsheets write in place of a number; the rest of such a line is no comment."""
 FIRST_LINES = 100
@@ -76,13 +77,17 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
     alike. Cells such as 0,5 tell a decimal comma, if others separate.
 
     Raises:
-        ConfigError: numbers have decimal commas and points.
+        ConfigError: numbers have decimal commas and points, or blanks separate them.
     """
     header, *rows = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)] or [b""]
     separators = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
     if len(separators) > 1:
         even_separators = [separator for separator in separators if is_even(header, rows, separator)]
         separators = even_separators if len(even_separators) == 1 else [b","]
+    if not separators and any(are_numbers(row.split()) for row in rows):
+        raise ConfigError(
+            "file", f"'{path}' has cells that are separated by blanks: separate them by commas, semicolons or tabs"
+        )
     separator = separators[0] if separators else b","
     if separator == b",":
         return CsvForm()
@@ -98,6 +103,11 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
             f"{points.decode().strip()}: write all with points",
         )
     return CsvForm(separator.decode(), "," if commas else ".")
+
+
+def are_numbers(texts: list[bytes]) -> bool:
+    """Whether there are several texts, and all are numbers."""
+    return len(texts) > 1 and all(DECIMAL.fullmatch(text) for text in texts)
 
 
 def is_even(header: bytes, rows: list[bytes], separator: bytes) -> bool:

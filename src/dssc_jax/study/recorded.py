@@ -147,14 +147,20 @@ def numbers_of(column: Any, path: Path, field: str) -> list[float]:
     Raises:
         ConfigError: a cell is no number.
     """
-    numbers = []
+    text = first_text(column, path)
+    if text:
+        raise ConfigError(field, f"'{path.name}' must hold numbers there; {text}")
+    return [float(cell) for cell in column]
+
+
+def first_text(column: Any, path: Path) -> str:
+    """The place and the content of the first cell of a column that is no number, in words; empty if there is none."""
     for row, cell in enumerate(column):
         try:
-            numbers.append(float(cell))
-        except (TypeError, ValueError) as error:
-            text = f"'{path.name}' must hold numbers there; {place_of(path, row)} has {cell!r}"
-            raise ConfigError(field, text) from error
-    return numbers
+            float(cell)
+        except (TypeError, ValueError):
+            return f"{place_of(path, row)} has {cell!r}"
+    return ""
 
 
 def place_of(path: Path, row: int) -> str:
@@ -249,6 +255,8 @@ def recorded_frame(path: Path) -> Any:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")
         content = record_content(path)
+        if not content.strip():
+            raise ConfigError("file", f"'{path}' is empty")
         if content.startswith(ULOG):
             raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
         if parquet:
