@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from dssc_jax.closed_loop.margin_kinds import NO_MARGINS, LoopMargin
 from dssc_jax.closed_loop.spans import Span, first_sample, in_window, span_of
+from dssc_jax.closed_loop.stretches import Stretch, longest, stretch
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
@@ -103,6 +104,8 @@ class Metric(NamedTuple):
         margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
         least: The least value that it can have: 0 of a size.
         defined_if: What has to be so that its value is not NaN, in words; empty: nothing.
+        settled_within: ``window -> |e|`` within which a draw has to end that ends as settled, so that its value is that
+            of the whole run; NaN: it differs between draws. None: whatever the error is.
     """
 
     unit: str
@@ -118,6 +121,7 @@ class Metric(NamedTuple):
     margin: LoopMargin | None = None
     least: float = -math.inf
     defined_if: str = ""
+    settled_within: Callable[[Window], float] | None = None
 
     @property
     def worst(self) -> float:
@@ -160,28 +164,6 @@ def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Root of the mean over the window."""
     return root_abs(acc / span.sample_count)
-
-
-class Stretch(NamedTuple):
-    """Number of samples in the current uninterrupted stretch, and in the longest one so far."""
-
-    lasting: Scalar = 0.0
-    longest: Scalar = 0.0
-
-
-def stretch(of: Callable[[Observed], Scalar]) -> Callable[[Stretch, Observed, Window], Stretch]:
-    """Longest run of samples at which the flag (1 or 0) holds."""
-
-    def update(acc: Stretch, sample: Observed, window: Window) -> Stretch:
-        lasting = (acc.lasting + 1.0) * of(sample)
-        return Stretch(lasting, jnp.maximum(acc.longest, lasting))
-
-    return update
-
-
-def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
-    """Duration of the longest stretch."""
-    return acc.longest * span.sample_time
 
 
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
@@ -254,7 +236,14 @@ METRICS: dict[str, Metric] = {
     "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean, least=0.0),
     "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES, least=0.0),
     "settling_time": Metric(
-        "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES, least=0.0
+        "s",
+        "time after which |e| stays within the band",
+        last_outside,
+        settling,
+        counted=True,
+        course=RISES,
+        least=0.0,
+        settled_within=lambda window: window.band,
     ),
     "command_tv": Metric("u", "total variation of the robust command u", variation, itself, course=RISES, least=0.0),
     "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean, least=0.0),

@@ -183,6 +183,7 @@ STEP_RESPONSE: dict[str, Metric] = {
     "settling_time_percent": Metric(
         "s", "time after which a step response stays within a per-cent band", update_outside, step_settling,
         start=Outside(), counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
+        settled_within=lambda window: math.nan,
     ),
     "following_gain": Metric(
         "1", "amplitude of the output over that of a sine reference", update_following, following_gain,

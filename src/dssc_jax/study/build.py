@@ -1,6 +1,7 @@
 """Construction of the closed loop from a study's tables: look up models, parse numbers, fill channels."""
 
-from collections.abc import Hashable, Iterable
+import math
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
@@ -15,6 +16,8 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
+from dssc_jax.closed_loop.spans import first_sample
+from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
@@ -202,7 +205,7 @@ def parsed_parts(table: TomlTable) -> Parts:
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
     check_swept_parts(table, config, loop, measurable_signals, numbers)
-    check_settled(loop, metric_measures)
+    check_settled(loop, metric_measures, config.envelope)
     return Parts(
         config=config,
         loop=loop,
@@ -262,12 +265,39 @@ def time_fields(config: StudyTable) -> TomlTable:
     }
 
 
-def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
-    """Require that every window begins before a draw may end as settled."""
+def check_settled(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence[EnvelopeTable]) -> None:
+    """Require that every metric and envelope is that of the whole run, also where a draw ends as settled.
+
+    Raises:
+        ConfigError: A window begins, or an envelope ends, after a draw may have ended; or a draw may end outside of the
+            band in which a metric calls it settled.
+    """
+    settled = loop.settled
+    if settled is None:
+        return
     latest = max(measures, key=lambda measure: measure.window.after)
-    if loop.settled and loop.settled.after < latest.window.after:
+    if first_sample(Window(after=settled.after), loop.sample_time) < first_sample(latest.window, loop.sample_time):
         rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
-        raise ConfigError("loop.settled.after", f"{rule}; got {loop.settled.after:g}")
+        raise ConfigError("loop.settled.after", f"{rule}; got {settled.after:g}")
+    for index, envelope in enumerate(envelopes):
+        end = max(point[0] for point in (*envelope.lower, *envelope.upper))
+        if settled.after < min(end, loop.steps * loop.sample_time):
+            raise ConfigError(
+                f"envelope.{index}",
+                f"bounds '{envelope.signal}' up to {end:g} s, and [loop.settled] may end a draw from "
+                f"{settled.after:g} s on; let it begin after the envelope, or take it out",
+            )
+    for measure in measures:
+        if measure.metric.settled_within is None:
+            continue
+        band = measure.metric.settled_within(measure.window)
+        if math.isnan(band):
+            rule = f"may end a draw outside of the band of {measure.name}, which is a share of the draw's own step"
+            raise ConfigError("loop.settled", f"{rule}; take it out, or take settling_time in place of that metric")
+        if settled.error > band:
+            rule = f"must be <= {band:g}, the band of {measure.name}, outside of which a draw would end"
+            remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
+            raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
 
 
 def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Component:

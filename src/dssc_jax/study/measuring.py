@@ -230,7 +230,7 @@ def envelope_requirements(
     """The requirement of each envelope: that the signal's smallest distance from its bounds is not negative.
 
     Raises:
-        ConfigError: Its channel is not one of the loop's.
+        ConfigError: Its channel is not one of the loop's, or it begins after the last sample.
     """
     requirements: list[Requirement] = []
     for index, table in enumerate(config.envelope):
@@ -238,6 +238,10 @@ def envelope_requirements(
         if channel not in channels:
             valid = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
             raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
+        begin = min(points[0][0] for points in (table.lower, table.upper) if points)
+        end = (config.loop.steps - 1) * config.loop.sample_time
+        if begin > end * (1.0 + ROUNDING):
+            raise ConfigError(f"envelope.{index}", f"begins at {begin:g} s, after the last sample at {end:g} s")
         channel_index = channels.index(channel)
         kind = f"envelope_{table.signal}"
         unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
