@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,17 +23,19 @@ from dssc_jax.closed_loop.metrics import (
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import NamedSignal, signals_in
+from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.units import ChannelUnits
 
 
 class SampledSignal(NamedTuple):
-    """A signal of the loop: unit, meaning, and its value at a sample."""
+    """A signal of the loop: unit, meaning, its value at a sample, and whether it is an angle that begins again."""
 
     unit: str
     meaning: str
     value: Callable[[Instant], Scalar]
+    periodic: bool = False
 
 
 class Variation(NamedTuple):
@@ -89,6 +92,8 @@ CHANNEL_SIGNALS = {
     "u_total": Quantity("u", "command u + u_n"),
 }
 """Fields of a channel's sample that are signals."""
+WITHIN_A_TURN = ("y", "e", "y_measured")
+"""Signals of a channel that are within half a turn of the reference, or of 0, where the output is an angle."""
 TIME = "t"
 """Name of the time in trajectories and formulas."""
 
@@ -100,6 +105,7 @@ def sampled_signals(
     reports: Sequence[Mapping[str, Quantity]],
     outputs: Mapping[str, Quantity],
     measured: Sequence[NamedSignal] = (),
+    angles: Collection[str] = (),
 ) -> dict[str, SampledSignal]:
     """Every signal of a loop, by the name of its column in a trajectory.
 
@@ -110,6 +116,7 @@ def sampled_signals(
         reports: The quantities that each channel's controller declares.
         outputs: The quantities that the plant declares.
         measured: The measured signals.
+        angles: Channels whose output is an angle.
 
     Raises:
         ConfigError: A controller or the plant reports a signal under the name of another one.
@@ -117,14 +124,15 @@ def sampled_signals(
     signals: dict[str, SampledSignal] = {}
     for index, (channel, fields) in enumerate(controller_fields.items()):
         for name, signal in channel_signals(index, fields, units[index], reports[index]).items():
-            signals[f"{channel}_{name}" if channel else name] = signal
+            periodic = channel in angles and name in WITHIN_A_TURN
+            signals[f"{channel}_{name}" if channel else name] = signal._replace(periodic=periodic)
     for index, measure in enumerate(measured):
         meaning = f"measured {measure.quantity.meaning}"
         signals[f"measured_{measure.name}"] = SampledSignal(measure.unit or "1", meaning, of_reading(index))
     for name in plant_fields:
         require_free("plant", name, {TIME, *signals})
         quantity = outputs.get(name, Quantity("1", name))
-        signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name))
+        signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name), quantity.periodic)
     return signals
 
 
@@ -164,13 +172,16 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
-def variation(signal: Callable[[Instant], Scalar]) -> Callable[[Variation, Instant, Window], Variation]:
-    """The update of the sum of |change| from one sample in the window to the next."""
+def variation(
+    signal: Callable[[Instant], Scalar], periodic: bool = False
+) -> Callable[[Variation, Instant, Window], Variation]:
+    """The update of the sum of |change| from one sample in the window to the next; of an angle, by the shorter way."""
 
     def update(acc: Variation, instant: Instant, window: Window) -> Variation:
         value = signal(instant)
-        change = jnp.where(acc.samples > 0.0, jnp.abs(value - acc.last), 0.0)
-        return Variation(value, acc.sum + change, jnp.minimum(acc.samples + 1.0, 1.0))
+        change = wrap_angle(value - acc.last) if periodic else value - acc.last
+        size = jnp.where(acc.samples > 0.0, jnp.abs(change), 0.0)
+        return Variation(value, acc.sum + size, jnp.minimum(acc.samples + 1.0, 1.0))
 
     return update
 
@@ -193,6 +204,7 @@ class SignalMetric(NamedTuple):
     Args:
         meaning: Words before the signal's own meaning.
         update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
+        periodic_update: The same for an angle that begins again after a turn; None: ``update``.
         value: The metric's field ``value``.
         start: The metric's field ``start``.
         course: The metric's field ``course``.
@@ -205,6 +217,7 @@ class SignalMetric(NamedTuple):
     start: object = 0.0
     course: Course = Course.OPEN
     least: float = -math.inf
+    periodic_update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]] | None = None
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
@@ -221,6 +234,7 @@ SIGNAL_METRICS: dict[str, SignalMetric] = {
         start=Variation(),
         course=Course.RISES,
         least=0.0,
+        periodic_update=partial(variation, periodic=True),
     ),
 }
 """The metrics that a study takes of any signal."""
@@ -230,7 +244,8 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
     """The metric of a kind of a signal, in its unit."""
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
-    update = form.update(signal.value)
+    with_update = form.periodic_update if signal.periodic and form.periodic_update is not None else form.update
+    update = with_update(signal.value)
     return Metric(
         signal.unit,
         meaning,

@@ -162,8 +162,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """The signals that ``monitor`` reports with these parameters, if they are declared with unit and meaning."""
         outputs = self.outputs(params) if self.outputs else ()
-        declared_signals = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
-        return outputs or tuple(declared_signals)
+        declared = quantities_of(self.info).items()
+        return outputs or tuple(NamedSignal(name, q.unit, q.meaning, q.periodic) for name, q in declared)
 
 
 class Preset(NamedTuple):

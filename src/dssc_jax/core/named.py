@@ -24,16 +24,20 @@ class Text(str):
 
 
 class NamedSignal(NamedTuple):
-    """Name, unit and meaning of a signal; a signal without a unit has an empty one."""
+    """Name, unit and meaning of a signal, and whether it is an angle that begins again after a turn.
+
+    A signal without a unit has an empty one.
+    """
 
     name: str
     unit: str
     meaning: str
+    periodic: bool = False
 
     @property
     def quantity(self) -> Quantity:
-        """Unit and meaning; without a meaning, its name."""
-        return Quantity(self.unit, self.meaning or self.name)
+        """What the signal is; without a meaning, its name stands for it."""
+        return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 
 REPORT = "Report"

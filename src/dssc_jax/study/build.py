@@ -221,7 +221,7 @@ def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]
     """Every signal of a loop, by the name of its column in a trajectory."""
     fields, vehicle_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
-    return sampled_signals(fields, vehicle_fields, units, reports, loop.quantities, loop.measures)
+    return sampled_signals(fields, vehicle_fields, units, reports, loop.quantities, loop.measures, loop.plant.angles)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:

@@ -45,7 +45,7 @@ def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, Form
     Args:
         loop_signals: Every signal of the loop, by the name of its column in a trajectory.
     """
-    signals = {name: FormulaSignal(*signal) for name, signal in loop_signals.items()}
+    signals = {name: FormulaSignal(signal.unit, signal.meaning, signal.value) for name, signal in loop_signals.items()}
     signals |= {"t": FormulaSignal("s", "time", time_of)}
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
         if name in loop_signals:

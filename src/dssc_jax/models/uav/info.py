@@ -29,9 +29,9 @@ class UavInfo(NamedTuple):
     the errors of the estimate, () without an estimator.
     """
 
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
+    phi: Annotated[Scalar, Quantity("rad", "roll", periodic=True)]
     theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
+    psi: Annotated[Scalar, Quantity("rad", "yaw", periodic=True)]
     tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
     thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
     rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
