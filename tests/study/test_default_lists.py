@@ -64,6 +64,10 @@ def test_a_channel_changes_an_entry_of_the_common_list():
     numbers = study.leaves()
     assert [numbers["controller.numerator.0"], numbers["controller.z.numerator.0"]] == [3.0, 4.0]
     assert "controller.z.numerator.1" not in numbers
+    with pytest.raises(
+        ConfigError, match=r"study: controller.z.numerator: has 2 entries, whose indices are 0 to 1; got"
+    ):
+        study.override({"controller.z.numerator.7": 4.0})
 
 
 def test_an_index_beyond_the_default_list_is_refused():

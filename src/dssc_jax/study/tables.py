@@ -282,12 +282,29 @@ def merged(common: TomlTable, override: TomlTable) -> TomlTable:
     for name, value in override.items():
         inherited = result.get(name)
         if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-            same_kind = value.get("kind", inherited.get("kind")) == inherited.get("kind")
-            result[name] = merged(inherited, value) if same_kind else value
+            result[name] = merged(inherited, value) if has_kind_of(value, inherited) else value
         else:
             with errors_under(name):
                 result[name] = with_default(value, inherited)
     return result
+
+
+def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
+    """Whether a table keeps the kind of the one that it overrides."""
+    return override.get("kind", inherited.get("kind")) == inherited.get("kind")
+
+
+def stands_alone(override: TomlTable, common: TomlTable) -> bool:
+    """Whether a channel's table replaces the common one, because it has another kind.
+
+    A common table without a kind holds what channels of several kinds share.
+    """
+    return "kind" in common and not has_kind_of(override, common)
+
+
+def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
+    """The table of a channel: the common one with the channel's values, or a table of another kind alone."""
+    return dict(override) if stands_alone(override, common) else merged(common, override)
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:

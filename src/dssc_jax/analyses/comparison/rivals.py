@@ -20,7 +20,7 @@ from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.components import field_specs, lookup
 from dssc_jax.study.laws import Uncertain
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import channel_table, merged
 
 ControllerTable = TomlTable
 LIMITED = "limited"
@@ -181,7 +181,7 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
                 table = {"kind": kind, **from_dssc(plain(gains))}
         except ConfigError as error:
             raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
-        laid = merged(common, controller.get(channel, {})) if channel else common
+        laid = channel_table(common, controller.get(channel, {})) if channel else common
         tables[channel] = table | {key: laid[key] for key in ("l0", "nominal") if key in laid}
     return tables.get("", {"kind": kind, **tables})
 
