@@ -29,6 +29,9 @@ Every table and field, generated from the schema (`make pages`). `dssc-jax info 
 Numbers are in SI units and radians; y stands for the unit of the plant's output and u for that of its command. A law
 may replace a number unless *admissible* excludes it. An expression of [parameters](parameters.md), as `"=1/(L*C)"`, may
 replace any number.
+
+A dotted name gives an entry of a list by its index from 0, as `--set plant.initial.0=0.5`. The list may be one that the
+study leaves at its default.
 """
 LAW_TEXT = """A law replaces a number: `k_p = { uniform = [0.8, 1.2] }`. Where its arguments are not known well, they
 may be ranges: `k_p = { normal = [[0.9, 1.1], 0.1] }`. `dssc-jax laws` gives the failure probability over all these laws

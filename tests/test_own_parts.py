@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dssc_jax as dj
+from dssc_jax.analyses.comparison import controller_table, with_own_controllers
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains
@@ -78,6 +79,15 @@ def test_a_controller_of_ones_own_enters_a_comparison_by_name(beside, capsys):
     assert isinstance(again.study, Described)
     assert again.summary()["pairs"] == by_name.summary()["pairs"]
     assert not mark.exists()
+
+
+def test_the_table_of_a_controller_by_name_needs_no_kind(beside):
+    """It was merged into the study's own controller."""
+    allow_imports(beside)
+    study = dj.Study.from_table({**STUDY, "compare": {"own_spring:SPRING": {"stiffness": 2.0}}})
+    study = with_own_controllers(study, ["own_spring:SPRING"])
+    expected = {"kind": "own_spring:SPRING", "l0": 1.0, "stiffness": 2.0}
+    assert controller_table(study, "own_spring:SPRING") == expected
 
 
 def test_margins_of_a_controller_by_name(beside):

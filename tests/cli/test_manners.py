@@ -219,3 +219,19 @@ def test_loop_prints_one_table_for_two_places_with_the_same_margins(tmp_path, mo
     printed = capsys.readouterr().out
     assert "input and output" not in printed
     assert "output, at the equilibrium" in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--set", "requirement.1.max=5"], "small.toml: requirement.1.max: requirement has 1 entry, whose index is 0;"),
+        (["--set", "plant.initial.2=1"], "small.toml: plant.initial.2: plant.initial has 2 entries, whose indices are"),
+        (["--set", "plant..k_p=3"], "small.toml: plant..k_p: has an empty part;"),
+        (["--set", "plant.initial.0.x=1"], "small.toml: plant.initial.0.x: leads nowhere: 'x' is"),
+        (["--draws", "10", "--set", "draws=12"], "--draws: gives a second value of draws; leave out this option, or"),
+        (["--seed", "1", "--set", "seed=2"], "--seed: gives a second value of seed; leave out this option, or --set"),
+    ],
+)
+def test_a_change_that_leads_nowhere_says_why_once(study, options, message, capsys):
+    assert guarded(["run", study.name, *options]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {message}")

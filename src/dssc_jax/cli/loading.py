@@ -25,12 +25,16 @@ from dssc_jax.study.tables import changed
 
 def study_of(options: StudyOptions) -> Study:
     """The study of a command, with the changes that its options ask for."""
-    changes: dict[str, object] = dict(parse_changes(options.settings))
+    settings = parse_changes(options.settings)
+    numbers: dict[str, object] = {}
     if isinstance(options, DrawsOptions) and options.draws is not None:
-        changes["draws"] = options.draws
+        numbers["draws"] = options.draws
     if isinstance(options, SeededOptions) and options.seed is not None:
-        changes["seed"] = options.seed
-    return load_study(options.study, changes, options.allow_local, options.allow_native)
+        numbers["seed"] = options.seed
+    for name in numbers.keys() & settings.keys():
+        rule = f"gives a second value of {name}; leave out this option, or --set {name}={settings[name]}"
+        raise ConfigError(f"--{name}", rule)
+    return load_study(options.study, settings | numbers, options.allow_local, options.allow_native)
 
 
 def load_study(name: str, changes: Mapping[str, object], local: bool, native: bool = False) -> Study:
@@ -45,9 +49,9 @@ def load_study(name: str, changes: Mapping[str, object], local: bool, native: bo
     path = find(name)
     if local:
         allow_imports(path.parent)
-    file_table = read_toml(path)  # names the file in its errors
+    changed_table = changed(read_toml(path), changes, str(path))  # both name the file in their errors
     try:
-        table = with_files(changed(file_table, changes, str(path)), path.parent)
+        table = with_files(changed_table, path.parent)
     except ConfigError as error:
         raise error.within(str(path)) from None
     if native:

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from dssc_jax.study import Study
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import channel_table
 
 if TYPE_CHECKING:
     from dssc_jax.design.certification import Mark
@@ -19,7 +19,7 @@ def has_table_1(study: Study) -> bool:
     for channel in study.loop.channels:
         override = common.get(channel)
         if isinstance(override, dict):
-            tables.append(merged(common, override))
+            tables.append(channel_table(common, override))
     for table in tables:
         functions = table.get("functions")
         if table.get("kind") == "dssc" and isinstance(functions, dict) and functions.get("kind") == TABLE_1:

@@ -25,7 +25,7 @@ from dssc_jax.study.laws import is_law, is_number
 from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_number, parse_numbers
 from dssc_jax.study.parameters import Expression
 from dssc_jax.study.table_errors import explain
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import merged, with_default
 
 
 @dataclass(frozen=True)
@@ -384,8 +384,11 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     model = table_model(params)
     default_values = {name: defaults[name] for name in model.model_fields if name in defaults}
     values = {name: value.value if isinstance(value, Enum) else value for name, value in default_values.items()}
+    for name, value in table.items():
+        with errors_under(name):
+            values[name] = with_default(value, values.get(name))
     try:
-        validated = model.model_validate(values | table)
+        validated = model.model_validate(values)
     except ValidationError as error:
         raise explain(error, [*specs, *choices], [name for name in specs if specs[name].derived]) from None
     parsed_values = {name: getattr(validated, name) for name in model.model_fields}

@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import chain
 
 from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_disturbances, sum_of_winds
-from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.registry import single
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
@@ -23,7 +23,7 @@ from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.events import EVENT
 from dssc_jax.study.numbers import dotted
-from dssc_jax.study.tables import has_dotted, merged
+from dssc_jax.study.tables import channel_table, has_dotted, stands_alone
 
 REGISTRIES = {
     "plant": {**PLANTS, "uav": single(UAV, "the full UAV: rigid body, rotors, aerodynamics, inner loops (1)")},
@@ -101,7 +101,7 @@ def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[Ch
 def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tuple[str, ...]) -> list[Component]:
     """Parse one component per channel; a list is the chain ``[[actuator]]``.
 
-    A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
+    A table ``[controller.x]`` overrides ``[controller]``, which applies to all; one of another kind replaces it.
     A number that no channel overrides is one number for all channels: one draw of its law, one axis.
     """
     if isinstance(table, list):
@@ -111,9 +111,12 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     for index, channel in enumerate(channels):
         own_path = dotted(slot, channel)
         override = as_table(table.get(channel, {}), own_path) if channel else {}
-        component = parse_component(merged(common, override), REGISTRIES[slot], own_path if override else slot)
+        is_alone = stands_alone(override, common)
+        with errors_under(own_path):
+            channel_content = channel_table(common, override)
+        component = parse_component(channel_content, REGISTRIES[slot], own_path if override else slot)
         numbers = tuple(
-            number.under(f"{slot}.{index}", own_path if has_dotted(override, number.name) else slot)
+            number.under(f"{slot}.{index}", own_path if is_alone or has_dotted(override, number.name) else slot)
             for number in component.numbers
         )
         components.append(replace(component, numbers=numbers))

@@ -3,14 +3,14 @@
 import copy
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError, close_names
+from dssc_jax.core.errors import ConfigError, close_names, errors_under
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.parsed_values import AXES
@@ -125,10 +125,11 @@ def index_in(container: object, part: str) -> int | None:
 def set_dotted(table: TomlTable, name: str, value: object) -> None:
     """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created.
 
-    Items of a list are given by index, or by the entry ``name`` of a table in it.
+    Items of a list are given by index, or by the entry ``name`` of a table in it. Of a list that the table does not
+    state, a table takes the items; the part that has the list adds its defaults (see :func:`with_default`).
 
     Raises:
-        ConfigError: The name passes through a number, or beyond a list's end.
+        ConfigError: The name has an empty part, or passes through a number, or beyond a list's end.
     """
     for section in KEYED_BY_NAMES:
         if name.startswith(f"{section}."):
@@ -143,8 +144,10 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
     if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
         value = described_like(value, table[first_part].get(remainder))
     *parents, key = name.split(".")
+    if not all([*parents, key]):
+        raise ConfigError(name, "has an empty part; a single dot stands between two parts")
     container: Any = table
-    for part in parents:
+    for depth, part in enumerate(parents):
         index = index_in(container, part)
         if index is not None:
             container = container[index]
@@ -153,14 +156,71 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
                 container[part] = {"kind": container[part]}
             container = container.setdefault(part, {})
         else:
-            raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
+            raise ConfigError(name, no_such_part(container, parents[:depth], part))
     index = index_in(container, key)
     if index is not None:
         container[index] = value
     elif isinstance(container, dict):
         container[key] = value
     else:
-        raise ConfigError(name, f"leads nowhere: '{key}' is not in a table")
+        raise ConfigError(name, no_such_part(container, parents, key))
+
+
+def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
+    """The rule that a part of a dotted name breaks, which the content of its parents does not have."""
+    if not isinstance(container, list):
+        return f"leads nowhere: '{part}' is not in a table"
+    names = [str(item["name"]) for item in container if isinstance(item, Mapping) and "name" in item]
+    named = f", or their names {', '.join(names)}" if names else ""
+    return f"{'.'.join(parents)} has {indices_text(len(container))}{named}; got '{part}'"
+
+
+def indices_text(count: int) -> str:
+    """How many entries a list has, and their indices, in words."""
+    match count:
+        case 0:
+            return "no entry"
+        case 1:
+            return "1 entry, whose index is 0"
+        case _:
+            return f"{count} entries, whose indices are 0 to {count - 1}"
+
+
+def is_entries(value: object) -> bool:
+    """Whether a table holds entries of a list by their indices."""
+    return isinstance(value, Mapping) and bool(value) and all(is_index(str(key)) for key in value)
+
+
+def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]:
+    """A list with other entries, by index; so are those of its rows and tables.
+
+    Raises:
+        ConfigError: The list has no such index.
+    """
+    new_values = list(values)
+    for key, entry in entries.items():
+        index = int(key)
+        if index >= len(new_values):
+            raise ConfigError("", f"has {indices_text(len(new_values))}; got '{key}'")
+        item = new_values[index]
+        with errors_under(key):
+            if isinstance(item, dict) and isinstance(entry, dict) and not is_law(item) and not is_law(entry):
+                entry = merged(item, entry)
+            new_values[index] = with_default(entry, item)
+    return new_values
+
+
+def with_default(value: Any, default: Any) -> Any:
+    """A value of a study's table; entries by index alone change the default, if this is a list.
+
+    Raises:
+        ConfigError: The default list has no such index.
+    """
+    if not is_entries(value) or not isinstance(default, list | tuple):
+        return value
+    if not default:
+        raise ConfigError("", "has no entry by default; state the list in the study first")
+    return with_entries(default, value)
 
 
 def quotes_hint(section: str, key: str, value: object) -> str:
@@ -214,16 +274,37 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
 
 
 def merged(common: TomlTable, override: TomlTable) -> TomlTable:
-    """``common`` with the values of ``override``, table by table; a law or a table of another kind replaces a table."""
+    """``common`` with the values of ``override``, table by table; a law or a table of another kind replaces a table.
+
+    Entries by index change a list.
+    """
     result = dict(common)
     for name, value in override.items():
         inherited = result.get(name)
         if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-            same_kind = value.get("kind", inherited.get("kind")) == inherited.get("kind")
-            result[name] = merged(inherited, value) if same_kind else value
+            result[name] = merged(inherited, value) if has_kind_of(value, inherited) else value
         else:
-            result[name] = value
+            with errors_under(name):
+                result[name] = with_default(value, inherited)
     return result
+
+
+def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
+    """Whether a table keeps the kind of the one that it overrides."""
+    return override.get("kind", inherited.get("kind")) == inherited.get("kind")
+
+
+def stands_alone(override: TomlTable, common: TomlTable) -> bool:
+    """Whether a channel's table replaces the common one, because it has another kind.
+
+    A common table without a kind holds what channels of several kinds share.
+    """
+    return "kind" in common and not has_kind_of(override, common)
+
+
+def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
+    """The table of a channel: the common one with the channel's values, or a table of another kind alone."""
+    return dict(override) if stands_alone(override, common) else merged(common, override)
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:

@@ -82,6 +82,37 @@ def test_forms_limits_and_own_tables():
     assert gentle["functions"]["kappa2"] == 2.5
 
 
+def test_a_table_without_kind_takes_its_name_as_the_kind():
+    """It was merged into the study's controller, so that ``[compare.pi]`` of a PID's study was a PID."""
+    gains = {"l0": 1.5, "k_p": 2.5, "k_i": 1.0}
+    study = study_with({"kind": "square_root", **FUNCTIONS["square_root"]})
+    pid = study.override({"controller": {"kind": "pid", "k_p": 6.0, "k_i": 2.0, "k_d": 3.0}})
+    pid = pid.override({"compare": {"pi": gains, "gentle": {"k_p": 3.0}, "sta": {"tune": {"kappa1": [1.0, 2.0]}}}})
+    assert controller_table(pid, "pi") == {"kind": "pi", **gains}
+    assert controller_table(pid, "gentle") == {**pid.config.controller, "k_p": 3.0}
+    with pytest.raises(dj.ConfigError, match=r"cannot be derived from 'pid'; give \[compare.sta\]"):
+        controller_table(pid, "sta")
+
+
+def test_a_table_without_kind_changes_what_its_name_denotes():
+    study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]})
+    tables = {"sta_proper": {"kappa1": 1.0}, "sta_limited": {"limit": 1.0}, "dssc": {"rho": 2.0}, "smc": {}}
+    changed = study.override({"compare": tables})
+    for name, table in tables.items():
+        assert controller_table(changed, name) == controller_table(study, name) | table
+    pid = study.override({"controller": {"kind": "pid", "k_p": 6.0}, "compare": {"sta_limited": {"kappa1": 1.0}}})
+    with pytest.raises(dj.ConfigError, match=r"compare.sta_limited.limit: is required and missing"):
+        controller_table(pid, "sta_limited")
+
+
+def test_a_common_change_of_another_kind_is_for_all_channels():
+    study = dj.Study.load("studies/paper_case1.toml")
+    changed = study.override({"compare": {"sta": {"kappa1": 0.5, "z": {"kappa1": 0.7}}}})
+    table = controller_table(changed, "sta")
+    assert [table[channel]["kappa1"] for channel in ("x", "y", "z", "psi")] == [0.5, 0.5, 0.7, 0.5]
+    assert table["x"]["kappa2"] == controller_table(study, "sta")["x"]["kappa2"]
+
+
 def test_channels_have_gains_of_their_own():
     study = dj.Study.load("studies/paper_case1.toml")
     table = controller_table(study, "sta_limited")

@@ -81,6 +81,17 @@ def test_frequency_must_divide_the_sample_and_the_substeps():
         Px4Gains(frequency=50.0).prepare()
 
 
+def test_px4_thrusts_must_be_in_order():
+    """The least thrust above the largest one flew, and every draw failed."""
+    with pytest.raises(ConfigError, match=r"thrust_min: must be below thrust_max = 0.8, got up to 0.9"):
+        Px4Gains(thrust_min=0.9, thrust_max=0.8).prepare()
+    study = study_of("px4", STEPS["small"])
+    with pytest.raises(ConfigError, match=r"inner_loop\.thrust_min: must be below thrust_max = 0.1, got up to 0.12"):
+        study.override({"plant.inner_loop.thrust_max": {"uniform": [0.1, 0.5]}})
+    with pytest.raises(ConfigError, match=r"sweep: plant\.inner_loop\.thrust_min: must be below thrust_max = 0.4"):
+        study.override({"sweep.plant.inner_loop.thrust_min": [0.1, 0.5], "plant.inner_loop.thrust_max": 0.4})
+
+
 def test_px4_parameters_become_the_table():
     """Factors multiply gains, degrees become radians, and what the file does not set keeps its default."""
     table = gains_from({"MC_ROLLRATE_P": 0.1, "MC_ROLLRATE_K": 2.0, "MC_YAWRATE_MAX": 90.0, "MPC_TILTMAX_AIR": 30.0})

@@ -20,7 +20,7 @@ from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.components import field_specs, lookup
 from dssc_jax.study.laws import Uncertain
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import channel_table, merged
 
 ControllerTable = TomlTable
 LIMITED = "limited"
@@ -57,16 +57,17 @@ def switching_kinds() -> list[str]:
 
 
 def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
-    """The study with a table ``[compare]`` for each ``module:OBJECT`` among the names that has none.
+    """The study with a table ``[compare]`` of its own kind for each ``module:OBJECT`` among the names.
 
-    So a stored comparison tells, like any study, which code it refers to.
+    So a stored comparison tells, like any study, which code it refers to. A table that the study has for the name
+    changes the gains.
     """
-    declared_names = {kind_of_all(study), *study.config.compare}
-    missing = [name for name in names if ":" in name and name not in declared_names]
-    if not missing:
-        return study
-    tables = {name: {"kind": name, **common_gains(study, name)} for name in missing}
-    return study.override({"compare": {**study.config.compare, **tables}})
+    tables = {}
+    for name in names:
+        own_table = study.config.compare.get(name, {})
+        if ":" in name and name != kind_of_all(study) and "kind" not in own_table:
+            tables[name] = merged({"kind": name, **common_gains(study, name)}, own_table)
+    return study.override({"compare": {**study.config.compare, **tables}}) if tables else study
 
 
 def kind_of_all(study: Study) -> str:
@@ -94,20 +95,33 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     """The ``[controller]`` table of a controller in a comparison.
 
     Args:
-        study: The study. Its ``[compare.NAME]`` has priority: a whole controller, or changes of ``[controller]`` if the
-            kind is the same or omitted. The study's own controller is named by its kind. Others are derived from DSSC;
-            for those of one's own see :func:`with_own_controllers`.
+        study: The study. Its ``[compare.NAME]`` has priority. It is a whole controller if it states another kind, else
+            changes: of ``[controller]``, or, where NAME is a kind, of the controller that NAME denotes without a table.
         name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
+
+    Raises:
+        ConfigError: there is no such controller, or its gains do not follow from the study's own.
+    """
+    own_table = study.config.compare.get(name)
+    if own_table is None:
+        return corresponding_table(study, name)
+    controller = study.config.controller
+    table = {key: value for key, value in own_table.items() if key != "tune"}
+    if "kind" in table:
+        return merged(controller, table) if table["kind"] == kind_of_all(study) else table
+    return table_by_name(study, name, table) if name in rival_names() else merged(controller, table)
+
+
+def corresponding_table(study: Study, name: str) -> ControllerTable:
+    """The table of a controller that has no ``[compare.NAME]``: the study's own, or derived from DSSC.
+
+    For controllers of one's own see :func:`with_own_controllers`.
 
     Raises:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
     """
     controller = study.config.controller
     common_kind = kind_of_all(study)
-    own_table = study.config.compare.get(name)
-    if own_table is not None:
-        table = {key: value for key, value in own_table.items() if key != "tune"}
-        return merged(controller, table) if table.get("kind", common_kind) == common_kind else table
     if name == common_kind:
         return dict(controller)
     names = rival_names()
@@ -120,6 +134,32 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     if rival.limited:
         return with_limit(study, name, table)
     return {**table, "discretisation": rival.form} if rival.form else table
+
+
+def table_by_name(study: Study, name: str, changes: ControllerTable) -> ControllerTable:
+    """The table of a controller whose name states its kind, with the changes of a ``[compare.NAME]`` that states none.
+
+    If its gains do not follow from the study's own, the changes are the whole controller.
+
+    Raises:
+        ConfigError: its gains do not follow, and there are no changes, or the limit of a limited one is not among them.
+    """
+    rival = rival_names()[name]
+    try:
+        table = corresponding_table(study, name)
+    except ConfigError:
+        limit = CONTROLLERS[rival.kind].default_member.limit
+        if not changes or (rival.limited and not limit):
+            raise
+        if rival.limited and limit not in changes:
+            raise ConfigError(f"compare.{name}.{limit}", "is required and missing") from None
+        form = {"discretisation": rival.form} if rival.form else {}
+        return {"kind": rival.kind, **form, **changes}
+    if rival.kind != kind_of_all(study):  # each channel has all gains, so that common changes go to each
+        channels = study.loop.channels
+        common_changes = {key: value for key, value in changes.items() if key not in channels}
+        table |= {channel: merged(table[channel], common_changes) for channel in channels if channel in table}
+    return merged(table, changes)
 
 
 def derived(study: Study, name: str, kind: str) -> ControllerTable:
@@ -141,7 +181,7 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
                 table = {"kind": kind, **from_dssc(plain(gains))}
         except ConfigError as error:
             raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
-        laid = merged(common, controller.get(channel, {})) if channel else common
+        laid = channel_table(common, controller.get(channel, {})) if channel else common
         tables[channel] = table | {key: laid[key] for key in ("l0", "nominal") if key in laid}
     return tables.get("", {"kind": kind, **tables})
 

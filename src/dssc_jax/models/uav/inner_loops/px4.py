@@ -23,7 +23,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, root_abs
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
@@ -124,6 +124,9 @@ class Px4Gains(NamedTuple):
         if cutoff is not None and not 2.0 * cutoff < self.frequency:
             rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
             raise ConfigError("gyro_cutoff", f"{rule}, got {cutoff:g} Hz")
+        least, most = extent(self.thrust_min)[1], extent(self.thrust_max)[0]
+        if not least < most:
+            raise ConfigError("thrust_min", f"must be below thrust_max = {most:g}, got up to {least:g}")
         return self
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:

@@ -1,0 +1,76 @@
+"""Entries of lists that a study leaves at their defaults, by dotted name."""
+
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.core.errors import ConfigError
+
+AXIS = {
+    "name": "axis",
+    "draws": 2,
+    "loop": {"duration": 0.5, "sample_time": 0.01},
+    "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}},
+    "controller": {"kind": "pid", "k_p": 6.0, "k_i": 2.0, "k_d": 3.0},
+    "requirement": [{"metric": "error_max", "max": 0.4}],
+}
+VEHICLE = {
+    "name": "vehicle",
+    "loop": {"duration": 0.2, "sample_time": 0.01, "substeps": 4},
+    "plant": {"kind": "uav", "vehicle": {"kind": "x500"}, "inner_loop": {"kind": "px4"}},
+    "controller": {"kind": "pid", "k_p": 1.0, "k_d": 0.2},
+    "reference": {"kind": "hover"},
+}
+
+
+def test_an_entry_is_set_and_the_others_keep_their_defaults():
+    study = dj.Study.from_table(AXIS).override({"plant.initial.1": 0.5})
+    assert [study.leaves()[f"plant.initial.{index}"] for index in range(2)] == [0.0, 0.5]
+    study = dj.Study.from_table(study.table).override({"plant.initial.0": {"uniform": [0.1, 0.2]}})
+    assert set(study.laws) == {"plant.k_p", "plant.initial.0"}
+    assert study.leaves()["plant.initial.1"] == 0.5
+
+
+def test_an_entry_is_swept_and_walked():
+    study = dj.Study.from_table(AXIS)
+    swept = dj.run(study.override({"sweep.plant.initial.0": [0.1, 0.3]})).dataset
+    assert swept["error_max"].values.max(axis=-1) == pytest.approx([0.1, 0.3])
+    walk = dj.margin(study, over="plant.initial.0", bounds=(0.1, 0.6), points=3, bisections=1)
+    slack = walk.dataset["slack"].values[:, 0]
+    assert slack[0] > 0.0
+    assert slack[-1] < 0.0
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "plant.position.2",
+        "plant.vehicle.body_inertia.0",
+        "plant.vehicle.rotor.0.position.0",
+        "plant.inner_loop.attitude_p.0",
+    ],
+)
+def test_an_entry_of_a_vehicle_is_swept(name):
+    study = dj.Study.from_table(VEHICLE)
+    value = study.leaves()[name]
+    assert isinstance(value, float)
+    assert study.override({f"sweep.{name}": [value, 1.01 * value]}).axes == {name: (value, 1.01 * value)}
+    changed = study.override({name: value + 0.001}).leaves()
+    assert changed == study.leaves() | {name: value + 0.001}
+
+
+def test_a_channel_changes_an_entry_of_the_common_list():
+    controller = {"kind": "discrete_transfer_function", "numerator": [3.0, -2.9], "denominator": [1.0, -0.5]}
+    study = dj.Study.from_table({**VEHICLE, "controller": controller}).override({"controller.z.numerator.0": 4.0})
+    numbers = study.leaves()
+    assert [numbers["controller.numerator.0"], numbers["controller.z.numerator.0"]] == [3.0, 4.0]
+    assert "controller.z.numerator.1" not in numbers
+    with pytest.raises(
+        ConfigError, match=r"study: controller.z.numerator: has 2 entries, whose indices are 0 to 1; got"
+    ):
+        study.override({"controller.z.numerator.7": 4.0})
+
+
+def test_an_index_beyond_the_default_list_is_refused():
+    with pytest.raises(ConfigError) as caught:
+        dj.Study.from_table(AXIS).override({"plant.initial.2": 0.5})
+    assert str(caught.value) == "study: plant.initial: has 2 entries, whose indices are 0 to 1; got '2'"
