@@ -20,6 +20,7 @@ class Quantity:
         data: Whether it is one of many values of a record, which have no names in the study.
         leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
         begins: Whether it is a time at which something begins, which has no effect after the end of the loop.
+        whole: Whether it is a whole number, whose law is a choice of whole numbers.
     """
 
     unit: str
@@ -32,6 +33,7 @@ class Quantity:
     data: bool = False
     leading: bool = False
     begins: bool = False
+    whole: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""

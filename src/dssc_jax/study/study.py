@@ -269,7 +269,10 @@ class Study:
         rules_by_name = {}
         for name, column in (dict(values) | self.derived(values)).items():
             low, high = float(np.min(column)), float(np.max(column))
-            rule = self.numbers[name].quantity.violated_by(low, high)
+            quantity = self.numbers[name].quantity
+            rule = quantity.violated_by(low, high)
+            if rule is None and quantity.whole and np.any(np.mod(column, 1.0)):
+                rule = "must be a whole number"
             if rule is None and not np.all(np.isfinite(column)):
                 rule = "must be finite"
             if rule:
