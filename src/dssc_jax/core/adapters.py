@@ -116,13 +116,16 @@ class ReplacedParams(NamedTuple):
 def replace_channels(
     joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
 ) -> Reference:
-    """The reference of several channels in which some, by index, follow references of their own."""
+    """The reference of several channels in which some, by index, follow references of their own.
+
+    Channels beyond the joint reference have references of their own, each of them.
+    """
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
-        points = list(joint.at(params.joint, t))
+        points = dict(enumerate(joint.at(params.joint, t)))
         for (index, reference), own_params in zip(replacements.items(), params.replaced, strict=True):
             points[index] = reference.at(own_params, t)
-        return tuple(points)
+        return tuple(points[index] for index in range(len(points)))
 
     return Reference(ReplacedParams, at)
 

@@ -103,23 +103,30 @@ class Wrapped(NamedTuple):
 AnyEvent = VehicleEvent | SensorEvent | CommandEvent
 
 
-def ramp_integral(x: Scalar, rise: Scalar | None) -> Scalar:
-    """Integral up to x of a ramp from 0 at x = 0 to 1 at x = rise; None: of a step."""
-    if rise is None:
-        return jnp.maximum(x, 0.0)
-    ramp_time = jnp.clip(x, 0.0, rise)
-    return 0.5 * ramp_time * ramp_time / rise + jnp.maximum(x - rise, 0.0)
-
-
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
     """Mean over the sample [t, t + dt) of how much of an event has happened, in [0, 1].
 
-    An event that begins within a sample therefore acts with its mean, as a signal that is held.
+    An event that begins within a sample therefore acts with its mean, as a signal that is held. Times within the sample
+    are shares of it, clipped to [0, 1]: before the event the result is exactly 0, and after its rise exactly 1, however
+    the times round.
     """
     rise = getattr(params, "rise", None)
     until = getattr(params, "until", None)
-    end = t + dt if until is None else jnp.clip(until, t, t + dt)
-    return (ramp_integral(end - params.at, rise) - ramp_integral(t - params.at, rise)) / dt
+
+    def within_sample(time: Scalar) -> Scalar:
+        return jnp.clip((time - t) / dt, 0.0, 1.0)
+
+    def risen(place: Scalar) -> Scalar:
+        return jnp.clip((t - params.at + place * dt) / rise, 0.0, 1.0)
+
+    begin = within_sample(params.at)
+    end = 1.0 if until is None else within_sample(until)
+    if rise is None:
+        return jnp.maximum(end - begin, 0.0)
+    complete = within_sample(params.at + rise)
+    end_of_rise = jnp.minimum(complete, end)
+    rising = 0.5 * (risen(begin) + risen(end_of_rise)) * jnp.maximum(end_of_rise - begin, 0.0)
+    return rising + jnp.maximum(end - complete, 0.0)
 
 
 def condition_at(

@@ -21,6 +21,7 @@ class Quantity:
         leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
         begins: Whether it is a time at which something begins, which has no effect after the end of the loop.
         periodic: Whether it is an angle that begins again after a turn.
+        whole: Whether it is a whole number, whose law is a choice of whole numbers.
     """
 
     unit: str
@@ -34,6 +35,7 @@ class Quantity:
     leading: bool = False
     begins: bool = False
     periodic: bool = False
+    whole: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""

@@ -49,7 +49,8 @@ class Evaluator:
         lanes: Maximum number of lanes of a batch.
 
     Raises:
-        ConfigError: A name is not a number of the loop, or an end is not admissible.
+        ConfigError: A name is not a number of the loop, an end is not admissible, or values between are no whole
+            numbers where the loop needs them.
     """
 
     study: Study
@@ -58,6 +59,7 @@ class Evaluator:
     swept: Study = field(init=False)
 
     def __post_init__(self) -> None:
+        require_values_between(self.study, self.extents)
         axes = {name: sorted(set(extent)) for name, extent in self.extents.items()}
         self.swept = self.study.override({"sweep": axes})
         self.engine = self.compiled()
@@ -109,6 +111,19 @@ class Evaluator:
             violations = [violated(np.asarray(slack)) for slack in slacks]
             is_failed[candidates] = np.any(violations, axis=0)
         return is_failed
+
+
+def require_values_between(study: Study, extents: Mapping[str, tuple[float, float]]) -> None:
+    """Require that numbers may have any value between the ends of their ranges.
+
+    Raises:
+        ConfigError: One is a whole number, or a whole number follows from it.
+    """
+    for name, (low, high) in extents.items():
+        whole_names = [n.name for n in study.numbers.values() if n.quantity.whole and name in (n.name, *n.sources)]
+        if whole_names and low != high:
+            rule = f"a search takes values between {low:g} and {high:g}, and {whole_names[0]} is a whole number"
+            raise ConfigError(name, f"{rule}; sweep it instead, over whole numbers")
 
 
 def driven_parts(study: Study) -> list[tuple[str, Plant | Controller]]:

@@ -126,7 +126,7 @@ def precedence(number: Number) -> int:
 def is_movable(number: Number) -> bool:
     """Whether a number gets a slider without being asked for: initial states, records and what follows do not."""
     free = number.expression is None and not number.name.startswith("plant.initial")
-    return free and number.quantity.law and not number.quantity.data
+    return free and number.quantity.law and not number.quantity.data and not number.quantity.whole
 
 
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
@@ -134,7 +134,7 @@ def sliders_of_number(study: Study, name: str) -> list[Slider]:
     if name == CLOCK_SLIDER:
         return [] if is_expression(study.table["loop"]["sample_time"]) else [sample_time_slider(study)]
     number = study.numbers[name]
-    if not number.quantity.law or isinstance(number.value, Expression):
+    if not number.quantity.law or number.quantity.whole or isinstance(number.value, Expression):
         return []
     if name in study.axes:
         start = number.value.median if isinstance(number.value, Law) else float(number.value)

@@ -86,9 +86,15 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
         rotor = getattr(part.params, "rotor", None)
         if rotor is not None and extent(rotor)[1] > vehicle.rotors:
             raise ConfigError(f"{study_event.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
-        numbers = tuple(number.under(f"events.{len(components)}", study_event.path) for number in part.numbers)
-        components.append(replace(part, numbers=numbers))
+        numbers = (with_existing_rotors(number, vehicle.rotors) for number in part.numbers)
+        place = f"events.{len(components)}"
+        components.append(replace(part, numbers=tuple(number.under(place, study_event.path) for number in numbers)))
     return tuple(components)
+
+
+def with_existing_rotors(number: Number, rotors: int) -> Number:
+    """A number of an event; that of a rotor is at most the number of rotors, for sweeps, too."""
+    return replace(number, quantity=replace(number.quantity, at_most=rotors)) if number.name == "rotor" else number
 
 
 def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:

@@ -1,7 +1,9 @@
 """``Number``, the record of a number of the loop, and the parsing of numbers, laws and expressions."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 from dssc_jax.core.quantities import Quantity
@@ -9,6 +11,11 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import Law, is_number, parse_law
 from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
+
+DISCRETE = ("choice", "point")
+"""Laws whose values are their arguments."""
+MOST_COMBINATIONS = 10_000
+"""Combinations of the values of laws of which a whole number may be computed."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,25 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
     if violation:
         value_text = f"{value!r}" if is_number(value) else f"{content}, whose support is [{low:g}, {high:g}]"
         raise ValueError(f"{quantity.meaning} [{quantity.unit}] {violation}, got {value_text}")
+    if quantity.whole and not is_whole(content):
+        remedy = "" if isinstance(content, float) else "; its law is a choice of them, such as { choice = [1, 2, 3] }"
+        raise ValueError(f"{quantity.meaning} [{quantity.unit}] must be a whole number, got {content}{remedy}")
     return content
+
+
+def is_whole(content: float | Law | Expression) -> bool:
+    """Whether all values of a number, a law or an expression are whole numbers; those of a continuous law are not."""
+    if isinstance(content, Law):
+        return content.kind in DISCRETE and all(value.is_integer() for value in content.arguments)
+    if not isinstance(content, Expression):
+        return float(content).is_integer()
+    laws = content.laws
+    if any(law.kind not in DISCRETE for law in laws.values()):
+        return False
+    if math.prod(len(law.arguments) for law in laws.values()) > MOST_COMBINATIONS:
+        return False
+    combinations = product(*(law.arguments for law in laws.values()))
+    return all(float(content.at(dict(zip(laws, values, strict=True)))).is_integer() for values in combinations)
 
 
 def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:

@@ -29,6 +29,7 @@ from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, names_within
 from dssc_jax.study.recorded import with_records
+from dssc_jax.study.references import with_further_references, with_reference_of_channels
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import PARAMETERS, changed, read_toml
 
@@ -108,7 +109,9 @@ class Study:
         """
         content = changed(table, {}, source)
         try:
-            study = cls(table=content, source=source, **build(content)._asdict())
+            parts = build(with_further_references(content))
+            parts = parts._replace(loop=with_reference_of_channels(parts.loop))
+            study = cls(table=content, source=source, **parts._asdict())
             uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, uncertain, study.axes)
             for name in study.ranged_laws.keys() & set(study.correlated):
@@ -266,7 +269,10 @@ class Study:
         rules_by_name = {}
         for name, column in (dict(values) | self.derived(values)).items():
             low, high = float(np.min(column)), float(np.max(column))
-            rule = self.numbers[name].quantity.violated_by(low, high)
+            quantity = self.numbers[name].quantity
+            rule = quantity.violated_by(low, high)
+            if rule is None and quantity.whole and np.any(np.mod(column, 1.0)):
+                rule = "must be a whole number"
             if rule is None and not np.all(np.isfinite(column)):
                 rule = "must be finite"
             if rule:

@@ -10,7 +10,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.actuators import ACTUATOR
 from dssc_jax.study.components import field_specs
-from dssc_jax.study.events import EVENT, parse_events
+from dssc_jax.study.events import EVENT, parse_events, vehicle_events
 from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
@@ -46,7 +46,7 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
                 raise ConfigError("", numbers[name].follows)
             if not numbers[name].quantity.law:
                 raise ConfigError("", "is fixed before tracing; run once per value")
-            for value in (min(values), max(values)):
+            for value in values if numbers[name].quantity.whole else (min(values), max(values)):
                 try:
                     parse_number(value, numbers[name].quantity)
                 except ValueError as error:
@@ -109,9 +109,21 @@ def check_swept_parts(
                 parse_winds(resolved_table)
             else:
                 parse_whole(resolved_table, slot)
+        if loop.events:
+            check_swept_events(table, parameters, channels)
         check_expressions(parameters, config, numbers)
     except ConfigError as error:
         raise error.within("sweep") from None
+
+
+def check_swept_events(table: TomlTable, parameters: ParameterTable, channels: tuple[str, ...]) -> None:
+    """Require that the events of the vehicle are possible for all swept values of them and of the vehicle.
+
+    Raises:
+        ConfigError: a rotor does not exist, or nothing remains of the mass.
+    """
+    plant = parse_whole(parameters.resolved(table["plant"], "plant"), "plant")
+    vehicle_events(parse_events(parameters.resolved(table[EVENT], EVENT), channels), plant.params.vehicle)
 
 
 def check_expressions(parameters: ParameterTable, config: StudyTable, numbers: Mapping[str, Number]) -> None:

@@ -4,10 +4,9 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
 from dssc_jax.core.numerics import is_known
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
 
@@ -18,18 +17,11 @@ class RotorParams(NamedTuple):
     """
 
     at: Annotated[Scalar, AT]
-    rotor: Annotated[Scalar, Quantity("1", "number of the rotor, 1 is the first", at_least=1.0)]
+    rotor: Annotated[Scalar, Quantity("1", "number of the rotor, 1 is the first", at_least=1.0, whole=True)]
     effectiveness: Annotated[Scalar, Quantity("1", "share of its thrust that it keeps", at_least=0.0, at_most=1.0)] = (
         0.0
     )
     until: Annotated[Scalar | None, UNTIL] = None
-
-
-def prepare(params: RotorParams) -> RotorParams:
-    """Require whole numbers of rotors; raises ConfigError."""
-    if any(not end.is_integer() for end in extent(params.rotor)):
-        raise ConfigError("rotor", "must be a whole number, or a choice of them")
-    return params
 
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
@@ -45,4 +37,4 @@ def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int
     return condition._replace(effectiveness=tuple(effectiveness))
 
 
-ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor", prepare)
+ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor")

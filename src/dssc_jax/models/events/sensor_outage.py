@@ -28,10 +28,13 @@ class OutageState(NamedTuple):
 
 
 def wrap(sensor: Sensor) -> Sensor:
-    """The sensor with an outage: at a sample in [at, at + duration) it shows what it showed before."""
+    """The sensor with an outage: at a sample in [at, at + duration) it shows what it showed before.
+
+    At the first sample it has shown nothing yet. It then shows its first reading.
+    """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
-        inner = sensor.init(params.inner, measurement, key)
+        inner = sensor.init(params.inner, measurement, key)  # the first sample replaces what is shown
         return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
 
     def step(
@@ -39,7 +42,7 @@ def wrap(sensor: Sensor) -> Sensor:
     ) -> tuple[OutageState, Measurement]:
         inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
         elapsed = t - params.event.at + ROUNDING * dt
-        frozen = (elapsed >= 0.0) & (elapsed < params.event.duration)
+        frozen = (t > 0.0) & (elapsed >= 0.0) & (elapsed < params.event.duration)
         y = jnp.where(frozen, state.shown.y, reading.y)
         y_dot = jnp.where(frozen, state.shown.y_dot, reading.y_dot)
         return OutageState(inner, Measurement(y, y_dot)), reading._replace(y=y, y_dot=y_dot)
