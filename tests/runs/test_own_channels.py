@@ -7,6 +7,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
+from dssc_jax.core.errors import ConfigError
 
 PLANT = """
 from typing import Annotated, NamedTuple
@@ -89,6 +90,11 @@ def test_channels_follow_references_of_their_own(channels, plant):
     trajectory = dj.simulate(study)
     assert np.all(trajectory[f"{last}_y_ref"].values == 0.5)
     assert np.all(trajectory["a_y_ref"].values == 0.0)
+
+
+def test_a_kind_of_reference_that_is_no_name_is_refused(channels):
+    with pytest.raises(ConfigError, match="reference"):
+        dj.Study.from_table(table_of("FIVE", reference={"kind": ["zero"]}))
 
 
 @pytest.mark.parametrize("plant", ["TWO", "FIVE"])

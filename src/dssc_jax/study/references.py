@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.core.contracts import Reference
+from dssc_jax.core.contracts import Plant, Reference
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Params, ReferencePoints, Scalar
 from dssc_jax.core.toml import TomlTable
@@ -22,12 +22,13 @@ def with_further_references(table: TomlTable) -> TomlTable:
     kind = plant.get("kind") if isinstance(plant, dict) else None
     if not isinstance(kind, str) or ":" not in kind or not isinstance(reference, dict):
         return table
-    if reference.get("kind", "zero") not in TRAJECTORIES:
+    if all(name != reference.get("kind", "zero") for name in TRAJECTORIES):
         return table  # a reference of one's own has a point for each channel
     try:
-        channels = getattr(imported(kind, "plant.kind"), "channels", ())
+        model = imported(kind, "plant.kind")
     except ConfigError:
         return table  # the study's parsing reports it
+    channels = model.channels if isinstance(model, Plant) else ()
     further_references = {channel: {"kind": "zero"} for channel in channels[FLIGHT_POINTS:]}
     return {**table, "reference": further_references | reference} if further_references else table
 
