@@ -58,6 +58,13 @@ class Inequality(NamedTuple):
     printed_bound: Numeric
     rounding: Numeric = BOUNDARY_WIDTH
 
+    @classmethod
+    def as_printed(
+        cls, name: str, equation: str, value: Numeric, bound: Numeric, rounding: Numeric = BOUNDARY_WIDTH
+    ) -> "Inequality":
+        """An inequality whose derived bound is that of the article."""
+        return cls(name=name, equation=equation, value=value, bound=bound, printed_bound=bound, rounding=rounding)
+
     @property
     def slack(self) -> Numeric:
         """Value minus the derived bound; NaN if that has no meaning."""
@@ -143,45 +150,40 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
 
     near_one = abs(value - 1.0)
     return (
-        Inequality(
+        Inequality.as_printed(
             name="f",
             equation=f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1",
             value=value,
             bound=1.0,
-            printed_bound=1.0,
             rounding=BOUNDARY_WIDTH + f_rounding(*at) / greater(abs(value), 1.0),
         ),
-        Inequality(
+        Inequality.as_printed(
             name="phi_b",
             equation=f"{table}: phi_b > l0/eps",
             value=p.phi_b,
             bound=p.l0 / p.eps,
-            printed_bound=p.l0 / p.eps,
         ),
-        Inequality(
+        Inequality.as_printed(
             name="kappa_c (Lyapunov)",
             equation=f"{table}, (77)",
             value=p.kappa_c,
             bound=lyapunov,
-            printed_bound=lyapunov,
             rounding=error / greater(near_one, error),
         ),
         disturbance_row("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
         disturbance_row("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),
         disturbance_row("kappa_a (disturbance)", p.kappa_a, constants.kd2_bar, k_max * bounds.c_isigma),
-        Inequality(
+        Inequality.as_printed(
             name="kappa_a (kappa_b/l0)",
             equation=f"{table}: kappa_a > kappa_b/l0",
             value=p.kappa_a,
             bound=p.kappa_b / p.l0,
-            printed_bound=p.kappa_b / p.l0,
         ),
-        Inequality(
+        Inequality.as_printed(
             name="kappa_d",
             equation=f"{table}, (77)",
             value=p.kappa_d,
             bound=drift,
-            printed_bound=drift,
             rounding=error / greater(abs(value), error),
         ),
     )

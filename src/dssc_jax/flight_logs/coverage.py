@@ -13,7 +13,6 @@ LEAST_COMPARED = 5
 """Samples of a study at which a log needs a value to be compared."""
 UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
 USUAL_GAP = (0.1, 10.0)
-LONGER = 2.0  # times a study's duration: the times of a longer log that count by one may be the numbers of its rows
 COARSE = 0.1  # sample times between two floating-point numbers at the log's start: more blur its times
 
 
@@ -33,17 +32,20 @@ TIME_UNITS = (
 )
 
 
-def times_text(log: FlightLog, duration: float) -> str:
-    """That a log's times repeat, or look like the numbers of rows in a log longer than a study [s]; empty if not."""
+def times_text(log: FlightLog, least_length: float = 0.0) -> str:
+    """What is wrong with a log's times that repeat, or that count rows in a log longer than a length [s].
+
+    It is empty where nothing is wrong.
+    """
     columns = log.columns.values()
     repeated = next(filter(None, (repeated_times_text(column.time) for column in columns)), "")
     counted = next(filter(None, (row_numbers_text(column.time) for column in columns)), "")
-    return repeated or (counted if log.end - log.start > LONGER * duration else "")
+    return repeated or (counted if log.end - log.start > least_length else "")
 
 
 def time_unit_text(log: FlightLog, sample_time: float) -> str:
     """What is wrong with a log's times, if they repeat, count rows, or do not look like seconds; empty if they do."""
-    doubt_of_times = times_text(log, sample_time)
+    doubt_of_times = times_text(log)
     if doubt_of_times:
         return f"; its column of times {doubt_of_times}"
     gaps = [np.median(np.diff(column.time)) for column in log.columns.values() if len(column.time) > 1]

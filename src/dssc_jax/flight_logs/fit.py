@@ -181,7 +181,9 @@ def fit_log(
         fitted_names = tuple(name for name in fitted_names if name not in unidentified)
         if not fitted_names:
             x = search.best.x
-            doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
+            results = explain(problem, x)
+            require_description(problem, x, results)
+            doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, x, results))
             raise NotIdentifiable(
                 f"the flight identifies none of {', '.join(unidentified_widths)}: their laws are narrower than what it "
                 f"leaves open, a standard deviation that is a multiple of the law's, "
@@ -329,11 +331,12 @@ def fitted_minimum(
     study = problem.study
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
+    results = explain(problem, x)
     try:
-        results = require_description(problem, x)
+        require_description(problem, x, results)
     except Unexplained as refusal:
         causes = (
-            *output_start_doubts(problem, x, explain(problem, x)),
+            *output_start_doubts(problem, x, results),
             *outlier_doubts(problem, x),
             *delay_doubts(problem, search.best),
         )

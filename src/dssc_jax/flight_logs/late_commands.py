@@ -44,7 +44,7 @@ class ShiftedCommands:
         return shifted
 
 
-def linear_reduction(equations: NormalEquations) -> float:
+def linearised_cost(equations: NormalEquations) -> float:
     """The weighted sum of squares after one step of Gauss and Newton, if the prediction is linear in the numbers."""
     if not math.isfinite(equations.cost):
         return math.inf
@@ -69,7 +69,7 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
     shifts = ShiftedCommands(problem)
     costs = {}
     for shift in range(-margin, margin + 1):
-        costs[shift] = linear_reduction(shifts.at(channels, shift).normal_equations(minimum.x))
+        costs[shift] = linearised_cost(shifts.at(channels, shift).normal_equations(minimum.x))
     best = min(costs, key=lambda shift: (costs[shift], abs(shift)))
     if best == 0:
         return None
@@ -86,9 +86,6 @@ def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, 
     if delay is None or not delay.matters(study.loop.sample_time) or not delay.explains:
         return ()
     name = signal_name(study.loop.channels[0], "u_total")
-    number = max(delay.moves, key=lambda name: abs(delay.moves[name]))
-    estimate = problem.named_values(minimum.x)[number]
-    margin_text = f" ± {delay.deviation:.2g}" if math.isfinite(delay.deviation) else ""
     remedy = (
         "Log the time at which the vehicle gets the command, or give the study the delay that the vehicle has "
         "(unmodelled, actuator)"
@@ -97,9 +94,9 @@ def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, 
         "vehicle does not have"
     )
     text = (
-        f"{name} acts {abs(delay.time):.3g}{margin_text} s {'later' if delay.time > 0.0 else 'earlier'} than it is "
-        f"logged (p = {delay.p_value:.1g}): moved by that, the residual falls from {delay.unshifted[0]:.3g} to "
-        f"{delay.shifted[0]:.3g} {study.units[0].output} rms, and {number} is {delay.values[number]:.4g} in place of "
-        f"{estimate:.4g}. {remedy}"
+        f"{name} acts {delay.size_text} {'later' if delay.time > 0.0 else 'earlier'} than it is logged "
+        f"(p = {delay.p_value:.1g}): moved by that, the residual falls from {delay.unshifted[0]:.3g} to "
+        f"{delay.shifted[0]:.3g} {study.units[0].output} rms, and "
+        f"{delay.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
     return (Doubt(name, text),)

@@ -5,7 +5,6 @@ and each channel alone. Where the search has ended early, no fit can be repeated
 numbers counts.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -165,8 +164,6 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
     ):
         sizes.append(f"that of {name} from {unshifted:.3g} to {shifted:.3g} {study.units[channel].output} rms")
     side, opposite_side = ("later", "earlier") if lateness.time > 0.0 else ("earlier", "later")
-    number = max(lateness.moves, key=lambda name: abs(lateness.moves[name]))
-    estimate = problem.named_values(minimum.x)[number]
     remedy = (
         "Log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), or give the study the "
         "delay that the vehicle has (unmodelled, actuator)"
@@ -174,13 +171,11 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         else "Log the time of the command at which the vehicle gets it, and look for a delay in the study that the "
         "vehicle does not have"
     )
-    margin_text = f" ± {lateness.deviation:.2g}" if math.isfinite(lateness.deviation) else ""
     verb = "are" if len(names) > 1 else "is"
     text = (
-        f"{', '.join(names)} {verb} {abs(lateness.time):.3g}{margin_text} s {side} than the study predicts for the "
-        f"logged commands, or these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, the "
-        f"residual falls, {', '.join(sizes)}, and {number} is {lateness.values[number]:.4g} in place of "
-        f"{estimate:.4g}. {remedy}"
+        f"{', '.join(names)} {verb} {lateness.size_text} {side} than the study predicts for the logged commands, or "
+        f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, the residual falls, "
+        f"{', '.join(sizes)}, and {lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
     return tuple(Doubt(name, text) for name in names[:1])
 

@@ -225,15 +225,22 @@ def require_explained(channel: str, unit: str, result: Explained, hint: str = ""
     )
 
 
-def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
-    """How well the study describes each channel at coordinates, if the residuals can be noise; raises Unexplained."""
-    results = explain(problem, x)
+def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> None:
+    """Require that the residuals at coordinates can be noise.
+
+    Args:
+        problem: The problem.
+        x: The coordinates of the numbers, shape (p,).
+        results: How well each channel is described there.
+
+    Raises:
+        Unexplained: a residual is more than noise.
+    """
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         if result.least_unexplained > MOST_UNEXPLAINED:
             channel = problem.study.loop.channels[readings.channel]
             unit = problem.study.units[readings.channel].output
             require_explained(channel, unit, result, conversion_hint(problem, x, place))
-    return results
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:

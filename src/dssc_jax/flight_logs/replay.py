@@ -42,6 +42,7 @@ REPLAY_SHARE = 0.95
 """Share of the samples at which a replay needs the measured output."""
 REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
+LONGER = 2.0  # factor on a study's duration: times of a longer log that count by one may be the numbers of its rows
 SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
@@ -258,7 +259,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     integrals = integral_hints(study, log)
     conversions = integrals.units | comparison.conversions
     factors = dict(integrals.factors)
-    doubt_of_times = times_text(log, loop.sample_time * loop.steps)
+    doubt_of_times = times_text(log, LONGER * loop.sample_time * loop.steps)
     if doubt_of_times:
         factors["t"] = doubt_of_times
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
@@ -298,18 +299,16 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         jumps=integrals.jumps,
         others=comparison.others,
     )
-    differences = comparison.differences
-    dropped = dict(log.dropped)
     return LogReplay(
         samples=samples,
         logged=logged,
         commands=replays,
         held_samples=held_counts,
         not_replayed=not_replayed,
-        references=differences,
+        references=comparison.differences,
         rates=comparison.rates,
         hints=hints,
-        dropped=dropped,
+        dropped=dict(log.dropped),
     )
 
 

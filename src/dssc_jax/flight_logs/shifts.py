@@ -5,7 +5,7 @@ the logarithms of their likelihoods tell whether the shift is needed.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -73,6 +73,21 @@ class Delay(NamedTuple):
         is_large_move = max(map(abs, self.moves.values())) > LARGE_MOVE
         is_certain = self.p_value < SIGNIFICANCE and abs(self.time) >= LEAST_SHIFT * sample_time
         return is_certain and (is_large_move or is_large_part)
+
+    @property
+    def size_text(self) -> str:
+        """The size of the time with its standard deviation, in words."""
+        margin = f" ± {self.deviation:.2g}" if math.isfinite(self.deviation) else ""
+        return f"{abs(self.time):.3g}{margin} s"
+
+    def move_text(self, unshifted_values: Mapping[str, float]) -> str:
+        """The number that the shift moves farthest, with its values, in words.
+
+        Args:
+            unshifted_values: The numbers without the shift.
+        """
+        number = max(self.moves, key=lambda name: abs(self.moves[name]))
+        return f"{number} is {self.values[number]:.4g} in place of {unshifted_values[number]:.4g}"
 
     @property
     def explains(self) -> bool:
