@@ -106,6 +106,16 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
     return Reference(reference.params, lambda params, t: (reference.at(params, t),), reference.prepare)
 
 
+def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Reference[ReferencePoints]:
+    """The reference of several channels for another number of them: its first points, and zero for further channels."""
+
+    def at(params: Params, t: Scalar) -> ReferencePoints:
+        points = tuple(reference.at(params, t))[:count]
+        return points + (ReferencePoint(0.0, 0.0, 0.0),) * (count - len(points))
+
+    return reference._replace(at=at)
+
+
 class ReplacedParams(NamedTuple):
     """Parameters of a joint reference, and of the references of those channels that have their own."""
 
@@ -116,16 +126,13 @@ class ReplacedParams(NamedTuple):
 def replace_channels(
     joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
 ) -> Reference:
-    """The reference of several channels in which some, by index, follow references of their own.
-
-    Channels beyond the joint reference have references of their own, each of them.
-    """
+    """The reference of several channels in which some, by index, follow references of their own."""
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
-        points = dict(enumerate(joint.at(params.joint, t)))
+        points = list(joint.at(params.joint, t))
         for (index, reference), own_params in zip(replacements.items(), params.replaced, strict=True):
             points[index] = reference.at(own_params, t)
-        return tuple(points[index] for index in range(len(points)))
+        return tuple(points)
 
     return Reference(ReplacedParams, at)
 

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 
-from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_disturbances, sum_of_winds
+from dssc_jax.core.adapters import (
+    ReplacedParams,
+    replace_channels,
+    sum_of_disturbances,
+    sum_of_winds,
+    with_channel_count,
+)
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.registry import single
 from dssc_jax.core.toml import TomlTable
@@ -76,12 +82,19 @@ def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
 
 
 def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
-    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x."""
+    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x.
+
+    The package's trajectories have a point for each of the vehicle's channels. A plant with fewer channels takes the
+    first points; further channels of a plant with more stay at zero. A trajectory of the user's has a point for each of
+    the plant's channels.
+    """
     slot = "reference"
     if len(channels) == 1:
         return with_units(parse_whole(table, slot), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
+    if joint.kind in REGISTRIES["trajectory"] and len(channels) != len(UAV.channels):
+        joint = replace(joint, model=with_channel_count(joint.model, len(channels)))
     replaced_channels = [channel for channel in channels if channel in table]
     if not replaced_channels:
         return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))

@@ -29,7 +29,6 @@ from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, names_within
 from dssc_jax.study.recorded import with_records
-from dssc_jax.study.references import with_further_references, with_reference_of_channels
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import PARAMETERS, changed, read_toml
 
@@ -109,9 +108,7 @@ class Study:
         """
         content = changed(table, {}, source)
         try:
-            parts = build(with_further_references(content))
-            parts = parts._replace(loop=with_reference_of_channels(parts.loop))
-            study = cls(table=content, source=source, **parts._asdict())
+            study = cls(table=content, source=source, **build(content)._asdict())
             uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, uncertain, study.axes)
             for name in study.ranged_laws.keys() & set(study.correlated):
