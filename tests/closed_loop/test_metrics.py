@@ -89,7 +89,7 @@ def test_settled_from_the_start_is_zero():
 @pytest.mark.parametrize(("after", "dt", "k"), [(0.0, 0.1, 0), (0.3, 0.1, 3), (20.0, 0.005, 4000), (0.25, 0.1, 3)])
 def test_window_starts_at_the_first_sample_not_before(after, dt, k):
     """0.3/0.1 is 2.9999999999999996 in floating point."""
-    assert first_sample(Window(after), dt) == k
+    assert first_sample(after, dt) == k
 
 
 class Seen(NamedTuple):

@@ -15,7 +15,6 @@ from dssc_jax.closed_loop.requirements import Requirement, certain_violations, j
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
 from dssc_jax.closed_loop.spans import first_sample
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
-from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar, State
 
@@ -98,7 +97,7 @@ def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> St
     """Number of consecutive samples with small errors, including sample k."""
     if loop.settled is None:
         return in_band
-    small = k >= first_sample(Window(after=loop.settled.after), loop.sample_time)
+    small = k >= first_sample(loop.settled.after, loop.sample_time)
     for sample in instant.channels:
         small = small & (jnp.abs(sample.e) <= loop.settled.error)
     return jnp.where(small, in_band + 1, 0)

@@ -146,7 +146,7 @@ def total(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Windo
 
 def variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
     """Add the change to this sample's u; the window's first sample has none."""
-    first = first_sample(window, sample.dt)
+    first = first_sample(window.after, sample.dt)
     change = jnp.abs(sample.u - sample.u_previous)
     return acc + (change if first == 0 else jnp.where(sample.k == first, 0.0, change))
 

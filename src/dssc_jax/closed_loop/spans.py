@@ -17,9 +17,9 @@ class Span(NamedTuple):
     sample_time: float
 
 
-def first_sample(window: Window, sample_time: float) -> int:
+def first_sample(after: float, sample_time: float) -> int:
     """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
-    return max(0, math.ceil(window.after / sample_time - 1e-9))
+    return max(0, math.ceil(after / sample_time - 1e-9))
 
 
 LONGEST = 2**31 - 1  # samples of a run
@@ -36,12 +36,12 @@ def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Sca
 def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
     """The span of a window in a run of ``steps`` samples."""
     end = samples_before_end(window, sample_time, steps)
-    return Span(end, end - first_sample(window, sample_time), sample_time)
+    return Span(end, end - first_sample(window.after, sample_time), sample_time)
 
 
 def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
     """Whether sample k lies in the window; None where all samples do."""
-    start = first_sample(window, sample_time)
+    start = first_sample(window.after, sample_time)
     if math.isinf(window.until):
         return None if start == 0 else k >= start
     return (k >= start) & (k < samples_before_end(window, sample_time, LONGEST))

@@ -17,7 +17,6 @@ from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
 from dssc_jax.closed_loop.spans import first_sample
-from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
@@ -276,7 +275,7 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence
     if settled is None:
         return
     latest = max(measures, key=lambda measure: measure.window.after)
-    if first_sample(Window(after=settled.after), loop.sample_time) < first_sample(latest.window, loop.sample_time):
+    if first_sample(settled.after, loop.sample_time) < first_sample(latest.window.after, loop.sample_time):
         rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
         raise ConfigError("loop.settled.after", f"{rule}; got {settled.after:g}")
     for index, envelope in enumerate(envelopes):

@@ -270,7 +270,7 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
         ConfigError: none does, or it ends later.
     """
     clock = config.loop
-    first_index = first_sample(window, clock.sample_time)
+    first_index = first_sample(window.after, clock.sample_time)
     if first_index >= clock.steps:
         end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
