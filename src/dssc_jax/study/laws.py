@@ -34,6 +34,7 @@ class LawKind:
         logarithmic: Whether values spread about the median on a logarithmic scale.
         log_density: Logarithm of the density at values; None: arguments may not be ranges.
         nominal: What is believed of a number before a flight; None: the median.
+        discrete: Whether the values are among the arguments.
     """
 
     signature: str
@@ -45,6 +46,7 @@ class LawKind:
     logarithmic: bool = False
     log_density: Callable[[Arguments, np.ndarray], np.ndarray] | None = None
     nominal: Callable[[Arguments], float] | None = None
+    discrete: bool = False
 
     @property
     def argument_names(self) -> tuple[str, ...]:
@@ -164,6 +166,7 @@ LAWS: dict[str, LawKind] = {
         ("needs at least one value", lambda a: len(a) > 0),
         lambda a: (min(a), max(a)),
         choice_quantile,
+        discrete=True,
     ),
     "point": LawKind(
         "[value, nominal value]",
@@ -172,6 +175,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (a[0], a[0]),
         lambda a, u: np.full(np.shape(u), a[0]),
         nominal=lambda a: a[1],
+        discrete=True,
     ),
 }
 

@@ -8,12 +8,10 @@ from typing import Any
 
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.laws import Law, is_number, parse_law
+from dssc_jax.study.laws import LAWS, Law, is_number, parse_law
 from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
 
-DISCRETE = ("choice", "point")
-"""Laws whose values are their arguments."""
 MOST_COMBINATIONS = 10_000
 """Combinations of the values of laws of which a whole number may be computed."""
 
@@ -108,11 +106,11 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
 def is_whole(content: float | Law | Expression) -> bool:
     """Whether all values of a number, a law or an expression are whole numbers; those of a continuous law are not."""
     if isinstance(content, Law):
-        return content.kind in DISCRETE and all(value.is_integer() for value in content.arguments)
+        return LAWS[content.kind].discrete and all(value.is_integer() for value in content.arguments)
     if not isinstance(content, Expression):
         return float(content).is_integer()
     laws = content.laws
-    if any(law.kind not in DISCRETE for law in laws.values()):
+    if not all(LAWS[law.kind].discrete for law in laws.values()):
         return False
     if math.prod(len(law.arguments) for law in laws.values()) > MOST_COMBINATIONS:
         return False
