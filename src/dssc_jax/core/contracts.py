@@ -162,8 +162,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """The signals that ``monitor`` reports with these parameters, if they are declared with unit and meaning."""
         outputs = self.outputs(params) if self.outputs else ()
-        declared = quantities_of(self.info).items()
-        return outputs or tuple(NamedSignal(name, q.unit, q.meaning, q.periodic) for name, q in declared)
+        return outputs or tuple(NamedSignal.of(name, quantity) for name, quantity in quantities_of(self.info).items())
 
 
 class Preset(NamedTuple):

@@ -34,6 +34,11 @@ class NamedSignal(NamedTuple):
     meaning: str
     periodic: bool = False
 
+    @classmethod
+    def of(cls, name: str, quantity: Quantity) -> "NamedSignal":
+        """The signal with a name that a quantity describes."""
+        return cls(name, quantity.unit, quantity.meaning, quantity.periodic)
+
     @property
     def quantity(self) -> Quantity:
         """What the signal is; without a meaning, its name stands for it."""

@@ -80,9 +80,7 @@ def reported_outputs(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]
 
 def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
     """Name, unit and meaning of connected signals."""
-    return tuple(
-        NamedSignal(signal, variable.quantity.unit, variable.quantity.meaning) for signal, variable in connected
-    )
+    return tuple(NamedSignal.of(signal, variable.quantity) for signal, variable in connected)
 
 
 def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:

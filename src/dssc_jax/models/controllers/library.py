@@ -160,8 +160,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
 
 def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
     """The measured signals that the controller takes beside y and y'."""
-    numbers = controller.measured
-    return tuple(NamedSignal(number.name, number.quantity.unit, number.quantity.meaning) for number in numbers)
+    return tuple(NamedSignal.of(number.name, number.quantity) for number in controller.measured)
 
 
 def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:

@@ -241,7 +241,7 @@ def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
     quantities = quantities_of(UavInfo)
     if estimator_of(params) is not None:
         quantities |= quantities_of(EstimateErrors)
-    return tuple(NamedSignal(name, q.unit, q.meaning, q.periodic) for name, q in quantities.items())
+    return tuple(NamedSignal.of(name, quantity) for name, quantity in quantities.items())
 
 
 def has_flipped(params: UavParams, state: UavState) -> Scalar:
