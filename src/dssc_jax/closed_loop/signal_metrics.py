@@ -128,7 +128,9 @@ def sampled_signals(
             signals[f"{channel}_{name}" if channel else name] = signal._replace(periodic=periodic)
     for index, measure in enumerate(measured):
         meaning = f"measured {measure.quantity.meaning}"
-        signals[f"measured_{measure.name}"] = SampledSignal(measure.unit or "1", meaning, of_reading(index))
+        signals[f"measured_{measure.name}"] = SampledSignal(
+            measure.unit or "1", meaning, of_reading(index), measure.periodic
+        )
     for name in plant_fields:
         require_free("plant", name, {TIME, *signals})
         quantity = outputs.get(name, Quantity("1", name))
@@ -204,11 +206,11 @@ class SignalMetric(NamedTuple):
     Args:
         meaning: Words before the signal's own meaning.
         update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
-        periodic_update: The same for an angle that begins again after a turn; None: ``update``.
         value: The metric's field ``value``.
         start: The metric's field ``start``.
         course: The metric's field ``course``.
         least: The metric's field ``least``.
+        periodic_update: ``update`` for an angle that begins again after a turn; None: the one for all signals.
     """
 
     meaning: str
@@ -244,12 +246,11 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
     """The metric of a kind of a signal, in its unit."""
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
-    with_update = form.periodic_update if signal.periodic and form.periodic_update is not None else form.update
-    update = with_update(signal.value)
+    update_of = form.periodic_update if signal.periodic and form.periodic_update is not None else form.update
     return Metric(
         signal.unit,
         meaning,
-        update,
+        update_of(signal.value),
         form.value,
         scope=Scope.VEHICLE,
         start=form.start,

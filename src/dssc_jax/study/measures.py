@@ -50,7 +50,9 @@ def measurable(
             signals[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
     for channel, channel_units in zip(channels, units, strict=True):
         prefix = f"{channel}_" if channel else ""
-        signals[f"{prefix}y"] = NamedSignal(f"{prefix}y", channel_units.output, channel_units.output_meaning)
+        signals[f"{prefix}y"] = NamedSignal(
+            f"{prefix}y", channel_units.output, channel_units.output_meaning, periodic=channel in plant.angles
+        )
         rate = channel_units.of("y/s")
         signals[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {channel_units.output_meaning}")
     for signal in outputs:
