@@ -4,6 +4,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.study.tables import merged
 
 AXIS = {
     "name": "axis",
@@ -74,3 +75,18 @@ def test_an_index_beyond_the_default_list_is_refused():
     with pytest.raises(ConfigError) as caught:
         dj.Study.from_table(AXIS).override({"plant.initial.2": 0.5})
     assert str(caught.value) == "study: plant.initial: has 2 entries, whose indices are 0 to 1; got '2'"
+
+
+def test_an_index_beyond_a_list_in_an_inherited_table_is_named_with_its_whole_path():
+    common = {"model": {"kind": "stated", "a": [1.0, 2.0]}}
+    assert merged(common, {"model": {"a": {"1": 3.0}}}) == {"model": {"kind": "stated", "a": [1.0, 3.0]}}
+    with pytest.raises(ConfigError) as caught:
+        merged(common, {"model": {"a": {"7": 3.0}}})
+    assert str(caught.value) == "model.a: has 2 entries, whose indices are 0 to 1; got '7'"
+
+
+def test_an_entry_of_another_kind_replaces_a_table_in_a_list():
+    common = {"parts": [{"kind": "lag", "mu": 0.1}]}
+    assert merged(common, {"parts": {"0": {"mu": 0.2}}}) == {"parts": [{"kind": "lag", "mu": 0.2}]}
+    delay = {"kind": "delay", "samples": 1.0}
+    assert merged(common, {"parts": {"0": delay}}) == {"parts": [delay]}

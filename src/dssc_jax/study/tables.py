@@ -202,11 +202,8 @@ def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]
         index = int(key)
         if index >= len(new_values):
             raise ConfigError("", f"has {indices_text(len(new_values))}; got '{key}'")
-        item = new_values[index]
         with errors_under(key):
-            if isinstance(item, dict) and isinstance(entry, dict) and not is_law(item) and not is_law(entry):
-                entry = merged(item, entry)
-            new_values[index] = with_default(entry, item)
+            new_values[index] = merged_value(new_values[index], entry)
     return new_values
 
 
@@ -274,19 +271,25 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
 
 
 def merged(common: TomlTable, override: TomlTable) -> TomlTable:
-    """``common`` with the values of ``override``, table by table; a law or a table of another kind replaces a table.
-
-    Entries by index change a list.
-    """
+    """``common`` with the values of ``override``; see :func:`merged_value`."""
     result = dict(common)
     for name, value in override.items():
-        inherited = result.get(name)
-        if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-            result[name] = merged(inherited, value) if has_kind_of(value, inherited) else value
-        else:
-            with errors_under(name):
-                result[name] = with_default(value, inherited)
+        with errors_under(name):
+            result[name] = merged_value(result.get(name), value)
     return result
+
+
+def merged_value(inherited: Any, value: Any) -> Any:
+    """A value that overrides an inherited one: a table changes a table of its kind, entries by index change a list.
+
+    Any other value replaces the inherited one.
+
+    Raises:
+        ConfigError: The list has no such index.
+    """
+    if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
+        return merged(inherited, value) if has_kind_of(value, inherited) else value
+    return with_default(value, inherited)
 
 
 def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
