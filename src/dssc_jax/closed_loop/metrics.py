@@ -104,8 +104,8 @@ class Metric(NamedTuple):
         margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
         least: The least value that it can have: 0 of a size.
         defined_if: What has to be so that its value is not NaN, in words; empty: nothing.
-        settled_within: ``window -> |e|`` within which a draw has to end that ends as settled, so that its value is that
-            of the whole run; NaN: it differs between draws. None: whatever the error is.
+        settled_within: ``window -> bound`` on |e| at the end of a settled draw, by which its value is that of the
+            whole run. NaN: the bound differs between draws. None: no bound is needed.
     """
 
     unit: str

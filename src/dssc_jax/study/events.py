@@ -93,7 +93,7 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
 
 
 def with_existing_rotors(number: Number, rotors: int) -> Number:
-    """A number of an event; that of a rotor is at most the number of rotors, for sweeps, too."""
+    """A number of an event; a rotor's number has the number of rotors as its limit, which sweeps respect, too."""
     return replace(number, quantity=replace(number.quantity, at_most=rotors)) if number.name == "rotor" else number
 
 

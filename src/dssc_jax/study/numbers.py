@@ -13,7 +13,7 @@ from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
 
 MOST_COMBINATIONS = 10_000
-"""Combinations of the values of laws of which a whole number may be computed."""
+"""Largest number of combinations of the laws' values for which an expression is checked."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,10 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
 
 
 def is_whole(content: float | Law | Expression) -> bool:
-    """Whether all values of a number, a law or an expression are whole numbers; those of a continuous law are not."""
+    """Whether all values of a number, a law or an expression are whole numbers.
+
+    Those of a continuous law are not, and those of an expression with too many combinations do not count as whole.
+    """
     if isinstance(content, Law):
         return LAWS[content.kind].discrete and all(value.is_integer() for value in content.arguments)
     if not isinstance(content, Expression):

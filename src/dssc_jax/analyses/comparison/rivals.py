@@ -57,16 +57,16 @@ def switching_kinds() -> list[str]:
 
 
 def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
-    """The study with a table ``[compare]`` of its own kind for each ``module:OBJECT`` among the names.
+    """The study with a table ``[compare.NAME]`` of the kind NAME for each NAME that is a ``module:OBJECT``.
 
-    So a stored comparison tells, like any study, which code it refers to. A table that the study has for the name
+    So a stored comparison tells, like any study, which code it refers to. A ``[compare.NAME]`` that states no kind
     changes the gains.
     """
     tables = {}
     for name in names:
-        own_table = study.config.compare.get(name, {})
-        if ":" in name and name != kind_of_all(study) and "kind" not in own_table:
-            tables[name] = merged({"kind": name, **common_gains(study, name)}, own_table)
+        stated_table = study.config.compare.get(name, {})
+        if ":" in name and name != kind_of_all(study) and "kind" not in stated_table:
+            tables[name] = merged({"kind": name, **common_gains(study, name)}, stated_table)
     return study.override({"compare": {**study.config.compare, **tables}}) if tables else study
 
 
@@ -102,11 +102,11 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     Raises:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
     """
-    own_table = study.config.compare.get(name)
-    if own_table is None:
+    stated_table = study.config.compare.get(name)
+    if stated_table is None:
         return corresponding_table(study, name)
     controller = study.config.controller
-    table = {key: value for key, value in own_table.items() if key != "tune"}
+    table = {key: value for key, value in stated_table.items() if key != "tune"}
     if "kind" in table:
         return merged(controller, table) if table["kind"] == kind_of_all(study) else table
     return table_by_name(study, name, table) if name in rival_names() else merged(controller, table)
