@@ -130,8 +130,8 @@ def replace_channels(
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
         points = list(joint.at(params.joint, t))
-        for (index, reference), own_params in zip(replacements.items(), params.replaced, strict=True):
-            points[index] = reference.at(own_params, t)
+        for (index, reference), channel_params in zip(replacements.items(), params.replaced, strict=True):
+            points[index] = reference.at(channel_params, t)
         return tuple(points)
 
     return Reference(ReplacedParams, at)

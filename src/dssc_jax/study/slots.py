@@ -122,14 +122,14 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     common = {name: value for name, value in table.items() if name not in channels}
     components = []
     for index, channel in enumerate(channels):
-        own_path = dotted(slot, channel)
-        override = as_table(table.get(channel, {}), own_path) if channel else {}
+        channel_path = dotted(slot, channel)
+        override = as_table(table.get(channel, {}), channel_path) if channel else {}
         is_alone = stands_alone(override, common)
-        with errors_under(own_path):
+        with errors_under(channel_path):
             channel_content = channel_table(common, override)
-        component = parse_component(channel_content, REGISTRIES[slot], own_path if override else slot)
+        component = parse_component(channel_content, REGISTRIES[slot], channel_path if override else slot)
         numbers = tuple(
-            number.under(f"{slot}.{index}", own_path if is_alone or has_dotted(override, number.name) else slot)
+            number.under(f"{slot}.{index}", channel_path if is_alone or has_dotted(override, number.name) else slot)
             for number in component.numbers
         )
         components.append(replace(component, numbers=numbers))
