@@ -31,7 +31,7 @@ may replace a number unless *admissible* excludes it. An expression of [paramete
 replace any number.
 
 A dotted name gives an entry of a list by its index from 0, as `--set plant.initial.0=0.5`. The list may be one that the
-study leaves at its default.
+study leaves at its default, unless the default is empty.
 """
 LAW_TEXT = """A law replaces a number: `k_p = { uniform = [0.8, 1.2] }`. Where its arguments are not known well, they
 may be ranges: `k_p = { normal = [[0.9, 1.1], 0.1] }`. `dssc-jax laws` gives the failure probability over all these laws

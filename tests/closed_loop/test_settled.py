@@ -157,3 +157,11 @@ def test_a_window_that_begins_between_samples_has_a_sample():
     dataset = dj.run(study).dataset
     assert (dataset["error_max_after_1.004"].values > 0.0).all()
     np.testing.assert_allclose(dataset["settled_at"].values, 1.02)
+
+
+def test_a_hold_between_samples_lasts_for_whole_ones():
+    """It is not shorter than stated."""
+    for hold, ended in ((0.01, 1.01), (0.014, 1.02), (0.016, 1.02), (0.02, 1.02)):
+        rule = {"error": 5.0, "hold": hold, "after": 1.0}
+        dataset = dj.run(dj.Study.from_table(LOOP).override({"loop.settled": rule, "draws": 4})).dataset
+        np.testing.assert_allclose(dataset["settled_at"].values, ended)

@@ -90,3 +90,12 @@ def test_an_entry_of_another_kind_replaces_a_table_in_a_list():
     assert merged(common, {"parts": {"0": {"mu": 0.2}}}) == {"parts": [{"kind": "lag", "mu": 0.2}]}
     delay = {"kind": "delay", "samples": 1.0}
     assert merged(common, {"parts": {"0": delay}}) == {"parts": [delay]}
+
+
+def test_an_entry_of_an_empty_list_is_refused_with_the_remedy():
+    plant = {"kind": "state_space", "a": [[-1.0]], "b": [1.0], "c": [1.0]}
+    study = dj.Study.from_table({**AXIS, "plant": plant})
+    with pytest.raises(ConfigError, match=r"if plant\.x0 is a list that is empty, state it in the study first"):
+        study.override({"sweep.plant.x0.0": [0.2, 1.4]})
+    with pytest.raises(ConfigError, match=r"plant\.x0: has no entry by default; state the list in the study first"):
+        study.override({"plant.x0.0": 0.2})

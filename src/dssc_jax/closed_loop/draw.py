@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.margin_kinds import NO_MARGINS
 from dssc_jax.closed_loop.metrics import Accumulator, Instant, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, certain_violations, judge, violated, watch
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
-from dssc_jax.closed_loop.spans import first_sample
+from dssc_jax.closed_loop.spans import first_sample, periods_lasting
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar, State
@@ -106,7 +106,7 @@ def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> St
 def is_running(loop: Loop, at: Progress) -> Scalar:
     """Whether a draw has neither ended early nor settled."""
     ok = at.outcome == Outcome.OK
-    return ok if loop.settled is None else ok & (at.in_band < round(loop.settled.hold / loop.sample_time))
+    return ok if loop.settled is None else ok & (at.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
 
 
 def sampler(

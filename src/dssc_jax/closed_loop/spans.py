@@ -17,9 +17,14 @@ class Span(NamedTuple):
     sample_time: float
 
 
+def periods_lasting(duration: float, sample_time: float) -> int:
+    """The least number of sample periods that last as long as a duration [s], robust to rounding of t = k T_s."""
+    return math.ceil(duration / sample_time - 1e-9)
+
+
 def first_sample(after: float, sample_time: float) -> int:
-    """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
-    return max(0, math.ceil(after / sample_time - 1e-9))
+    """Index of the first sample at t >= after."""
+    return max(0, periods_lasting(after, sample_time))
 
 
 LONGEST = 2**31 - 1  # samples of a run

@@ -62,7 +62,10 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
         kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
         remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
-    return nearest(name, numbers)
+    parent, _, last = name.rpartition(".")
+    is_of_empty_list = last.isdecimal() and not any(number_name.startswith(f"{parent}.") for number_name in numbers)
+    remedy = f"; if {parent} is a list that is empty, state it in the study first" if is_of_empty_list else ""
+    return nearest(name, numbers) + remedy
 
 
 def check_swept_parts(
