@@ -37,10 +37,8 @@ class SettledTable(BaseModel):
 
     model_config = STRICT
     error: Finite = Field(gt=0.0, description="largest |e| of a settled loop, in the output's unit")
-    hold: Finite = Field(gt=0.0, description="time for which |e| must stay below it [s], rounded up to whole samples")
-    after: Finite = Field(
-        default=0.0, ge=0.0, description="time from which on `hold` counts [s]; the earliest end is `after` + `hold`"
-    )
+    hold: Finite = Field(gt=0.0, description="time for which |e| stays below it [s], rounded up to whole samples")
+    after: Finite = Field(default=0.0, ge=0.0, description="`hold` counts from this time on [s]")
 
 
 class LoopTable(BaseModel):
