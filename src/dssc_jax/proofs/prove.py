@@ -18,6 +18,7 @@ from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.proofs.problem import Box, Interval, ProofProblem
 from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND, VEHICLE_VERSION, VehicleProved, prove_vehicle
 from dssc_jax.proofs.search.box_search import Failure, Proof, halves, prove_box, volume
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
@@ -25,12 +26,12 @@ from dssc_jax.study import Study
 
 VERSION = 6
 REASONS = {
-    "origin": "the loop is not stable at sigma = e = 0",
-    "decay": "no common quadratic function decreases for all gains of the smallest region",
-    "region": "no invariant set holds the start and stays in a region whose gains it allows",
-    "gain": "no bounds of the signals imply themselves, with a disturbance that depends on the state",
-    "sliding": "the equivalent control may exceed rho",
-    "verifier": "the verifier rejects what the search found",
+    Obstacle.ORIGIN: "the loop is not stable at sigma = e = 0",
+    Obstacle.DECAY: "no common quadratic function decreases for all gains of the smallest region",
+    Obstacle.REGION: "no invariant set holds the start and stays in a region whose gains it allows",
+    Obstacle.GAIN: "no bounds of the signals imply themselves, with a disturbance that depends on the state",
+    Obstacle.SLIDING: "the equivalent control may exceed rho",
+    Obstacle.VERIFIER: "the verifier rejects what the search found",
 }
 
 
@@ -226,7 +227,7 @@ def attempt(
         verdict = verify_proof(content, proof.to_dict())
         if verdict.proved:
             return proof, verdict
-    return Failure(box, "verifier"), None
+    return Failure(box, Obstacle.VERIFIER), None
 
 
 def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:

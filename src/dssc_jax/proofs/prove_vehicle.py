@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.claims import VEHICLE_CLAIM, Claim
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
 from dssc_jax.proofs.search.vehicle.cells import cell_bounds, cells_proof_of
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
@@ -21,9 +22,9 @@ ROOMS = (1.0, 10.0)
 ROUNDED_START = 1e-9
 """Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
-    "gain": "no bounds of the signals imply themselves",
-    "sliding": "the equivalent control may exceed rho",
-    "verifier": "the verifier rejects what the search found",
+    Obstacle.GAIN: "no bounds of the signals imply themselves",
+    Obstacle.SLIDING: "the equivalent control may exceed rho",
+    Obstacle.VERIFIER: "the verifier rejects what the search found",
 }
 
 
@@ -35,21 +36,21 @@ class VehicleProved:
         problem: What was to be proved.
         proof: What the search found, as a certificate holds it; None: nothing.
         verdict: The verifier's; None: the search found nothing.
-        failure: Why there is no proof: ``gain``, ``sliding`` or ``verifier``; empty if there is one.
+        failure: Why there is no proof: ``GAIN``, ``SLIDING`` or ``VERIFIER``; None if there is one.
         seconds: Time spent.
     """
 
     problem: VehicleProblem
     proof: JsonObject | None
     verdict: VehicleVerdict | None
-    failure: str
+    failure: Obstacle | None
     seconds: float
     claim: ClassVar[Claim] = VEHICLE_CLAIM
 
     @property
     def complete(self) -> bool:
         """Whether the vehicle is proved."""
-        return not self.failure
+        return self.failure is None
 
     @property
     def share(self) -> float:
@@ -144,26 +145,26 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
     start_time = time.perf_counter()
-    proof: JsonObject | str = "gain"
+    proof: JsonObject | Obstacle = Obstacle.GAIN
     verdict: VehicleVerdict | None = None
     for room in ROOMS:
         proof = search_proof(problem, room)
-        if isinstance(proof, str):
+        if isinstance(proof, Obstacle):
             break
         verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
         if verdict.proved:
-            return VehicleProved(problem, proof, verdict, "", time.perf_counter() - start_time)
+            return VehicleProved(problem, proof, verdict, None, time.perf_counter() - start_time)
     seconds = time.perf_counter() - start_time
-    if isinstance(proof, str) and verdict is None:
+    if isinstance(proof, Obstacle) and verdict is None:
         return VehicleProved(problem, None, None, proof, seconds)
-    return VehicleProved(problem, None, verdict, "verifier", seconds)
+    return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, seconds)
 
 
-def search_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
+def search_proof(problem: VehicleProblem, room: float) -> JsonObject | Obstacle:
     """The bounds that the search finds, in cells of time if the vehicle starts elsewhere; or why it finds none."""
     if problem.starts_away:
         bounds_in_cells = cell_bounds(problem, room)
-        if not isinstance(bounds_in_cells, str):
+        if not isinstance(bounds_in_cells, Obstacle):
             return cells_proof_of(problem, bounds_in_cells)
     bounds = best_bounds(problem, room)
-    return bounds if isinstance(bounds, str) else proof_of(problem, bounds)
+    return bounds if isinstance(bounds, Obstacle) else proof_of(problem, bounds)

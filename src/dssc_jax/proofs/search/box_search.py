@@ -14,6 +14,7 @@ from dssc_jax.proofs.search import fixed_point
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.search.gains import gain_hull, region_of
 from dssc_jax.proofs.search.law_spread import StageRegion
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import largest_in_set
 from dssc_jax.proofs.search.sampled_loop import box_middle, signal_sizes, step_of
 from dssc_jax.proofs.search.set_stages import (
@@ -55,27 +56,27 @@ class Proof:
 
 
 class Failure(NamedTuple):
-    """A box without a proof, and the reason, as in ``REASONS`` of :mod:`dssc_jax.proofs.prove`."""
+    """A box without a proof, and the reason."""
 
     box: Box
-    reason: str
+    reason: Obstacle
 
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
-        return Failure(box, "sliding")
+        return Failure(box, Obstacle.SLIDING)
     start_result = from_start(problem, box)
-    if not isinstance(start_result, str):
+    if not isinstance(start_result, Obstacle):
         stage, allowed_problem = start_result
         limits = StageRegion(*(stage.bounds[i] for i in (fixed_point.SIGMA, fixed_point.ERROR, fixed_point.CHANGE)))
         proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed_problem)])
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
-        return Failure(box, "sliding" if start_result == "sliding" else "gain")
+        return Failure(box, Obstacle.SLIDING if start_result == Obstacle.SLIDING else Obstacle.GAIN)
     result = proof_by_sets(problem, box)
-    if isinstance(result, Failure) and start_result == "sliding":  # bounds imply themselves, but exceed rho
-        return Failure(box, "sliding")
+    if isinstance(result, Failure) and start_result == Obstacle.SLIDING:  # bounds imply themselves, but exceed rho
+        return Failure(box, Obstacle.SLIDING)
     return result
 
 
@@ -118,7 +119,7 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
         is_finite = bool(np.all(np.isfinite(excursions)))
         is_wide = is_finite and len(region_of(problem, excursions[0], excursions[1]).pieces) > 1
     result = proof_in_coordinate(problem, box, is_integrated=is_wide)
-    if isinstance(result, Failure) and result.reason != "origin":
+    if isinstance(result, Failure) and result.reason != Obstacle.ORIGIN:
         alternative = proof_in_coordinate(problem, box, is_integrated=not is_wide)
         return result if isinstance(alternative, Failure) else alternative
     return result
@@ -127,9 +128,9 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
 def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
     """Sets from the start to a region in which bounds imply themselves."""
     if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
-        return Failure(box, "origin")
+        return Failure(box, Obstacle.ORIGIN)
     start_stage = first_set(setting)
-    if isinstance(start_stage, str):
+    if isinstance(start_stage, Obstacle):
         return Failure(box, start_stage)
     stages = [start_stage]
     for _ in range(SHRINKING):

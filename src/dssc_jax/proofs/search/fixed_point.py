@@ -21,6 +21,7 @@ from dssc_jax.proofs.search.law_spread import (
     middle_gains,
     slide_hull,
 )
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.sampled_loop import (
     INNER_STEPS,
     Step,
@@ -319,17 +320,17 @@ def motion(problem: ProofProblem, box: Box, bounds: np.ndarray) -> tuple[float, 
     return float(motion_bounds[0]), float(motion_bounds[1]), float(acceleration)
 
 
-def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | str:
+def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | Obstacle:
     """Bounds from the start on, with the disturbance that they allow; or why there are none.
 
-    The reasons are ``gain``, ``region`` and ``sliding``.
+    The reasons are ``GAIN``, ``REGION`` and ``SLIDING``.
     """
     region = StageRegion(SMALLEST_REGION, SMALLEST_REGION, SMALLEST_REGION)
     current_problem = problem
     for _ in range(ROUNDS):
         start_bounds = least_bounds(current_problem, box, region, SIGMA, with_start=True)
         if start_bounds is None:
-            return "gain"
+            return Obstacle.GAIN
         result, bounds = start_bounds
         allowed_problem = allowed_disturbance(problem, current_problem, box, result, bounds)
         is_within = allowed_problem.level <= current_problem.level and allowed_problem.slope <= current_problem.slope
@@ -337,7 +338,7 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
             room = np.inf if problem.rho is None else problem.rho - signal_sizes(current_problem, box).offset
             slack = slide_slack(current_problem, box, result, bounds, region)
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
-                return "sliding"
+                return Obstacle.SLIDING
             region = region._replace(change=max(region.change, INFLATION * float(bounds[CHANGE])))
             return bounds_stage(current_problem, region, result, bounds), allowed_problem
         sigma, e, change = (GROWTH * bounds[[SIGMA, ERROR, CHANGE]]).tolist()
@@ -346,7 +347,7 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
             level = max(current_problem.level, GROWTH * allowed_problem.level)
             slope = max(current_problem.slope, GROWTH * allowed_problem.slope)
             current_problem = replace(current_problem, level=level, slope=slope)
-    return "region"
+    return Obstacle.REGION
 
 
 def holds(problem: ProofProblem, region: StageRegion, by: BoundsMap, bounds: np.ndarray) -> bool:

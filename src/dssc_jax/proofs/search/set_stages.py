@@ -12,6 +12,7 @@ from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search.fixed_point import responses
 from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.search.law_spread import slide_hull
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import (
     TIGHT,
     BoundedRow,
@@ -223,19 +224,19 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
     return Setting(problem, box, origin, speed, is_integrated, programs)
 
 
-def first_set(setting: Setting) -> SetStage | str:
+def first_set(setting: Setting) -> SetStage | Obstacle:
     """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
     excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(excursions)):
-        return "region"
+        return Obstacle.REGION
     first_sizes = [FIRST_REGION * max(size, 1e-9) for size in excursions]
     if (solution := set_from_start(setting, first_sizes, slides=True)) is not None:
         return solution
     if not setting.falls(setting.steps(region_of(setting.problem, first_sizes[0], first_sizes[1]))):
-        return "decay"
+        return Obstacle.DECAY
     if setting.problem.rho is None or set_from_start(setting, first_sizes, slides=False) is None:
-        return "region"
-    return "sliding"
+        return Obstacle.REGION
+    return Obstacle.SLIDING
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:

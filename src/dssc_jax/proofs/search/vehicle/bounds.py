@@ -7,6 +7,7 @@ import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.fixed_point import decay_of
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.channels import (
     LinearChannel,
     planar_channel,
@@ -183,8 +184,8 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
 
 def vehicle_bounds(
     problem: VehicleProblem, damping: tuple[float, float], room: float, *, from_start: bool
-) -> VehicleBounds | str:
-    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``.
+) -> VehicleBounds | Obstacle:
+    """Bounds that imply themselves with this damping of drag, or why there are none: ``GAIN`` or ``SLIDING``.
 
     ``room`` multiplies the room for the verifier. Unless ``from_start``, the vehicle begins on the nominal flight.
     """
@@ -206,23 +207,23 @@ def vehicle_bounds(
             slopes[name] = best_slopes(points_of(problem, name, regions[name]), joint=problem.reference is not None)
         if outdated_names:
             if not is_stable(problem, linear, slopes):
-                return "gain"
+                return Obstacle.GAIN
             nominal = nominal_of(problem, linear, slopes, damping[0])
         for name in outdated_names:
             start_offsets = nominal.starts[name] if nominal is not None and from_start else None
             response = channel_response(problem, problem.channels[name], linear[name], slopes[name], start_offsets)
             if response is None:
-                return "gain"
+                return Obstacle.GAIN
             responses[name] = response
         outcome = fixed_point_from(problem, responses, slopes, y, damping, nominal, slope_regions, room)
         if outcome is None:
-            return "gain"
+            return Obstacle.GAIN
         bounds, is_fixed_point = outcome
         totals, _ = vehicle_totals(nominal, bounds)
         regions = {name: totals[name]["sigma"] for name in CHANNELS}
         if is_fixed_point and not any(has_moved(regions[name], slope_regions[name]) for name in CHANNELS):
             return checked_bounds(problem, responses, slopes, bounds, damping, nominal)
-    return "gain"
+    return Obstacle.GAIN
 
 
 def has_moved(region: float, slope_region: float) -> bool:
@@ -303,17 +304,17 @@ def checked_bounds(
     y: Signals,
     damping: tuple[float, float],
     nominal: Nominal | None,
-) -> VehicleBounds | str:
+) -> VehicleBounds | Obstacle:
     """The fixed point as a result, if the loop slides under it."""
     totals, _ = vehicle_totals(nominal, y)
     deviations = all_deviations(problem, totals, slopes)
     _, remainders, rotors = apply_map(problem, responses, deviations, y, damping, nominal)
     if not slides(problem, deviations, totals, remainders):
-        return "sliding"
+        return Obstacle.SLIDING
     return VehicleBounds(dict(slopes), damping, y, rotors, totals)
 
 
-def best_bounds(problem: VehicleProblem, room: float = 1.0, *, from_start: bool = True) -> VehicleBounds | str:
+def best_bounds(problem: VehicleProblem, room: float = 1.0, *, from_start: bool = True) -> VehicleBounds | Obstacle:
     """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none.
 
     ``room`` multiplies the room for the verifier. Unless ``from_start``, the vehicle begins on the nominal flight.
@@ -327,18 +328,18 @@ def best_bounds(problem: VehicleProblem, room: float = 1.0, *, from_start: bool 
     best = vehicle_bounds(problem, damping, room, from_start=from_start)
     for step in DAMPING_STEPS:
         best = better(best, vehicle_bounds(problem, (step * damping[0], damping[1]), room, from_start=from_start))
-    if problem.reference is not None and not isinstance(best, str):
+    if problem.reference is not None and not isinstance(best, Obstacle):
         coarse = best.damping[0]
         for step in FINE_STEPS:
             best = better(best, vehicle_bounds(problem, (step * coarse, damping[1]), room, from_start=from_start))
     return best
 
 
-def better(best: VehicleBounds | str, trial: VehicleBounds | str) -> VehicleBounds | str:
+def better(best: VehicleBounds | Obstacle, trial: VehicleBounds | Obstacle) -> VehicleBounds | Obstacle:
     """The bounds with the smaller |e| in the plane."""
-    if isinstance(trial, str):
+    if isinstance(trial, Obstacle):
         return best
-    return trial if isinstance(best, str) or trial.error < best.error else best
+    return trial if isinstance(best, Obstacle) or trial.error < best.error else best
 
 
 def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.bounds import (
     VehicleBounds,
     axes_of,
@@ -113,19 +114,19 @@ class DeviationTable:
         return self.entries[step]
 
 
-def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
+def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | Obstacle:
     """Bounds in cells of time, or why there are none; ``room`` multiplies the room for the verifier."""
     settled = settled_bounds(problem, room)
-    if isinstance(settled, str):
+    if isinstance(settled, Obstacle):
         return settled
-    result: CellBounds | str = "gain"
+    result: CellBounds | Obstacle = Obstacle.GAIN
     has_reference = problem.reference is not None
     for duration, horizon in MOVING_LAYOUTS if has_reference else LAYOUTS:
         samples = max(1, round(duration / problem.sample_time))
         for share, widening in MOVING_REGIONS if has_reference else REGIONS:
             slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
             result = march(problem, settled, slopes, samples, round(horizon / duration), room)
-            if not isinstance(result, str):
+            if not isinstance(result, Obstacle):
                 return result
     return result
 
@@ -144,11 +145,11 @@ def march(
     samples: int,
     count: int,
     room: float,
-) -> CellBounds | str:
+) -> CellBounds | Obstacle:
     """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
     linear = linear_channels(problem, settled.damping)
     if not is_stable(problem, linear, slopes):
-        return "gain"
+        return Obstacle.GAIN
     nominal = nominal_of(problem, linear, slopes, settled.damping[0])
     kernels = {}
     for name in CHANNELS:
@@ -156,7 +157,7 @@ def march(
         start_offsets = None if nominal is None else nominal.starts[name]
         response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
         if response is None:
-            return "gain"
+            return Obstacle.GAIN
         length = samples * (count + EXTRA_CELLS)
         series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
         kernels[name] = kernels_of(problem, name, response, series, samples, count)
@@ -170,13 +171,13 @@ def march(
             problem, kernels, tables, inputs, settled.damping, nominal, y, rotors, room, final=len(cells) == count
         )
         if fixed_point is None:
-            return "gain"
+            return Obstacle.GAIN
         y, sizes, rotors = fixed_point
         cells.append(y)
         for name in CHANNELS:
             inputs[name].append(sizes[name])
     if not slides_in_all_cells(problem, tables, cells, settled.damping, nominal):
-        return "sliding"
+        return Obstacle.SLIDING
     assert rotors is not None
     totals, _ = vehicle_totals(nominal, cells[-1])
     final = VehicleBounds(slopes, settled.damping, cells[-1], rotors, totals)
@@ -309,7 +310,7 @@ def slides_in_all_cells(
     return slides(problem, deviations, totals, remainders)
 
 
-def settled_bounds(problem: VehicleProblem, room: float) -> VehicleBounds | str:
+def settled_bounds(problem: VehicleProblem, room: float) -> VehicleBounds | Obstacle:
     """Bounds of the vehicle that starts at rest, or on the nominal flight, or why there are none."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
     return best_bounds(replace(problem, channels=resting), room, from_start=False)
