@@ -189,58 +189,99 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
     hints = IntegralHints({}, {}, {})
     loop = study.loop
     for channel in loop.channels:
-        for quantity in ("y", "y_dot"):
-            name, reference = signal_name(channel, quantity), signal_name(channel, quantity.replace("y", "y_ref"))
-            if are_copies(log.columns.get(name), log.columns.get(reference)):
-                hints.units[name] = f"is a copy of {reference}, number by number"
-            command = signal_name(channel, "u_total")
-            if are_copies(log.columns.get(command), log.columns.get(name)):
-                hints.units[command] = f"is a copy of {name}, number by number"
-    end = log.start + loop.sample_time * (loop.steps - 1)
+        hints.units.update(copy_hints(log, channel))
+    end = last_sample_time(study, log)
     if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
         return hints
-    for index, (channel, unit) in enumerate(zip(loop.channels, study.units, strict=True)):
-        y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
-        span = stuck_span(values_between(log.columns[y], log.start, end)) if y in log.columns else None
-        if span is not None:
-            hints.factors[y] = (
-                f"repeats one value from {span[0]:.4g} s to {span[1]:.4g} s of the log, and changes at each reading "
-                "else: the sensor sticks, or its topic does. Take the part before or after"
-            )
+    for index, channel in enumerate(loop.channels):
+        y_name = signal_name(channel, "y")
+        rate_name = signal_name(channel, "y_dot")
+        y = log.columns.get(y_name)
+        rate = log.columns.get(rate_name)
+        if y is None:
             continue
-        if {y, rate} <= set(log.columns) and is_still(log.columns[rate]) and not is_still(log.columns[y]):
-            hints.factors[rate] = f"does not change while {y} does: its column holds something else"
-        if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(hints.units):
+        stuck = stuck_span(values_between(y, log.start, end))
+        if stuck is not None:
+            hints.factors[y_name] = stuck_text(*stuck)
             continue
-        factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
-        is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
-        if not is_opposite and are_exchanged(log.columns[y], log.columns[rate], log.start, end):
-            hints.units[y] = f"looks exchanged with {rate}, which is its integral"
+        if rate is None:
             continue
-        jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
-        if jumps:
-            words = ", ".join(f"by {jump.size:.3g} {unit.output} at {jump.time:.4g} s" for jump in jumps)
-            times = [jump.time - log.start for jump in jumps]
-            cause = step_cause(study, index, times, [jump.size for jump in jumps])
-            hints.jumps[y] = f"jumps {words} of the log, and {rate} has no such peak: {cause}"
-            continue
-        if factor is None or not factor.differs:
-            continue
-        multiple = unit_text(factor.value, unit.output)
-        inverse = unit_text(1.0 / factor.value, unit.output)
-        if inverse and abs(factor.value) < 1.0:
-            hints.units[rate] = f"is the derivative of {y} {inverse}"
-        elif multiple:
-            hints.units[y] = f"is the integral of {rate} {multiple}"
-        else:
-            is_fast = abs(factor.value) < 1.0
-            clock = f"{1.0 / factor.value:.4g} times too fast" if is_fast else f"{factor.value:.4g} times too slow"
-            hints.factors[y] = (
-                f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate}: the log's clock "
-                f"is {clock}, or one of both is in another unit or of another place. Compare the times with those of "
-                "another clock, and scale the times or the column"
-            )
+        if is_still(rate) and not is_still(y):
+            hints.factors[rate_name] = f"does not change while {y_name} does: its column holds something else"
+        is_copied = y_name in hints.units or rate_name in hints.units
+        if not is_copied and channel not in loop.plant.angles:
+            add_integral_hints(hints, study, index, log)
     return hints
+
+
+def last_sample_time(study: Study, log: FlightLog) -> float:
+    """The time of the study's last sample, in the log's time [s]."""
+    return log.start + study.loop.sample_time * (study.loop.steps - 1)
+
+
+def copy_hints(log: FlightLog, channel: str) -> dict[str, str]:
+    """Hints about columns of a channel that are copies of others."""
+    hints: dict[str, str] = {}
+    command = signal_name(channel, "u_total")
+    for quantity, reference_quantity in (("y", "y_ref"), ("y_dot", "y_ref_dot")):
+        name = signal_name(channel, quantity)
+        reference = signal_name(channel, reference_quantity)
+        if are_copies(log.columns.get(name), log.columns.get(reference)):
+            hints[name] = f"is a copy of {reference}, number by number"
+        if are_copies(log.columns.get(command), log.columns.get(name)):
+            hints[command] = f"is a copy of {name}, number by number"
+    return hints
+
+
+def stuck_text(begin: float, end: float) -> str:
+    """What an output is that repeats one value between two times of the log [s]."""
+    return (
+        f"repeats one value from {begin:.4g} s to {end:.4g} s of the log, and changes at each reading else: the sensor "
+        "sticks, or its topic does. Take the part before or after"
+    )
+
+
+def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: FlightLog) -> None:
+    """Compare a channel's output with the integral of its derivative, and add a hint where they differ."""
+    channel = study.loop.channels[index]
+    unit = study.units[index].output
+    y_name = signal_name(channel, "y")
+    rate_name = signal_name(channel, "y_dot")
+    y = log.columns[y_name]
+    rate = log.columns[rate_name]
+    end = last_sample_time(study, log)
+    factor = integral_factor(y, rate, log.start, end)
+    is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
+    if not is_opposite and are_exchanged(y, rate, log.start, end):
+        hints.units[y_name] = f"looks exchanged with {rate_name}, which is its integral"
+        return
+    jumps = jumps_beside(y, rate, log.start, end)
+    if jumps:
+        jump_texts = ", ".join(f"by {jump.size:.3g} {unit} at {jump.time:.4g} s" for jump in jumps)
+        cause = step_cause(study, index, [jump.time - log.start for jump in jumps], [jump.size for jump in jumps])
+        hints.jumps[y_name] = f"jumps {jump_texts} of the log, and {rate_name} has no such peak: {cause}"
+        return
+    if factor is not None and factor.differs:
+        add_factor_hint(hints, factor, y_name, rate_name, unit)
+
+
+def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
+    """Say what the factor between an output and the integral of its derivative means: a unit, a sign or a clock."""
+    is_fast = abs(factor.value) < 1.0
+    multiple = unit_text(factor.value, unit)
+    inverse = unit_text(1.0 / factor.value, unit)
+    if inverse and is_fast:
+        hints.units[rate_name] = f"is the derivative of {y_name} {inverse}"
+        return
+    if multiple:
+        hints.units[y_name] = f"is the integral of {rate_name} {multiple}"
+        return
+    clock = f"{1.0 / factor.value:.4g} times too fast" if is_fast else f"{factor.value:.4g} times too slow"
+    hints.factors[y_name] = (
+        f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}: the log's clock is "
+        f"{clock}, or one of both is in another unit or of another place. Compare the times with those of another "
+        "clock, and scale the times or the column"
+    )
 
 
 def unit_text(factor: float, unit: str) -> str:

@@ -1,7 +1,7 @@
 """Classify the parts of a loop at its operating points: each as a function of its state and inputs, under pushes."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -9,29 +9,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.readings import signal_values
-from dssc_jax.closed_loop.sample import (
-    LoopState,
-    actuate,
-    as_arrays,
-    initial_state,
-    measure,
-    plant_input,
-    sampled_command,
-    step,
-)
-from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
-from dssc_jax.core.signals import (
-    Command,
-    Measurement,
-    Measurements,
-    Params,
-    Scalar,
-    Signals,
-    State,
-    tracking_error,
-)
+from dssc_jax.closed_loop.sample import as_arrays, initial_state
+from dssc_jax.core.signals import Params
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
+from dssc_jax.engine.linearisation.part_maps import PartMap, part_maps
 from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, equally_long, finding, pushes
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.sampling import Arrays
@@ -43,126 +24,6 @@ LaneLoop: TypeAlias = Callable[[Values, jax.Array], tuple[Loop, LoopParams, jax.
 
 Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]
 """(laws' values, draw indices, states, sample) -> a :class:`Finding` for each part, shape (n, parts)."""
-
-
-class PartMap(NamedTuple):
-    """A part as a function of its state and inputs, at one operating point.
-
-    Args:
-        apply: ``(part, params, memory, signals) -> outputs``.
-        memory: The part's own state, which may hold counters.
-        signals: Its inputs and, for the plant, its state.
-    """
-
-    apply: Callable[..., object]
-    memory: object
-    signals: object
-
-
-def part_maps(
-    loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
-) -> list[PartMap]:
-    """Every part with its inputs at sample k.
-
-    Args:
-        loop: The models and the clock.
-        params: Their parameters.
-        key: The draw's random key.
-        state: The loop's state before the sample.
-        k: Index of the sample.
-        places: The parts.
-    """
-    dt = loop.sample_time
-    t = k * dt
-    _, recorded = step(loop, params, key, state, k)
-    references = recorded.references
-    commands = tuple(sample.u_total for sample in recorded.instant.channels)
-    sampled = []
-    for i, channel in enumerate(state.channels):
-        sampled.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
-    actuation = actuate(loop, params, tuple(sampled), commands)
-    disturbances = state.disturbances
-    drive = plant_input(loop, params, disturbances, state.wind, state.plant, actuation, t)
-
-    def plant(_: int) -> PartMap:
-        def apply(
-            part: Plant[Measurements, Signals], p: Params, memory: tuple[()], signals: tuple[State, Signals]
-        ) -> tuple[State, tuple[Measurements, Signals]]:
-            plant_state, command = signals
-            slope = part.derivative(p, plant_state, drive._replace(command=command), t)
-            outputs = measure(loop, params, plant_state, references)
-            measured = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
-            return slope, (outputs, measured)
-
-        return PartMap(apply, (), (state.plant, drive.command))
-
-    def sensor(i: int) -> PartMap:
-        def apply(part: Sensor, p: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
-            stream = jax.random.fold_in(loop.key(key, "sensor", loop.channels[i]), k + 1)
-            return part.step(p, memory, signals, stream, t, dt)
-
-        return PartMap(apply, state.channels[i].sensor, recorded.measurements[i])
-
-    def differentiator(i: int) -> PartMap:
-        def apply(part: Differentiator, p: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
-            return part.step(p, memory, signals, dt)
-
-        return PartMap(apply, state.channels[i].differentiator, recorded.controlled[i].reading)
-
-    def controller(i: int) -> PartMap:
-        controlled = recorded.controlled[i]
-
-        def apply(part: Controller, p: Params, memory: State, signals: Measurement) -> tuple[State, Command]:
-            return part.step(p, memory, signals, controlled.reference, dt)[:2]
-
-        return PartMap(apply, state.channels[i].controller, controlled.sensed)
-
-    def unmodelled(i: int) -> PartMap:
-        def apply(part: Unmodelled, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
-            stream = jax.random.fold_in(loop.key(key, "unmodelled", loop.channels[i]), k + 1)
-            begin = part.sample(p, memory, signals, stream, dt)
-            end = part.step(p, begin, signals, dt)
-            return end, part.output(p, begin, signals), part.output(p, end, signals)
-
-        return PartMap(apply, state.channels[i].unmodelled, commands[i])
-
-    def disturbance(i: int) -> PartMap:
-        def apply(part: Disturbance, p: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
-            measurement, sigma = signals
-            return part.value(p, disturbances[i], measurement, sigma, t)
-
-        measurement = recorded.measurements[i]
-        sigma = tracking_error(measurement, references[i], params.controller[i].l0).sigma
-        return PartMap(apply, (), (measurement, sigma))
-
-    def signal_sensor(i: int) -> PartMap:
-        def apply(part: Sensor, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
-            stream = jax.random.fold_in(loop.key(key, "signal", loop.measures[i].name), k + 1)
-            sensor_state, reading = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
-            return sensor_state, reading.y
-
-        values = signal_values(loop, params, state.plant, recorded.measurements, drive)
-        return PartMap(apply, state.signals[i], values[i])
-
-    def named_input(i: int) -> PartMap:
-        def apply(part: Disturbance, p: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
-            measurement, sigma = signals
-            return part.value(p, state.inputs[i], measurement, sigma, t)
-
-        sigma = tracking_error(recorded.measurements[0], references[0], params.controller[0].l0).sigma
-        return PartMap(apply, (), (recorded.measurements[0], sigma))
-
-    map_of = {
-        "signal_sensor": signal_sensor,
-        "inputs": named_input,
-        "plant": plant,
-        "sensor": sensor,
-        "differentiator": differentiator,
-        "controller": controller,
-        "unmodelled": unmodelled,
-        "disturbance": disturbance,
-    }
-    return [map_of[place.slot](place.channel) for place in places]
 
 
 def vector_of(tree: object) -> jax.Array:

@@ -1,0 +1,198 @@
+"""The parts of a loop at one operating point: each as a function of its state and inputs."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.readings import signal_values
+from dssc_jax.closed_loop.sample import (
+    LoopState,
+    Recorded,
+    actuate,
+    measure,
+    plant_input,
+    sampled_command,
+    step,
+)
+from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
+from dssc_jax.core.signals import (
+    Command,
+    Measurement,
+    Measurements,
+    Params,
+    PlantInput,
+    Scalar,
+    Signals,
+    State,
+    tracking_error,
+)
+from dssc_jax.engine.linearisation.smooth_parts import INPUTS, SIGNAL_SENSOR, LoopPart
+
+
+class PartMap(NamedTuple):
+    """A part as a function of its state and inputs, at one operating point.
+
+    Args:
+        apply: ``(part, params, memory, signals) -> outputs``.
+        memory: The part's own state, which may hold counters.
+        signals: Its inputs and, for the plant, its state.
+    """
+
+    apply: Callable[..., object]
+    memory: object
+    signals: object
+
+
+class OperatingPoint(NamedTuple):
+    """A loop at sample k, with all of its signals.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        state: The loop's state before the sample.
+        k: Index of the sample.
+        recorded: The signals of the sample.
+        commands: The command of each channel.
+        drive: What acts on the plant.
+    """
+
+    loop: Loop
+    params: LoopParams
+    key: jax.Array
+    state: LoopState
+    k: Scalar
+    recorded: Recorded
+    commands: Signals
+    drive: PlantInput[Signals]
+
+    @property
+    def time(self) -> Scalar:
+        """t = k T_s [s]."""
+        return self.k * self.loop.sample_time
+
+    def stream(self, slot: str, name: str) -> jax.Array:
+        """The random key that a part draws from at this sample, by its slot and the name of its channel or signal."""
+        return jax.random.fold_in(self.loop.key(self.key, slot, name), self.k + 1)
+
+
+def part_maps(
+    loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
+) -> list[PartMap]:
+    """The parts at the given places, with their inputs at sample k; arguments as of :class:`OperatingPoint`."""
+    _, recorded = step(loop, params, key, state, k)
+    commands = tuple(channel.u_total for channel in recorded.instant.channels)
+    sampled_commands = []
+    for i, channel in enumerate(state.channels):
+        sampled_commands.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
+    actuation = actuate(loop, params, tuple(sampled_commands), commands)
+    drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, actuation, k * loop.sample_time)
+    point = OperatingPoint(loop, params, key, state, k, recorded, commands, drive)
+    return [MAPS[place.slot](point, place.channel) for place in places]
+
+
+def plant_map(at: OperatingPoint, _: int) -> PartMap:
+    """The plant: from its state and commands to the derivative, the measurements and the measured signals."""
+
+    def apply(
+        part: Plant[Measurements, Signals], params: Params, memory: tuple[()], signals: tuple[State, Signals]
+    ) -> tuple[State, tuple[Measurements, Signals]]:
+        plant_state, command = signals
+        drive = at.drive._replace(command=command)
+        slope = part.derivative(params, plant_state, drive, at.time)
+        outputs = measure(at.loop, at.params, plant_state, at.recorded.references)
+        return slope, (outputs, signal_values(at.loop, at.params, plant_state, outputs, drive))
+
+    return PartMap(apply, (), (at.state.plant, at.drive.command))
+
+
+def sensor_map(at: OperatingPoint, i: int) -> PartMap:
+    """The sensor of channel i: from the plant's output to the reading."""
+
+    def apply(part: Sensor, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
+        return part.step(
+            params, memory, signals, at.stream("sensor", at.loop.channels[i]), at.time, at.loop.sample_time
+        )
+
+    return PartMap(apply, at.state.channels[i].sensor, at.recorded.measurements[i])
+
+
+def differentiator_map(at: OperatingPoint, i: int) -> PartMap:
+    """The differentiator of channel i: from the reading to the reading with its derivative."""
+
+    def apply(part: Differentiator, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
+        return part.step(params, memory, signals, at.loop.sample_time)
+
+    return PartMap(apply, at.state.channels[i].differentiator, at.recorded.controlled[i].reading)
+
+
+def controller_map(at: OperatingPoint, i: int) -> PartMap:
+    """The controller of channel i: from what it reads to its command."""
+    controlled = at.recorded.controlled[i]
+
+    def apply(part: Controller, params: Params, memory: State, signals: Measurement) -> tuple[State, Command]:
+        return part.step(params, memory, signals, controlled.reference, at.loop.sample_time)[:2]
+
+    return PartMap(apply, at.state.channels[i].controller, controlled.sensed)
+
+
+def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
+    """The unmodelled dynamics of channel i: from the command to the outputs at both ends of the sample."""
+
+    def apply(part: Unmodelled, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
+        dt = at.loop.sample_time
+        begin = part.sample(params, memory, signals, at.stream("unmodelled", at.loop.channels[i]), dt)
+        end = part.step(params, begin, signals, dt)
+        return end, part.output(params, begin, signals), part.output(params, end, signals)
+
+    return PartMap(apply, at.state.channels[i].unmodelled, at.commands[i])
+
+
+def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
+    """The disturbance of channel i: from the measurement and sigma to its value."""
+    return disturbance_from(at, at.state.disturbances[i], i)
+
+
+def named_input_map(at: OperatingPoint, i: int) -> PartMap:
+    """The disturbance at the i-th named input of the plant, which sees the first channel."""
+    return disturbance_from(at, at.state.inputs[i], 0)
+
+
+def disturbance_from(at: OperatingPoint, state: State, channel: int) -> PartMap:
+    """A disturbance in a state, which sees a channel's measurement and sigma."""
+
+    def apply(part: Disturbance, params: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
+        measurement, sigma = signals
+        return part.value(params, state, measurement, sigma, at.time)
+
+    measurement = at.recorded.measurements[channel]
+    error = tracking_error(measurement, at.recorded.references[channel], at.params.controller[channel].l0)
+    return PartMap(apply, (), (measurement, error.sigma))
+
+
+def signal_sensor_map(at: OperatingPoint, i: int) -> PartMap:
+    """The sensor of the i-th measured signal: from the signal to its reading."""
+
+    def apply(part: Sensor, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
+        stream = at.stream("signal", at.loop.measures[i].name)
+        measurement = Measurement(signals, 0.0)
+        sensor_state, reading = part.step(params, memory, measurement, stream, at.time, at.loop.sample_time)
+        return sensor_state, reading.y
+
+    values = signal_values(at.loop, at.params, at.state.plant, at.recorded.measurements, at.drive)
+    return PartMap(apply, at.state.signals[i], values[i])
+
+
+MAPS: dict[str, Callable[[OperatingPoint, int], PartMap]] = {
+    "plant": plant_map,
+    "sensor": sensor_map,
+    "differentiator": differentiator_map,
+    "controller": controller_map,
+    "unmodelled": unmodelled_map,
+    "disturbance": disturbance_map,
+    INPUTS: named_input_map,
+    SIGNAL_SENSOR: signal_sensor_map,
+}
+"""The map of a part by the slot of the loop that holds it."""
