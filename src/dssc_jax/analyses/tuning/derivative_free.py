@@ -7,8 +7,9 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
-from dssc_jax.analyses.tuning.plan import PROVED_ERROR, Plan
+from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import BOX_HALF_WIDTH, PENALTY, UNFIT, UPDATE, Point, Problem, Search
+from dssc_jax.analyses.tuning.rules import PROVED_ERROR
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.tuning.objective import Goal, Merit
-from dssc_jax.analyses.tuning.plan import WIDTH, Plan
+from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.analyses.tuning.rules import WIDTH
 from dssc_jax.analyses.tuning.search_variables import SLACK
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code

@@ -15,7 +15,8 @@ from dssc_jax.analyses.falsification.falsify import PointAnswer
 from dssc_jax.analyses.tuning.derivative_free import Aimed
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
-from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
+from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.analyses.tuning.rules import OBJECTIVE, PROVED_ERROR, seed_of
 from dssc_jax.analyses.tuning.search_variables import FREE_PREFIX
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError

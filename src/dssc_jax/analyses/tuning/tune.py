@@ -12,9 +12,10 @@ from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, opt
 from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
 from dssc_jax.analyses.tuning.objective import MissedBound, judge_tuning, missed_bounds
-from dssc_jax.analyses.tuning.plan import EVOLUTION, PROGRAMMING, SIMPLEX, Plan
+from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Point, Problem, Search
 from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, dataset_of
+from dssc_jax.analyses.tuning.rules import EVOLUTION, PROGRAMMING, SIMPLEX
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback

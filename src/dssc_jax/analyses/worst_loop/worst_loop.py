@@ -32,7 +32,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.response import common_grid
-from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, substitute_notes
+from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.known_draws import study_of_draw
 
@@ -84,18 +84,9 @@ def worst_loop(
     """
     began = time.perf_counter()
     require_independent(study, "a sample of all draws")
-    if not 0 < cells <= MOST_CELLS:
-        raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
-    if points is not None and not 0 < points <= MOST_LINEARISED:
-        raise ConfigError("points", f"must be within [1, {MOST_LINEARISED}], got {points}")
+    require_sizes(cells, points)
     study = study.without_sweep()
-    names = break_points(study.loop)
-    selected_names = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
-    for name in selected_names:
-        if name not in names:
-            raise ConfigError(
-                "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
-            )
+    names = selected_break_points(study, broken_at)
     box = box_of(study, sigma)
     places = declared_places(study, moving=False)
     if progress:
@@ -103,16 +94,7 @@ def worst_loop(
     resting = RestingLoop(study, places)
     operating, findings = resting_operation(resting, study.config.draws)
     settled_findings = findings[operating.reached]
-    differing_parts = np.flatnonzero(np.any(settled_findings != settled_findings[0], axis=0))
-    if differing_parts.size:
-        place = places[differing_parts[0]]
-        boundary = place.remaining.meaning.partition(";")[0]
-        count = int(np.count_nonzero(settled_findings[:, differing_parts[0]] != Finding.SMOOTH))
-        raise ConfigError(
-            study.source,
-            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled_findings)} draws, so that "
-            "no one linear loop covers all; give it room, or narrow the laws that bring it there",
-        )
+    require_one_linear_loop(study, places, settled_findings)
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
 
     def advance(linearised_points: int) -> None:
@@ -121,19 +103,11 @@ def worst_loop(
 
     family = Family(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
-    broken_loops = {}
-    for name in selected_names:
-        state_indices = operating.matrices.loop_states(names.index(name), operating.reached)
-        if state_indices.size:
-            broken_loops[name] = BrokenFamily(family, state_indices, [names.index(name)])
-    if not broken_loops:
-        raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
+    broken_loops = loops_broken_at(study, names, family, operating)
     joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
     remaining_loops = len(broken_loops) + (joint is not None)
     cases = {}
     for name, broken in broken_loops.items():
-        if not broken.sides:
-            raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
         cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // remaining_loops)
         remaining_loops -= 1
     multiloop = None
@@ -143,17 +117,89 @@ def worst_loop(
         drawn_loops = broken.broken(reached_matrices(operating))
         sample_time = study.config.loop.sample_time
         multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remainder(most))
-    notes = (*substitute_notes(places), *operating.taken)
-    dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
     return WorstLoop(
         study=study,
-        dataset=dataset,
+        dataset=worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop)),
         sigma=sigma,
-        taken=notes,
+        taken=(*substitute_notes(places), *operating.taken),
         points=len(family.cache),
         most_points=most,
         seconds=time.perf_counter() - began,
     )
+
+
+def require_sizes(cells: int, points: int | None) -> None:
+    """Require admissible numbers of cells and of points.
+
+    Raises:
+        ConfigError: One of them is too large or not positive.
+    """
+    if not 0 < cells <= MOST_CELLS:
+        raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
+    if points is not None and not 0 < points <= MOST_LINEARISED:
+        raise ConfigError("points", f"must be within [1, {MOST_LINEARISED}], got {points}")
+
+
+def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, ...]:
+    """The break points of the given names; without names, the command of each channel.
+
+    Raises:
+        ConfigError: The loop has no break point of a name.
+    """
+    names = break_points(study.loop)
+    for name in broken_at:
+        if name not in names:
+            raise ConfigError(
+                "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
+            )
+    return tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
+
+
+def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> None:
+    """Require that every part has the same linear form in all draws.
+
+    Args:
+        study: The study.
+        places: The parts.
+        findings: Findings on the parts of the draws that have an equilibrium, shape (draws, parts).
+
+    Raises:
+        ConfigError: A part rests at or beyond a boundary of its smooth range in some of the draws.
+    """
+    differing_parts = np.flatnonzero(np.any(findings != findings[0], axis=0))
+    if not differing_parts.size:
+        return
+    place = places[differing_parts[0]]
+    boundary = place.remaining.meaning.partition(";")[0]
+    count = int(np.count_nonzero(findings[:, differing_parts[0]] != Finding.SMOOTH))
+    raise ConfigError(
+        study.source,
+        f"{place.label} rests at or beyond {boundary} in {count} of {len(findings)} draws, so that no one linear loop "
+        "covers all; give it room, or narrow the laws that bring it there",
+    )
+
+
+def loops_broken_at(
+    study: Study, names: Sequence[str], family: Family, operating: Operating
+) -> dict[str, BrokenFamily]:
+    """The loop broken at each break point that has an effect.
+
+    Raises:
+        ConfigError: None has an effect, or no uncertain number changes one of the loops.
+    """
+    all_names = break_points(study.loop)
+    broken_loops = {}
+    for name in names:
+        index = all_names.index(name)
+        states = operating.matrices.loop_states(index, operating.reached)
+        if states.size:
+            broken_loops[name] = BrokenFamily(family, states, [index])
+    if not broken_loops:
+        raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
+    for name, broken in broken_loops.items():
+        if not broken.sides:
+            raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
+    return broken_loops
 
 
 def signal_text(study: Study, name: str) -> str:

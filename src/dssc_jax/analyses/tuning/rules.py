@@ -1,0 +1,258 @@
+"""The rules that a study's ``[tune]`` has to meet."""
+
+from collections.abc import Mapping
+
+from dssc_jax.analyses.tuning.search_variables import PARAMETER_OF_NUMBER
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.design.certification import NotCovered
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.models.controllers.dssc_forms import DsscGains
+from dssc_jax.study import Law, Study
+from dssc_jax.study.schema import TuneTable
+
+DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
+EVOLUTION = "differential_evolution"  # in scipy.optimize
+PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
+SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
+OBJECTIVE = "objective"  # an aim
+PROVED_ERROR = "proved_error"  # an aim
+OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
+WIDTH = "controller.sign_width"
+ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
+UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names that a study does not have
+
+
+def tune_table(study: Study) -> TuneTable:
+    """The study's ``[tune]``, if it meets all rules.
+
+    Raises:
+        ConfigError: It is missing, or breaks a rule.
+    """
+    table = study.config.tune
+    if table is None:
+        raise ConfigError("tune", f"is required and missing; for example: {example(study)}")
+    require_optimiser(table)
+    require_independent(study, "a tuning's verdict")
+    seed = seed_of(study, table)
+    if seed == study.config.seed:
+        raise ConfigError("tune.seed", f"must not be the study's own, whose draws decide, got {seed}")
+    require_metrics(study, table)
+    if table.smoothing is not None:
+        require_sign(study)
+    require_room(study, table)
+    for name in table.parameters:
+        require_number(study, name, table)
+    require_theorem_settings(table)
+    require_aim(study, table)
+    if table.proved:
+        require_provable(study)
+    return table
+
+
+def require_optimiser(table: TuneTable) -> None:
+    """Require an optimiser that exists, and a batch that it can take.
+
+    Raises:
+        ConfigError: There is no such optimiser, or the batch does not fit.
+    """
+    if table.optimiser not in OPTIMISERS:
+        rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
+        raise ConfigError("tune.optimiser", rule)
+    if table.batch is not None and table.optimiser == PROGRAMMING:
+        raise ConfigError("tune.batch", f"{PROGRAMMING} needs the same draws at every step; take one of {DESCENTS}")
+    if table.batch is not None and table.batch > table.draws:
+        raise ConfigError("tune.batch", f"must be <= draws = {table.draws}, got {table.batch}")
+
+
+def require_theorem_settings(table: TuneTable) -> None:
+    """Require settings of the theorem that belong together.
+
+    Raises:
+        ConfigError: Two of them contradict each other.
+    """
+    if table.certified and table.slack is not None:
+        rule = "belongs to certified = false; a certified design meets the inequalities by construction"
+        raise ConfigError("tune.slack", rule)
+    if table.free and not table.certified:
+        raise ConfigError("tune.free", "belongs to certified = true")
+
+
+def example(study: Study) -> str:
+    """The smallest ``[tune]`` of a study: its controller's first positive gain, and its first metric."""
+    gains = {
+        name: value
+        for name, value in study.leaves().items()
+        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name)
+    }
+    ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
+    metric = next((measure.name for measure in study.measures), "error_rms")
+    return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+
+
+def is_free(study: Study, name: str) -> bool:
+    """Whether a number may differ between draws and follows from no parameter."""
+    return study.quantities[name].law and study.numbers[name].expression is None
+
+
+def require_aim(study: Study, table: TuneTable) -> None:
+    """Require what the optimisation of a proved number needs.
+
+    Raises:
+        ConfigError: the loop is outside of what a proof covers, or settings contradict each other.
+    """
+    if table.aim == OBJECTIVE:
+        if table.over:
+            raise ConfigError("tune.over", 'belongs to aim = "proved_up_to"')
+        return
+    if "optimiser" in table.model_fields_set:
+        rule = f'belongs to aim = "{OBJECTIVE}"; a proved number is optimised by {SIMPLEX}, without derivatives'
+        raise ConfigError("tune.optimiser", rule)
+    if table.aim == PROVED_ERROR:
+        if table.over:
+            raise ConfigError("tune.over", 'belongs to aim = "proved_up_to"')
+        require_provable(study, "tune.aim")
+        return
+    if len(table.over) != 1:
+        raise ConfigError("tune.over", f'must be {{ NAME = [low, high] }} for aim = "{table.aim}", got {table.over}')
+    ((name, bounds),) = table.over.items()
+    if name in table.parameters:
+        raise ConfigError(f"tune.over.{name}", "is tuned, too; take it out of [tune.parameters]")
+    for value in bounds:
+        require_provable(study, "tune.aim", (name, value))
+
+
+def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, float] | None = None) -> None:
+    """Require a loop that a proof covers, and what proofs need.
+
+    Args:
+        study: The study.
+        place: The setting that asks for proofs.
+        at: A number and its value, if the loop with another value is to be proved.
+
+    Raises:
+        ConfigError: it is outside of what a proof covers, or a package is missing.
+    """
+    try:
+        import dssc_jax.proofs.prove  # noqa: F401  (the verifier's package, too)
+        from dssc_jax.proofs.coverage import problem_of
+        from dssc_jax.proofs.reach import problem_at
+
+        if at is None:
+            problem_of(study)
+        else:
+            problem_at(study, *at)
+    except ImportError as error:
+        raise ConfigError(place, f"needs {error.name}: pip install 'dssc_jax[proofs]'") from None
+    except NotCovered as error:
+        raise ConfigError(place, f"a proof does not cover this loop: {error}") from None
+
+
+def seed_of(study: Study, table: TuneTable) -> int:
+    """The seed of the training and validation draws."""
+    return (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
+
+
+def require_metrics(study: Study, table: TuneTable) -> None:
+    """Require that every metric of objective and limits belongs to the study.
+
+    Raises:
+        ConfigError: one does not, or there is nothing to minimise.
+    """
+    names = [measure.name for measure in study.measures]
+    for place, metrics in (("objective", table.objective), ("limits", table.limits)):
+        for name in metrics:
+            if name not in names:
+                rule = f"is no metric of this study; {nearest(name, names)}; add others to metrics.names"
+                raise ConfigError(f"tune.{place}.{name}", rule)
+    if not any(weight != 0.0 for weight in table.objective.values()):
+        raise ConfigError("tune.objective", f"needs a weight other than 0, got {table.objective}")
+
+
+def require_room(study: Study, table: TuneTable) -> None:
+    """Require that no two requirements, or a requirement and a limit, contradict each other.
+
+    Raises:
+        ConfigError: a metric must be above one number and below a smaller one.
+    """
+    required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
+    limits = [("requirement", name, high) for name, _, high in required if high is not None]
+    limits += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
+    for place, name, high in limits:
+        floor = max((low for metric, low, _ in required if metric == name and low is not None), default=high)
+        if floor > high:
+            raise ConfigError(place, f"no value of {name} is >= {floor:g} and <= {high:g}: nothing can satisfy both")
+
+
+def require_sign(study: Study) -> None:
+    """Require that every channel's controller has a sign function that can be smoothed and is not smooth already.
+
+    Raises:
+        ConfigError: one has none, or one has its own width.
+    """
+    if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
+        raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
+    if any(name.split(".")[-1] == "sign_width" for name in study.leaves()):
+        raise ConfigError("tune.smoothing", "is the first of a falling width; take sign_width out of [controller]")
+
+
+def require_number(study: Study, name: str, table: TuneTable) -> None:
+    """Require that a dotted name is a plain number of the loop that can be tuned.
+
+    Raises:
+        ConfigError: it is something else, or is determined by other numbers.
+    """
+    place = f"tune.parameters.{name}"
+    if table.certified and name in PARAMETER_OF_NUMBER:
+        raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
+    if name not in study.leaves():
+        raise ConfigError(place, reason_unfit(study, name))
+    if study.numbers[name].expression:
+        raise ConfigError(place, study.numbers[name].follows)
+    for follower in study.followers(name) if table.certified or table.slack is not None else ():
+        part = follower.split(".")
+        if part[0] in ASSUMED or "nominal" in part:
+            raise ConfigError(
+                place, "is what the theorem's bounds are made of, so that they would move; give it a number"
+            )
+        if follower != name and follower in PARAMETER_OF_NUMBER:
+            raise ConfigError(place, f"decides {follower}, which the theorem takes as it is; give the gain a number")
+    if not study.quantities[name].law:
+        raise ConfigError(place, "is fixed before tracing (a whole number, a length), so it has no derivative")
+    leaf = study.leaves()[name]
+    if isinstance(leaf, Law):
+        raise ConfigError(place, f"is uncertain: {leaf}; give it a number to tune it")
+
+
+def reason_unfit(study: Study, name: str) -> str:
+    """The reason why a name cannot be tuned, as the predicate of a sentence."""
+    value: object = study.table
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if value is not None:
+        return f"is no number of the loop but {value!r}, which has no derivative"
+    try:
+        study.override({name: 1.0})
+    except ConfigError as error:
+        if any(word in error.rule for word in UNKNOWN_WORDS):
+            return f"unknown parameter; {nearest(name, study.quantities)}"
+        return f"is no number that may be moved: {error.rule}"
+    return "has no value in this study; give one to start from"
+
+
+def inside_range(study: Study, name: str, extent: tuple[float, float]) -> float:
+    """The study's own value, which is the start of the search.
+
+    Raises:
+        ConfigError: it is outside its interval, or an end of the interval is not admissible.
+    """
+    low, high = extent
+    value = study.leaves()[name]
+    quantity = study.quantities[name]
+    broken = quantity.violated_by(low, high)
+    place = f"tune.parameters.{name}"
+    if broken:
+        raise ConfigError(place, f"{quantity.meaning} [{quantity.unit}] {broken}, got [{low:g}, {high:g}]")
+    assert isinstance(value, float)
+    if not low < value < high:
+        raise ConfigError(place, f"the start is infeasible: the study has {value:g}, not inside ({low:g}, {high:g})")
+    return value
