@@ -9,6 +9,7 @@ import jax
 from dssc_jax.core.contracts import Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
+from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
@@ -73,26 +74,12 @@ def axis_problem_of(study: Study) -> ProofProblem:
             f"the actuators form a chain, {kind_in(study.config, 'unmodelled')}; only one of them is covered"
         )
     ends = ends_of(study)
-    for name, law in study.written_laws.items():
-        if name in study.parameter_names:
-            followers = ", ".join(study.followers(name))
-            if not followers:
-                raise NotCovered(f"{name} is uncertain, and nothing follows from it; leave it out")
-            raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
-        covered_paths = set(study.numbers[name].paths) & set(UNCERTAIN)
-        if not covered_paths and not name.startswith(BOUNDED_SIGNALS):
-            raise NotCovered(
-                f"{name} is uncertain; a proof takes intervals of plant.k_p, plant.a_p, unmodelled.mu only"
-            )
-        if not all(abs(end) < float("inf") for end in law.support):
-            raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
+    require_covered_laws(study)
     if loop.plant is not NORMAL_FORM:
         raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     low, high = ends
     zero_dynamics = low.plant.zero_dynamics
-    if zero_dynamics is not None and (
-        any(isinstance(row, Law) for row in zero_dynamics) or zero_dynamics != high.plant.zero_dynamics
-    ):
+    if are_uncertain(zero_dynamics, high.plant.zero_dynamics):
         raise NotCovered("the zero dynamics are uncertain")
     level, slope, by_state = disturbance_of(study, ends)
     reference_suprema = reference_bounds(loop.reference, ends.part("reference"))
@@ -123,6 +110,34 @@ def axis_problem_of(study: Study) -> ProofProblem:
         if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
             raise NotCovered(f"{name} holds a number beyond {LARGEST_NUMBER:g}, whose square is none of float64")
     return problem
+
+
+def require_covered_laws(study: Study) -> None:
+    """Require that a proof can take an interval in place of each law.
+
+    Raises:
+        NotCovered: A law is of another number, has no bounds, or belongs to a parameter from which numbers follow.
+    """
+    for name, law in study.written_laws.items():
+        if name in study.parameter_names:
+            followers = ", ".join(study.followers(name))
+            if not followers:
+                raise NotCovered(f"{name} is uncertain, and nothing follows from it; leave it out")
+            raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
+        covered_paths = set(study.numbers[name].paths) & set(UNCERTAIN)
+        if not covered_paths and not name.startswith(BOUNDED_SIGNALS):
+            raise NotCovered(
+                f"{name} is uncertain; a proof takes intervals of plant.k_p, plant.a_p, unmodelled.mu only"
+            )
+        if not all(abs(end) < float("inf") for end in law.support):
+            raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
+
+
+def are_uncertain(low: ZeroDynamics | None, high: ZeroDynamics | None) -> bool:
+    """Whether the zero dynamics have a law, or differ between both ends of the study's numbers."""
+    if low is None:
+        return False
+    return low != high or any(isinstance(row, Law) for row in low)
 
 
 def numbers_in(value: object) -> list[float]:

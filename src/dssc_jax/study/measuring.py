@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
@@ -75,6 +76,54 @@ def available_metrics(
     return kinds
 
 
+class AvailableMetrics(NamedTuple):
+    """The metrics that a loop can have.
+
+    Args:
+        names: Kind and channel by name; the channel is None for the vehicle and for signals.
+        kinds: All kinds of metric, those of signals and the user's among them.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Their units and meanings.
+        default_window: The window of ``[metrics]``.
+    """
+
+    names: Mapping[str, tuple[str, int | None]]
+    kinds: Mapping[str, Metric]
+    channels: tuple[str, ...]
+    units: tuple[ChannelUnits, ...]
+    default_window: Window
+
+    def measure(self, name: str, window: Window) -> Measure:
+        """A metric over a window."""
+        kind, channel = self.names[name]
+        return Measure(
+            name + window.suffix(self.default_window),
+            kind,
+            window,
+            channel,
+            custom=None if kind in METRICS else self.kinds[kind],
+            units=UNNAMED_UNITS if channel is None else self.units[channel],
+            channel_name="" if channel is None else self.channels[channel],
+            default_window=self.default_window,
+        )
+
+    def require(self, name: str, place: str) -> None:
+        """Require that the loop has a metric.
+
+        Raises:
+            ConfigError: It is unknown, or the loop has not what it needs.
+        """
+        if name in self.names:
+            return
+        if name.endswith("_margin"):
+            rule = f"'{name}' belongs to the linearised loop"
+            raise ConfigError(place, f'{rule}; write margin = "{name.removesuffix("_margin")}" in place of the metric')
+        if name in self.kinds and len(self.channels) == 1:
+            needs = ", ".join(self.kinds[name].needs)
+            raise ConfigError(place, f"'{name}' needs {needs}, which this loop does not have")
+        raise ConfigError(place, f"unknown metric '{name}'; {nearest(name, self.names)}")
+
+
 def parse_measures(
     config: StudyTable,
     names: dict[str, tuple[str, int | None]],
@@ -98,71 +147,36 @@ def parse_measures(
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
-    has_several_channels = len(channels) > 1
     signal_metrics = signal_metrics_of(config, signals)
-    metrics = {**metrics, **signal_metrics}
-    names = names | {name: (name, None) for name in signal_metrics}
-
-    def measure(name: str, of: str, window: Window) -> Measure:
-        kind, channel = names[of]
-        channel_name = "" if channel is None else channels[channel]
-        return Measure(
-            name,
-            kind,
-            window,
-            channel,
-            custom=None if kind in METRICS else metrics[kind],
-            units=UNNAMED_UNITS if channel is None else units[channel],
-            channel_name=channel_name,
-            default_window=config.metrics.window,
-        )
-
-    default_window = config.metrics.window
-    require_samples(config, default_window, "metrics.after")
-    listed_names = config.metrics.names
-    reported_kinds = (
-        default_kinds(has_several_channels) if listed_names is None else [short(name) for name in listed_names]
+    available = AvailableMetrics(
+        names=names | {name: (name, None) for name in signal_metrics},
+        kinds={**metrics, **signal_metrics},
+        channels=channels,
+        units=units,
+        default_window=config.metrics.window,
     )
-    for index, kind in enumerate(reported_kinds):
-        if kind not in metrics:
-            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, metrics)}")
-    measures = {
-        name: measure(name, name, default_window) for name, (kind, _) in names.items() if kind in reported_kinds
-    }
+    require_samples(config, available.default_window, "metrics.after")
+    reported_kinds = kinds_to_report(config, available)
+    measures: dict[str, Measure] = {}
+    for name, (kind, _) in available.names.items():
+        if kind in reported_kinds:
+            measures[name] = available.measure(name, available.default_window)
     formula_terms = formula_signals(signals)
-    requirements = []
+    requirements: list[Requirement] = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
         if table.formula is not None:
             requirement = formula_requirement(table, place, config, formula_terms, parameters)
-            if requirement.measure.name in {*measures, *names}:
-                raise ConfigError(f"{place}.name", f"'{requirement.measure.name}' is taken; choose another name")
-            measures[requirement.measure.name] = requirement.measure
-            requirements.append(requirement)
-            continue
-        if table.margin is not None:
+            name = requirement.measure.name
+            if name in measures or name in available.names:
+                raise ConfigError(f"{place}.name", f"'{name}' is taken; choose another name")
+        elif table.margin is not None:
             requirement = margin_requirement(table, place, channels)
             require_new(requirement, requirements, place)
-            measures[requirement.measure.name] = requirement.measure
-            requirements.append(requirement)
-            continue
-        metric = required_metric(table)
-        if metric not in names:
-            if metric.endswith("_margin"):
-                kind = metric.removesuffix("_margin")
-                rule = f"'{metric}' belongs to the linearised loop"
-                raise ConfigError(f"{place}.metric", f'{rule}; write margin = "{kind}" in place of the metric')
-            if metric in metrics and not has_several_channels:
-                needs = ", ".join(metrics[metric].needs)
-                raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
-            raise ConfigError(f"{place}.metric", f"unknown metric '{metric}'; {nearest(metric, names)}")
-        window = table.window(default_window)
-        require_samples(config, window, f"{place}.after")
-        name = metric + window.suffix(default_window)
-        measures.setdefault(name, measure(name, metric, window))
-        requirement = Requirement(measures[name], *table.bounds)
-        require_meaningful(requirement, place)
-        require_new(requirement, requirements, place)
+        else:
+            requirement = metric_requirement(table, place, config, available)
+            require_new(requirement, requirements, place)
+        measures.setdefault(requirement.measure.name, requirement.measure)
         requirements.append(requirement)
     for requirement in envelope_requirements(config, channels, units):
         measures[requirement.measure.name] = requirement.measure
@@ -174,6 +188,38 @@ def parse_measures(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
+    """The kinds of metric that results have besides the required ones.
+
+    Raises:
+        ConfigError: ``metrics.names`` has an unknown one.
+    """
+    if config.metrics.names is None:
+        return default_kinds(len(available.channels) > 1)
+    kinds = [short(name) for name in config.metrics.names]
+    for index, kind in enumerate(kinds):
+        if kind not in available.kinds:
+            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, available.kinds)}")
+    return kinds
+
+
+def metric_requirement(
+    table: RequirementTable, place: str, config: StudyTable, available: AvailableMetrics
+) -> Requirement:
+    """A requirement that bounds a metric.
+
+    Raises:
+        ConfigError: The loop does not have the metric, its window contains no sample, or no value meets the bound.
+    """
+    name = required_metric(table)
+    available.require(name, f"{place}.metric")
+    window = table.window(available.default_window)
+    require_samples(config, window, f"{place}.after")
+    requirement = Requirement(available.measure(name, window), *table.bounds)
+    require_meaningful(requirement, place)
+    return requirement
 
 
 def require_meaningful(requirement: Requirement, place: str) -> None:

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping
+from typing import Any
 
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
@@ -85,7 +86,6 @@ def check_swept_parts(
     if not config.sweep:
         return
     table = copy.deepcopy(table)
-    channels = loop.channels
     for name, values in config.sweep.items():
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
@@ -94,29 +94,45 @@ def check_swept_parts(
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
-            resolved_table = parameters.resolved(table[slot], slot)
-            if slot == "disturbance":
-                parse_disturbances(resolved_table, channels, loop.input_names)
-                parse_inputs(resolved_table, channels, loop.input_names)
-            elif slot == "sensor":
-                sensors = sensor_tables(resolved_table, measurable_signals)
-                parse_channels(sensors.channels, slot, channels)
-                parse_signal_sensors(sensors, measurable_signals)
-            elif slot in (*PER_CHANNEL, ACTUATOR):
-                parse_channels(resolved_table, slot, channels)
-            elif slot == "reference":
-                parse_reference(resolved_table, channels, (UNNAMED_UNITS,) * len(channels))
-            elif slot == EVENT:
-                parse_events(resolved_table, channels)
-            elif slot == "wind":
-                parse_winds(resolved_table)
-            else:
-                parse_whole(resolved_table, slot)
+            parse_slot(slot, parameters.resolved(table[slot], slot), loop, measurable_signals)
         if loop.events:
-            check_swept_events(table, parameters, channels)
+            check_swept_events(table, parameters, loop.channels)
         check_expressions(parameters, config, numbers)
     except ConfigError as error:
         raise error.within("sweep") from None
+
+
+def parse_slot(slot: str, table: Any, loop: Loop, measurable_signals: Mapping[str, NamedSignal]) -> None:
+    """Parse the table of a slot, as for a study, to find what breaks a rule.
+
+    Args:
+        slot: Name of the slot.
+        table: Its table; laws may take the place of numbers.
+        loop: The loop, for its channels and inputs.
+        measurable_signals: Signals that sensors may measure.
+
+    Raises:
+        ConfigError: A rule does not hold.
+    """
+    channels = loop.channels
+    match slot:
+        case "disturbance":
+            parse_disturbances(table, channels, loop.input_names)
+            parse_inputs(table, channels, loop.input_names)
+        case "sensor":
+            sensors = sensor_tables(table, measurable_signals)
+            parse_channels(sensors.channels, slot, channels)
+            parse_signal_sensors(sensors, measurable_signals)
+        case "reference":
+            parse_reference(table, channels, (UNNAMED_UNITS,) * len(channels))
+        case "wind":
+            parse_winds(table)
+        case _ if slot == EVENT:
+            parse_events(table, channels)
+        case _ if slot in (*PER_CHANNEL, ACTUATOR):
+            parse_channels(table, slot, channels)
+        case _:
+            parse_whole(table, slot)
 
 
 def check_swept_events(table: TomlTable, parameters: ParameterTable, channels: tuple[str, ...]) -> None:

@@ -133,12 +133,7 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
     """
     for section in KEYED_BY_NAMES:
         if name.startswith(f"{section}."):
-            inner_table: Any = table
-            for part in section.split("."):
-                inner_table = inner_table.setdefault(part, {})
-                if not isinstance(inner_table, dict):
-                    raise ConfigError(section, f"must be a table, got {inner_table!r}")
-            inner_table[name.removeprefix(f"{section}.").strip("\"'")] = value
+            set_by_name(table, section, name.removeprefix(f"{section}.").strip("\"'"), value)
             return
     first_part, _, remainder = name.partition(".")
     if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
@@ -148,15 +143,7 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         raise ConfigError(name, "has an empty part; a single dot stands between two parts")
     container: Any = table
     for depth, part in enumerate(parents):
-        index = index_in(container, part)
-        if index is not None:
-            container = container[index]
-        elif isinstance(container, dict):
-            if isinstance(container.get(part), str):  # the name of a kind alone, in place of its table
-                container[part] = {"kind": container[part]}
-            container = container.setdefault(part, {})
-        else:
-            raise ConfigError(name, no_such_part(container, parents[:depth], part))
+        container = entry_or_new_table(container, part, parents[:depth], name)
     index = index_in(container, key)
     if index is not None:
         container[index] = value
@@ -164,6 +151,36 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         container[key] = value
     else:
         raise ConfigError(name, no_such_part(container, parents, key))
+
+
+def set_by_name(table: TomlTable, section: str, key: str, value: object) -> None:
+    """Set an entry of a section whose keys are dotted names themselves.
+
+    Raises:
+        ConfigError: The section, or one that holds it, is no table.
+    """
+    inner_table: Any = table
+    for part in section.split("."):
+        inner_table = inner_table.setdefault(part, {})
+        if not isinstance(inner_table, dict):
+            raise ConfigError(section, f"must be a table, got {inner_table!r}")
+    inner_table[key] = value
+
+
+def entry_or_new_table(container: Any, part: str, parents: Sequence[str], name: str) -> Any:
+    """What a container holds under a part of a dotted name; a missing entry of a table is created as a table.
+
+    Raises:
+        ConfigError: The container is no table, and no list with such an item.
+    """
+    index = index_in(container, part)
+    if index is not None:
+        return container[index]
+    if not isinstance(container, dict):
+        raise ConfigError(name, no_such_part(container, parents, part))
+    if isinstance(container.get(part), str):  # the name of a kind alone, in place of its table
+        container[part] = {"kind": container[part]}
+    return container.setdefault(part, {})
 
 
 def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
