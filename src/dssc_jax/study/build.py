@@ -21,18 +21,25 @@ from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import extent, quantities_of
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
-from dssc_jax.study.components import Component, as_table
+from dssc_jax.study.components import as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted_controllers, nominal_params
-from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
+from dssc_jax.study.measures import measurable, parse_signal_sensors, sensor_tables
 from dssc_jax.study.measuring import available_metrics, kinds_of, parse_measures
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
+from dssc_jax.study.parts import (
+    parse_columns,
+    parse_plant,
+    parse_single_parts,
+    require_controllers,
+    with_bounded_jitter,
+)
 from dssc_jax.study.schema import (
     EnvelopeTable,
     LoopTable,
@@ -46,17 +53,9 @@ from dssc_jax.study.schema import (
 )
 from dssc_jax.study.sections import with_section
 from dssc_jax.study.slots import (
-    PER_CHANNEL,
     REGISTRIES,
     SLOTS,
     TABLES,
-    parse_channels,
-    parse_disturbances,
-    parse_inputs,
-    parse_reference,
-    parse_whole,
-    parse_winds,
-    with_units,
 )
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
 from dssc_jax.study.table_errors import explain
@@ -130,53 +129,23 @@ def parsed_parts(table: TomlTable) -> Parts:
     require_one_form(config)
     tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # read when controllers are compared
-    plant = parse_whole(tables["plant"], "plant")
-    if plant.model.software is not None:
-        with errors_under("plant"):
-            plant.model.software.check_clock(plant.params, config.loop.sample_time, config.loop.substeps)
+    plant = parse_plant(tables["plant"], config.loop)
     channels = plant.model.channels or ("",)
-    has_several_channels = len(channels) > 1
     units = parse_units(config.units, plant.model, channels)
-    single_parts = {
-        "plant": plant,
-        "reference": parse_reference(tables["reference"], channels, units),
-        "wind": parse_winds(tables["wind"]),
-    }
-    if not has_several_channels and single_parts["wind"].kind != "none":
-        raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
-    if not has_several_channels:
-        single_parts["plant"] = with_units(plant, units[0])
+    single_parts = parse_single_parts(tables, plant, channels, units)
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
-    input_names = [signal.name for signal in inputs]
     outputs = plant.model.reported(plant.params)
     measurable_signals = measurable(plant.model, nominal_params(plant.params), outputs, channels, units)
     sensors = sensor_tables(tables["sensor"], measurable_signals)
     measures = tuple(measurable_signals[name] for name in sensors.measures)
-    tables["sensor"] = sensors.channels
-    columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL if slot != "disturbance"}
-    columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, input_names)
-    columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
-    columns["inputs"] = [
-        with_units(part, units[0]._replace(command=signal.unit or UNNAMED_UNITS.command))
-        for part, signal in zip(parse_inputs(tables["disturbance"], channels, input_names), inputs, strict=True)
-    ]
+    columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
     columns["signal_sensor"] = parse_signal_sensors(sensors, measurable_signals)
+    sample_time = config.loop.sample_time
+    columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
+    require_controllers(columns["controller"], channels, measures)
+    columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
     events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
     columns["unmodelled"] = with_command_events(columns["unmodelled"], events, channels)
-    columns["controller"] = fitted_controllers(
-        columns["controller"], plant, channels, config.loop.sample_time, measures
-    )
-    for part in columns["controller"]:
-        require_signals(part.model, part.params, measures)
-    for name, gains in zip(channels, columns["controller"], strict=True):
-        if "l0" not in gains.params._fields:
-            raise ConfigError(
-                dotted("controller", name), "the gains need the field l0, which defines sigma = e' + l0 e"
-            )
-    columns["sensor"] = [
-        with_bounded_jitter(part, dotted("sensor", name), config.loop.sample_time)
-        for name, part in zip(channels, columns["sensor"], strict=True)
-    ]
     columns["sensor"] = with_sensor_events(columns["sensor"], events, channels)
     columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     loop = Loop(
@@ -297,24 +266,6 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence
             rule = f"must be <= {band:g}, the band of {measure.name}, outside of which a draw would end"
             remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
             raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
-
-
-def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Component:
-    """Limit a sensor's jitter, if it has one, to one sample; axes and margins respect the limit, too.
-
-    Raises:
-        ConfigError: Its own jitter may exceed the sampling period.
-    """
-    jitter = getattr(sensor.params, "jitter", None)
-    longest = 0.0 if jitter is None else extent(jitter)[1]
-    if longest > sample_time:
-        rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
-        raise ConfigError(dotted(path, "jitter"), rule)
-    bounded_numbers = (
-        replace(n, quantity=replace(n.quantity, at_most=sample_time)) if n.name.endswith(".jitter") else n
-        for n in sensor.numbers
-    )
-    return replace(sensor, numbers=tuple(bounded_numbers))
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
