@@ -221,23 +221,15 @@ def next_flight(
         ConfigError: An argument is out of range, two logs hold the same flight, draws are not independent or too few,
             or the logs have no signal in common that differs between the draws.
     """
-    if not 0.0 < probability < 1.0:
-        raise ConfigError("probability", f"must lie in (0, 1), got {probability:g}")
-    if not logs:
-        raise ConfigError("logs", "needs at least one flight")
-    require_different(logs)
-    require_independent(study, "a rank among the draws")
+    require_comparable(study, logs, probability)
     study = study.without_sweep()
     half = study.config.draws // 2
-    if half < FEWEST_DRAWS:
-        raise ConfigError("draws", f"must be at least {2 * FEWEST_DRAWS} to compare flights, got {study.config.draws}")
     loop = study.loop
     samples = min(samples_within(log, loop.sample_time, loop.steps) for log in logs)
     references = study_references(study, max(samples, 1))
     signals, flights, desired = logged_curves(study, logs, references)
     stride = max(1, -(-samples * study.config.draws * len(signals) // MOST_NUMBERS))
     flights = flights[..., ::stride]
-    desired = desired[..., ::stride]
     for log, flight in zip(logs, flights, strict=True):
         require_samples(study, log, np.isfinite(flight).any(axis=0))
     is_finite = np.all(np.isfinite(flights), axis=0)
@@ -248,29 +240,18 @@ def next_flight(
     if not (is_finite & np.isfinite(yardstick.spread)).any():
         raise ConfigError("logs", "no logged signal differs between the draws, which gives no spread to measure by")
     compared_curves = curves[half:]
-    data = band_columns(yardstick, flights, is_finite)
+    times = loop.sample_time * stride * np.arange(flights.shape[-1])
     departures = np.array([yardstick.largest_departure(flight, is_finite) for flight in flights])
     draw_departures = np.array([yardstick.largest_departure(curve, is_finite) for curve in compared_curves])
+    data = band_columns(yardstick, flights, is_finite)
     data |= number_columns("departure", "1", "largest departure", departures, draw_departures)
-    times = loop.sample_time * stride * np.arange(flights.shape[-1])
     is_measured = measured_samples(study, times)
     for row, signal in enumerate(signals):
-        if signal.quantity != "y":
-            continue
-        is_inside = is_finite[row] & is_measured
-        if not is_inside.any():
-            continue
-        unit = study.units[signal.channel].output
-        flight_errors = (flights[:, row] - desired[:, signal.channel])[:, is_inside]
-        draw_errors = (compared_curves[:, row] - references[signal.channel, 0, ::stride])[:, is_inside]
-        for name, statistic, meaning in (
-            ("error_max", largest_error, "largest"),
-            ("error_rms", rms_error, "root mean square of the"),
-        ):
-            column_name = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
-            data |= number_columns(
-                column_name, unit, f"{meaning} measured error", statistic(flight_errors), statistic(draw_errors)
-            )
+        counted = is_finite[row] & is_measured
+        if signal.quantity == "y" and counted.any():
+            flight_errors = flights[:, row] - desired[:, signal.channel, ::stride]
+            draw_errors = compared_curves[:, row] - references[signal.channel, 0, ::stride]
+            data |= error_columns(study, signal.channel, flight_errors[:, counted], draw_errors[:, counted])
     coords = {
         "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
         "t": ("t", times, {"long_name": "time", "units": "s"}),
@@ -279,6 +260,45 @@ def next_flight(
     analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability)
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)
+
+
+def require_comparable(study: Study, logs: Sequence[FlightLog], probability: float) -> None:
+    """Require different flights, enough independent draws, and a probability in (0, 1).
+
+    Raises:
+        ConfigError: One of these does not hold.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ConfigError("probability", f"must lie in (0, 1), got {probability:g}")
+    if not logs:
+        raise ConfigError("logs", "needs at least one flight")
+    require_different(logs)
+    require_independent(study, "a rank among the draws")
+    draws = study.config.draws
+    if draws // 2 < FEWEST_DRAWS:
+        raise ConfigError("draws", f"must be at least {2 * FEWEST_DRAWS} to compare flights, got {draws}")
+
+
+def error_columns(study: Study, channel: int, flight_errors: np.ndarray, draw_errors: np.ndarray) -> dict[str, Column]:
+    """The largest and the RMS error of a channel, of the flights and of the draws.
+
+    Args:
+        study: The study.
+        channel: Index of the channel.
+        flight_errors: Measured errors of the flights, shape (flights, samples).
+        draw_errors: Those of the draws, shape (draws, samples).
+    """
+    unit = study.units[channel].output
+    columns = {}
+    for name, statistic, meaning in (
+        ("error_max", largest_error, "largest"),
+        ("error_rms", rms_error, "root mean square of the"),
+    ):
+        column_name = f"{name}_{study.loop.channels[channel]}".rstrip("_")
+        columns |= number_columns(
+            column_name, unit, f"{meaning} measured error", statistic(flight_errors), statistic(draw_errors)
+        )
+    return columns
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
