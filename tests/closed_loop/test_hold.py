@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.hold import mover
+from dssc_jax.closed_loop.held_parts import mover
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement

@@ -18,7 +18,8 @@ from dssc_jax.closed_loop.control import (
     unwrap,
 )
 from dssc_jax.closed_loop.estimates import measurements_for_sensors, renewed_estimate, start_estimate
-from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
+from dssc_jax.closed_loop.held_parts import Advance, HeldParts
+from dssc_jax.closed_loop.hold import between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
 from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
