@@ -233,37 +233,54 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     if summary["held_commands"]:
         course = summary["between_commands"]
         say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))
-    rows = []
-    for name, number in summary["numbers"].items():
-        low, high = number["interval_90"]
-        interval = f"{low:.6g} to {high:.6g}"
-        rows.append((f"{name} [{number['unit']}]", f"{number['estimate']:.6g}", interval, number["prior"]))
-    show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
+    show_estimates(summary["numbers"])
     for channel, noise in summary["noise"].items():
         say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
-    starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
-    refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
-    say(f"{starts}; {summary['simulations']} simulations{refined}")
-    if summary["search_cut"]:
-        say(f"the search ended early, {summary['search_cut']}: these are the best numbers so far, others may be better")
-    for minimum in summary["other_minima"]:
-        values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
-        say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
-    for doubt in summary["warnings"]:
-        say(f"warning: {doubt['text']}")
-    for name, factor in summary["outside_laws"].items():
-        hint = f"; {factor} it lies within, as if an output or a command were logged in another unit" if factor else ""
-        compare = f"compare units, columns and start of the log{hint}"
-        say(f"the estimate of {name} lies outside its law in the study: {compare}")
-    for name, width in summary["kept"].items():
-        remark = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
-        say(f"not told by this flight, keeps its law: {name}; {remark}")
+    for line in (*search_lines(summary), *doubt_lines(summary)):
+        say(line)
     if summary["file"]:
         say(f"wrote {summary['file']}")
     else:
         say("in place of the study's lines of the same names, section by section:")
         say("")
         say(summary["toml"].rstrip())
+
+
+def show_estimates(numbers: Mapping[str, Any]) -> None:
+    """Print the table of estimates with their intervals and laws."""
+    rows = []
+    for name, number in numbers.items():
+        low, high = number["interval_90"]
+        interval = f"{low:.6g} to {high:.6g}"
+        rows.append((f"{name} [{number['unit']}]", f"{number['estimate']:.6g}", interval, number["prior"]))
+    show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
+
+
+def search_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How the search for the best numbers went, and the other minima that it found."""
+    starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
+    refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
+    lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
+    if summary["search_cut"]:
+        remark = "these are the best numbers so far, others may be better"
+        lines.append(f"the search ended early, {summary['search_cut']}: {remark}")
+    for minimum in summary["other_minima"]:
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
+        lines.append(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
+    return lines
+
+
+def doubt_lines(summary: Mapping[str, Any]) -> list[str]:
+    """What casts doubt on the estimates: warnings, estimates outside of their laws, numbers that keep theirs."""
+    lines = [f"warning: {doubt['text']}" for doubt in summary["warnings"]]
+    for name, factor in summary["outside_laws"].items():
+        hint = f"; {factor} it lies within, as if an output or a command were logged in another unit" if factor else ""
+        compare = f"compare units, columns and start of the log{hint}"
+        lines.append(f"the estimate of {name} lies outside its law in the study: {compare}")
+    for name, width in summary["kept"].items():
+        remark = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
+        lines.append(f"not told by this flight, keeps its law: {name}; {remark}")
+    return lines
 
 
 def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:

@@ -36,27 +36,41 @@ def show_result(result: "Result") -> None:
     axes = result.study.axes
     required = "; ".join(rule.text for rule in result.study.requirements)
     console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
-    equal = result.has_equal_draws
-    if equal:
+    if result.has_equal_draws:
         console.print(equal_text(result), markup=False)
     if not axes:
-        if not equal:
-            console.print(describe_probability(result.failed.values, result.method), markup=False)
-        if effect := result.design_effect:
-            console.print(effect_text(effect, result.study.config.draws), markup=False)
-        if stopping := result.manifest.get("stopping"):
-            console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
-        if result.stated:
-            show_stated(result.stated_errors(result.stated))
-        show_point(result.study, next(result.points()), equal)
+        show_single_point(result)
     elif len(axes) == 2 and math.prod(map(len, axes.values())) > WIDEST_ROWS:
         show_grid(result, list(axes))
     else:
         show_points(result)
-        if not equal:
+        if not result.has_equal_draws:
             show_paired(result)
     for text in filter(None, (result.design_reason, idle_text(result), result.certificate, result.integration)):
         console.print(text, markup=False)
+    show_times(result)
+    console.print(f"result  {result.path}", soft_wrap=True, markup=False)
+
+
+def show_single_point(result: "Result") -> None:
+    """Print the failure probability of a run, how its draws were chosen, and the table of its point."""
+    console = output()
+    if not result.has_equal_draws:
+        console.print(describe_probability(result.failed.values, result.method), markup=False)
+    effect = result.design_effect
+    if effect is not None:
+        console.print(effect_text(effect, result.study.config.draws), markup=False)
+    stopping = result.manifest.get("stopping")
+    if stopping:
+        console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
+    if result.stated:
+        show_stated(result.stated_errors(result.stated))
+    show_point(result.study, next(result.points()), result.has_equal_draws)
+
+
+def show_times(result: "Result") -> None:
+    """Print how long a run took, how fast it was, and its workers on a cluster."""
+    console = output()
     times = result.manifest["times"]
     margins = times.get("margin_seconds", 0.0)
     margins_text = f" and {margins:.1f} s for margins" if margins else ""
@@ -67,7 +81,6 @@ def show_result(result: "Result") -> None:
     if "cluster" in result.manifest:
         cluster = result.manifest["cluster"]
         console.print(f"{cluster['workers']} workers, {len(cluster['lost'])} lost on the way", highlight=False)
-    console.print(f"result  {result.path}", soft_wrap=True, markup=False)
 
 
 def equal_text(result: "Result") -> str:
@@ -126,35 +139,56 @@ def show_point(study: "Study", point: SummaryRow, equal: bool = False) -> None:
     """
     share = () if equal else SHARE
     if point["requirements"]:
-        rows = []
-        for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
-            cells = failure_cells(requirement, point["draws"], equal)
-            time = requirement["violated_at"]
-            timing = str(requirement["first"]), "-" if time is None else f"{time:.4g}"
-            rows.append((rule.short, *cells, str(requirement["alone"]), *timing))
-        show_table(("requirement", "violated by", *share, "by it alone", "first", "median time [s]"), rows)
+        head = ("requirement", "violated by", *share, "by it alone", "first", "median time [s]")
+        show_table(head, requirement_rows(study, point, equal))
     for text in values_missing(point):
         output().print(text, markup=False)
     if point["overlaps"]:
-        rows = []
-        for pair in point["overlaps"]:
-            rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"], equal), str(pair["draws"])))
-        show_table(("both", "violated by", *share, "not by early ends"), rows)
+        head = ("both", "violated by", *share, "not by early ends")
+        show_table(head, overlap_rows(point, equal))
     if point["ended_early"]:
-        counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
-        ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
-        output().print(f"ended early, and so violated every requirement: {ways}")
+        output().print(f"ended early, and so violated every requirement: {early_ends_text(study, point)}")
+    levels = {"q50": "of every draw"} if equal else {"q5": "5 %", "q50": "median", "q95": "95 %"}
+    show_table(("metric (ended early: inf)", *levels.values()), metric_rows(study, point, list(levels), equal))
+
+
+def requirement_rows(study: "Study", point: SummaryRow, equal: bool) -> list[tuple[str, ...]]:
+    """A row for each requirement: by how many draws it is violated, alone and first, and when."""
+    rows = []
+    for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
+        cells = failure_cells(requirement, point["draws"], equal)
+        time = requirement["violated_at"]
+        time_text = "-" if time is None else f"{time:.4g}"
+        rows.append((rule.short, *cells, str(requirement["alone"]), str(requirement["first"]), time_text))
+    return rows
+
+
+def overlap_rows(point: SummaryRow, equal: bool) -> list[tuple[str, ...]]:
+    """A row for each pair of requirements that some draws violate both."""
+    rows = []
+    for pair in point["overlaps"]:
+        rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"], equal), str(pair["draws"])))
+    return rows
+
+
+def early_ends_text(study: "Study", point: SummaryRow) -> str:
+    """How many draws ended early in each way."""
+    texts = []
+    for code, name in outcome_codes(study).items():
+        count = point["outcomes"][name]
+        if ended_early(code) and count:
+            texts.append(f"{count} {name.replace('_', ' ')}")
+    return ", ".join(texts)
+
+
+def metric_rows(study: "Study", point: SummaryRow, levels: list[str], equal: bool) -> list[tuple[str, ...]]:
+    """A row for each metric with its quantiles; of equal draws without intervals."""
     units = {measure.name: measure.unit for measure in study.measures}
     rows = []
-    if equal:
-        for name, quantiles in point["metrics"].items():
-            rows.append((name_with_unit(name, units[name]), quantile_text({"q50": quantiles["q50"]}, "q50")))
-        show_table(("metric (ended early: inf)", "of every draw"), rows)
-        return
     for name, quantiles in point["metrics"].items():
-        texts = [quantile_text(quantiles, level) for level in ("q5", "q50", "q95")]
-        rows.append((name_with_unit(name, units[name]), *texts))
-    show_table(("metric (ended early: inf)", "5 %", "median", "95 %"), rows)
+        shown = {level: quantiles[level] for level in levels} if equal else quantiles
+        rows.append((name_with_unit(name, units[name]), *(quantile_text(shown, level) for level in levels)))
+    return rows
 
 
 def name_with_unit(name: str, unit: str) -> str:

@@ -289,16 +289,13 @@ def error_columns(study: Study, channel: int, flight_errors: np.ndarray, draw_er
         draw_errors: Those of the draws, shape (draws, samples).
     """
     unit = study.units[channel].output
-    columns = {}
-    for name, statistic, meaning in (
-        ("error_max", largest_error, "largest"),
-        ("error_rms", rms_error, "root mean square of the"),
-    ):
-        column_name = f"{name}_{study.loop.channels[channel]}".rstrip("_")
-        columns |= number_columns(
-            column_name, unit, f"{meaning} measured error", statistic(flight_errors), statistic(draw_errors)
-        )
-    return columns
+    suffix = f"_{study.loop.channels[channel]}".rstrip("_")
+    largest = largest_error(flight_errors), largest_error(draw_errors)
+    rms = rms_error(flight_errors), rms_error(draw_errors)
+    return {
+        **number_columns(f"error_max{suffix}", unit, "largest measured error", *largest),
+        **number_columns(f"error_rms{suffix}", unit, "root mean square of the measured error", *rms),
+    }
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:

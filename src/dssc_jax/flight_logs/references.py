@@ -100,20 +100,14 @@ def compared_references(
             comparison.shifts[name] = shifted_text(log, shift * loop.sample_time)
         elif not is_same_reference(values, reference):
             unexplained.append(index)
-        if channel not in rates:
-            continue
-        distance, rate = rates[channel]
-        comparison.rates[channel] = float(distance.max(initial=0.0))
-        is_usual = distance <= np.quantile(distance, USUAL)
-        rms_distance, rms_rate = rms(distance[is_usual]), rms(rate[is_usual])
-        is_moving = np.ptp(reference) > 0.0
-        is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-        if is_moving and is_same and rms_distance > SAME_REFERENCE * rms_rate > 0.0:
-            unit = study.units[index].of("y/s")
-            comparison.slopes[signal_name(channel, "y_ref_dot")] = (
-                f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
-                f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
-            )
+        if channel in rates:
+            distance, rate = rates[channel]
+            comparison.rates[channel] = float(distance.max(initial=0.0))
+            is_moving = np.ptp(reference) > 0.0
+            is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
+            slope_text = wrong_slope_text(distance, rate, study.units[index].of("y/s")) if is_moving and is_same else ""
+            if slope_text:
+                comparison.slopes[signal_name(channel, "y_ref_dot")] = slope_text
     stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
     for index in unexplained:
         name = signal_name(loop.channels[index], "y_ref")
@@ -124,6 +118,25 @@ def compared_references(
         if text:
             comparison.others[name] = text
     return comparison
+
+
+def wrong_slope_text(distance: np.ndarray, rate: np.ndarray, unit: str) -> str:
+    """That a logged derivative is not the slope of the study's reference; empty where it is, but for rare samples.
+
+    Args:
+        distance: Distance of the derivative from the slope at each sample.
+        rate: The slope.
+        unit: Their unit.
+    """
+    is_usual = distance <= np.quantile(distance, USUAL)
+    rms_distance = rms(distance[is_usual])
+    rms_rate = rms(rate[is_usual])
+    if not rms_distance > SAME_REFERENCE * rms_rate > 0.0:
+        return ""
+    return (
+        f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
+        f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
+    )
 
 
 def shifted_text(log: FlightLog, shift: float) -> str:
