@@ -205,81 +205,135 @@ def solve_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
     """One program of :func:`invariant_set`."""
-    sample_time, starts, scale, spare, _ = programs
-    starts = starts if holds_start else []
-    n = scale.shape[0]
-    inputs = steps[0].b.shape[1]
-    m = n * (n + 1) // 2
-    inverse = np.linalg.inv(scale)
-    active_inputs = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
-    weighted_rows = [row for row in rows if row.weight is not None]
-    minimax_rows = [row for row in rows if row.weight is None]
-    first_square = m + len(active_inputs)
-    count = first_square + len(weighted_rows) + bool(minimax_rows)
-    squares = range(first_square, count)  # of weighted rows, and the largest of all minimax ones
+    program = SetProgram(programs, steps, rate, rows, programs.starts if holds_start else [])
+    x = minimiser(program.cost(), program.matrices(), program.inequalities())
+    return None if x is None else program.solution(x)
 
-    basis = symmetric_basis(n)
 
-    def decrease(step: Step) -> Affine:
-        a = inverse @ step.a @ scale
-        delta = (a - np.eye(n)) / sample_time
-        b = inverse @ step.b[:, active_inputs] / sample_time
-        size = n + len(active_inputs)
-        slopes = np.zeros((count, size, size))
-        basis_by_delta = basis @ delta
-        growth = basis_by_delta + basis_by_delta.transpose(0, 2, 1) + sample_time * delta.T @ basis_by_delta
-        slopes[:m, :n, :n] = -growth - (1.0 + spare) * rate * basis
-        slopes[:m, :n, n:] = -a.T @ basis @ b
-        slopes[:m, n:, :n] = slopes[:m, :n, n:].transpose(0, 2, 1)
-        slopes[:m, n:, n:] = -sample_time * b.T @ basis @ b
-        for j in range(len(active_inputs)):
-            slopes[m + j, n + j, n + j] = 1.0 - spare
+class SetProgram:
+    """One semidefinite program of :func:`invariant_set`.
+
+    Its variables are, in this order: the entries of P in scaled coordinates; the multiplier of each input that acts; a
+    bound of the square of each weighted row; and one bound of the squares of all other rows.
+
+    Args:
+        programs: What the programs of the loop share.
+        steps: The steps.
+        rate: lambda [1/s].
+        rows: Rows to bound.
+        starts: States that the set has to hold.
+    """
+
+    def __init__(
+        self,
+        programs: SetPrograms,
+        steps: Sequence[Step],
+        rate: float,
+        rows: Sequence[BoundedRow],
+        starts: Sequence[np.ndarray],
+    ) -> None:
+        self.sample_time = programs.sample_time
+        self.scale = programs.scale
+        self.inverse = np.linalg.inv(programs.scale)
+        self.spare = programs.spare
+        self.steps = steps
+        self.rate = rate
+        self.starts = starts
+        self.n = self.scale.shape[0]
+        self.basis = symmetric_basis(self.n)
+        self.entries = len(self.basis)
+        self.inputs = steps[0].b.shape[1]
+        self.active_inputs = [j for j in range(self.inputs) if any(np.any(step.b[:, j]) for step in steps)]
+        self.weighted_rows = [row for row in rows if row.weight is not None]
+        self.minimax_rows = [row for row in rows if row.weight is None]
+        self.first_square = self.entries + len(self.active_inputs)
+        self.count = self.first_square + len(self.weighted_rows) + bool(self.minimax_rows)
+
+    def cost(self) -> np.ndarray:
+        """Cost of each variable: the weights of the rows, and 1 for the largest square of all others."""
+        cost = np.zeros(self.count)
+        cost[self.first_square :] = 1.0
+        for j, bounded_row in enumerate(self.weighted_rows):
+            cost[self.first_square + j] = bounded_row.weight
+        return cost
+
+    def matrices(self) -> list[Affine]:
+        """The matrices that must be positive semidefinite."""
+        matrices = [self.decrease(step) for step in self.steps]
+        for j, bounded_row in enumerate(self.weighted_rows):
+            matrices.append(self.bounded_square(self.first_square + j, bounded_row))
+        for bounded_row in self.minimax_rows:
+            matrices.append(self.bounded_square(self.count - 1, bounded_row))
+        return matrices
+
+    def decrease(self, step: Step) -> Affine:
+        """How much V falls more than it has to over a step, as a form of state and inputs."""
+        n = self.n
+        entries = self.entries
+        a = self.inverse @ step.a @ self.scale
+        delta = (a - np.eye(n)) / self.sample_time
+        b = self.inverse @ step.b[:, self.active_inputs] / self.sample_time
+        size = n + len(self.active_inputs)
+        slopes = np.zeros((self.count, size, size))
+        basis_by_delta = self.basis @ delta
+        growth = basis_by_delta + basis_by_delta.transpose(0, 2, 1) + self.sample_time * delta.T @ basis_by_delta
+        slopes[:entries, :n, :n] = -growth - (1.0 + self.spare) * self.rate * self.basis
+        slopes[:entries, :n, n:] = -a.T @ self.basis @ b
+        slopes[:entries, n:, :n] = slopes[:entries, :n, n:].transpose(0, 2, 1)
+        slopes[:entries, n:, n:] = -self.sample_time * b.T @ self.basis @ b
+        for j in range(len(self.active_inputs)):
+            slopes[entries + j, n + j, n + j] = 1.0 - self.spare
         return Affine(-SLACK * np.eye(size), slopes)
 
-    def bound_square(square: int, bounded_row: BoundedRow) -> Affine:
-        ratio = bounded_row.row @ scale / bounded_row.bound
+    def bounded_square(self, square: int, bounded_row: BoundedRow) -> Affine:
+        """That a variable bounds (row z/bound)^2 in the set, by Schur's complement."""
+        n = self.n
+        ratio = bounded_row.row @ self.scale / bounded_row.bound
         origin = np.zeros((n + 1, n + 1))
         origin[:n, n] = ratio
         origin[n, :n] = ratio
-        slopes = np.zeros((count, n + 1, n + 1))
-        slopes[:m, :n, :n] = basis
+        slopes = np.zeros((self.count, n + 1, n + 1))
+        slopes[: self.entries, :n, :n] = self.basis
         slopes[square, n, n] = 1.0
         return Affine(origin, slopes)
 
-    matrices = [decrease(step) for step in steps]
-    matrices += [bound_square(square, bounded_row) for square, bounded_row in zip(squares, weighted_rows, strict=False)]
-    matrices += [bound_square(squares[-1], bounded_row) for bounded_row in minimax_rows]
-    linear = np.zeros((1 + len(starts) + len(active_inputs) + len(weighted_rows), count + 1))
-    linear[0, m:first_square] = -1.0
-    linear[0, -1] = rate * (1.0 - 1e-6)
-    for i, start in enumerate(starts):
-        x = inverse @ start
-        weights = np.outer(x, x)
-        weights = 2.0 * weights - np.diag(np.diag(weights))
-        linear[1 + i, :m] = -weights[np.triu_indices(n)]
-        linear[1 + i, -1] = 1.0 - TIGHT
-    for j in range(len(active_inputs)):
-        linear[1 + len(starts) + j, m + j] = 1.0
-    cost = np.zeros(count)
-    cost[first_square:] = 1.0
-    for j, bounded_row in enumerate(weighted_rows):  # the set stays within the bounds
-        place = 1 + len(starts) + len(active_inputs) + j
-        linear[place, first_square + j] = -1.0
-        linear[place, -1] = 1.0 - TIGHT
-        cost[first_square + j] = bounded_row.weight
-    x = minimiser(cost, matrices, linear)
-    if x is None:
-        return None
-    scaled_p = symmetric_of(x[:m], n)
-    p = inverse.T @ scaled_p @ inverse
-    is_exceeded = any(largest_in_set(p, bounded_row.row) > bounded_row.bound for bounded_row in weighted_rows)
-    if np.linalg.eigvalsh(scaled_p)[0] <= 0.0 or is_exceeded:
-        return None  # solved, but not well enough
-    multipliers = np.zeros(inputs)
-    multipliers[active_inputs] = np.maximum(x[m : m + len(active_inputs)], 0.0)
-    if (total := multipliers.sum()) > rate:  # by the solver's tolerance
-        multipliers *= (1.0 - 1e-12) * rate / total
-    return Solution(0.5 * (p + p.T), multipliers, rate)
+    def inequalities(self) -> np.ndarray:
+        """Rows whose product with [x, 1] must not be negative.
+
+        The multipliers add up to the rate at most, the set holds the starts, no multiplier is negative, and the set
+        stays within the bounds of the weighted rows.
+        """
+        multipliers = len(self.active_inputs)
+        linear = np.zeros((1 + len(self.starts) + multipliers + len(self.weighted_rows), self.count + 1))
+        linear[0, self.entries : self.first_square] = -1.0
+        linear[0, -1] = self.rate * (1.0 - 1e-6)
+        for i, start in enumerate(self.starts):
+            x = self.inverse @ start
+            weights = np.outer(x, x)
+            weights = 2.0 * weights - np.diag(np.diag(weights))
+            linear[1 + i, : self.entries] = -weights[np.triu_indices(self.n)]
+            linear[1 + i, -1] = 1.0 - TIGHT
+        first = 1 + len(self.starts)
+        for j in range(multipliers):
+            linear[first + j, self.entries + j] = 1.0
+        for j in range(len(self.weighted_rows)):
+            linear[first + multipliers + j, self.first_square + j] = -1.0
+            linear[first + multipliers + j, -1] = 1.0 - TIGHT
+        return linear
+
+    def solution(self, x: np.ndarray) -> Solution | None:
+        """The solution that the variables give; None if it is not accurate enough to hold."""
+        scaled_p = symmetric_of(x[: self.entries], self.n)
+        p = self.inverse.T @ scaled_p @ self.inverse
+        is_exceeded = any(largest_in_set(p, bounded_row.row) > bounded_row.bound for bounded_row in self.weighted_rows)
+        if np.linalg.eigvalsh(scaled_p)[0] <= 0.0 or is_exceeded:
+            return None
+        multipliers = np.zeros(self.inputs)
+        multipliers[self.active_inputs] = np.maximum(x[self.entries : self.first_square], 0.0)
+        total = multipliers.sum()
+        if total > self.rate:  # by the solver's tolerance
+            multipliers *= (1.0 - 1e-12) * self.rate / total
+        return Solution(0.5 * (p + p.T), multipliers, self.rate)
 
 
 def largest_in_set(p: np.ndarray, row: np.ndarray) -> float:
