@@ -22,19 +22,13 @@ from dssc_jax.flight_logs.command_gaps import (
     command_moves,
     compared_commands,
     held_doubts,
-    is_rare,
-    largest_jump,
-    reconstructions,
     with_commands,
 )
-from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
-from dssc_jax.flight_logs.gaps import gap_text, log_gaps
-from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.gaps import gap_text
 from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
-    LEAST_SAMPLES,
     TINY,
     FitProblem,
     Minimum,
@@ -42,20 +36,14 @@ from dssc_jax.flight_logs.least_squares import (
     averaged_covariance,
     find_minima,
 )
+from dssc_jax.flight_logs.log_sampling import sampled_log
 from dssc_jax.flight_logs.outliers import outlier_doubts
 from dssc_jax.flight_logs.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.reader import (
     FlightLog,
-    channel_signals,
-    column_remedy,
-    held_samples,
-    nearest_offsets,
-    samples_within,
-    signal_name,
 )
-from dssc_jax.flight_logs.reading_noise import reading_noise
-from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
+    Explained,
     NotIdentifiable,
     Unexplained,
     doubts,
@@ -65,15 +53,9 @@ from dssc_jax.flight_logs.refusals import (
     require_identifiable,
     require_unique_minimum,
 )
-from dssc_jax.flight_logs.replay import (
-    LogReplay,
-    replay_log,
-    replayed_channel,
-    require_same_signals,
-)
+from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
 from dssc_jax.flight_logs.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
-from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.flight_logs.start_doubts import output_start_doubts, wind_doubts
 from dssc_jax.flight_logs.starts import fixed_integrals
@@ -82,7 +64,6 @@ from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
-LARGE_JUMP = 0.2  # of a command's range
 
 
 def fit_log(
@@ -125,14 +106,8 @@ def fit_log(
         >>> fitted.law("unmodelled.mu").kind
         'lognormal'
     """
-    if log.damaged and not allow_damaged:
-        raise ConfigError(
-            log.name,
-            "is damaged: messages are lost, and commands are held where the flight had others. "
-            "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
-        )
     if not allow_damaged:
-        require_no_jumps(study, log)
+        require_undamaged(study, log)
     count = SearchCount(limits, progress)
     starting_minima: list[Minimum] = []
     study = study.without_sweep()
@@ -162,9 +137,8 @@ def fit_log(
             sampled = with_commands(sampled, better)
             starting_minima = [search.best, *search.rivals]
             continue
-        information = search.best.equations.information
         if all_information is None:
-            all_information = information_by_names(fitted_names, information)
+            all_information = information_by_names(fitted_names, search.best.equations.information)
         unidentified = {} if names else unidentified_numbers(problem, search)
         if not unidentified:
             try:
@@ -180,15 +154,46 @@ def fit_log(
         starting_minima = search.restricted_to([name not in unidentified for name in fitted_names])
         fitted_names = tuple(name for name in fitted_names if name not in unidentified)
         if not fitted_names:
-            x = search.best.x
-            results = explain(problem, x)
-            require_description(problem, x, results)
-            doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, x, results))
-            raise NotIdentifiable(
-                f"the flight identifies none of {', '.join(unidentified_widths)}: their laws are narrower than what it "
-                f"leaves open, a standard deviation that is a multiple of the law's, "
-                f"{open_numbers(unidentified_widths)}. {reasons or width_reasons(problem)}{doubt_texts}"
-            )
+            raise none_identified(problem, search.best, unidentified_widths, reasons)
+
+
+def require_undamaged(study: Study, log: FlightLog) -> None:
+    """Require a log that has lost no messages and has no jump of the estimator.
+
+    Raises:
+        ConfigError: It has.
+    """
+    if log.damaged:
+        raise ConfigError(
+            log.name,
+            "is damaged: messages are lost, and commands are held where the flight had others. "
+            "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
+        )
+    require_no_jumps(study, log)
+
+
+def none_identified(
+    problem: FitProblem, best: Minimum, unidentified_widths: Mapping[str, float], reasons: str
+) -> NotIdentifiable:
+    """The refusal of a flight that identifies none of the numbers.
+
+    Args:
+        problem: The last problem, with the numbers that remained.
+        best: Its best minimum.
+        unidentified_widths: The width that the flight leaves for each number, over that of its law.
+        reasons: Why, where that is known.
+
+    Raises:
+        Unexplained: The residual is more than noise.
+    """
+    results = explain(problem, best.x)
+    require_description(problem, best.x, results)
+    doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, best.x, results))
+    return NotIdentifiable(
+        f"the flight identifies none of {', '.join(unidentified_widths)}: their laws are narrower than what it leaves "
+        f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified_widths)}. "
+        f"{reasons or width_reasons(problem)}{doubt_texts}"
+    )
 
 
 def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
@@ -208,75 +213,6 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")
     return names
-
-
-def sampled_log(study: Study, log: FlightLog) -> SampledLog:
-    """Measured outputs, the offsets of their times, and commands of every channel, at the study's samples.
-
-    A command that was not logged is that of the analysed controller for the logged outputs.
-    """
-    loop = study.loop
-    samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
-    references = study_references(study, samples)
-    shape = (len(loop.channels), samples)
-    outputs = np.full(shape, np.nan)
-    offsets = np.zeros(shape)
-    commands = np.zeros(shape)
-    replayed_channels = []
-    rare_commands = []
-    needed_signals = []  # signals whose gaps falsify a command
-    held_counts: dict[str, int] = {}
-    jumps: dict[str, float] = {}
-    slow: dict[str, float] = {}
-    for row, channel in enumerate(loop.channels):
-        signals = channel_signals(study, log, row, references[row, 0])
-        if "y" in signals:
-            column = log.columns[signal_name(channel, "y")]
-            offsets[row] = nearest_offsets(column, log.start, loop.sample_time, samples)
-            outputs[row] = np.where(np.isfinite(offsets[row]), signals["y"], np.nan)
-            hold = usual_hold(outputs[row])
-            if hold > 1:
-                outputs[row] = drop_repeats(outputs[row])
-                slow[signal_name(channel, "y")] = hold * loop.sample_time
-        command = signals.get("u_total")
-        if command is not None and np.isfinite(command).any():
-            commands[row] = command
-            if is_rare(command):
-                rare_commands.append(signal_name(channel, "u_total"))
-            needed_signals.append(signal_name(channel, "u_total"))
-            held_counts |= held_samples({signal_name(channel, "u_total"): command})
-            jump = largest_jump(command)
-            if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):
-                jumps[signal_name(channel, "u_total")] = jump
-            continue
-        replay = replayed_channel(study, row, signals, references[row])
-        if isinstance(replay, str):
-            name = signal_name(channel, "u_total")
-            raise ConfigError(log.name, f"has no command {name}, and {replay}; {column_remedy(channel, 'u_total')}")
-        commands[row] = replay
-        replayed_channels.append(channel)
-        needed_signals += [signal_name(channel, name) for name in signals if name.startswith("y")]
-    if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
-        rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
-        place = " in every channel" if len(loop.channels) > 1 else ""
-        raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
-    end = log.start + (samples - 1) * loop.sample_time
-    reconstruction, *alternatives = reconstructions(list(commands))
-    gaps = log_gaps(log, needed_signals, end)
-    return SampledLog(
-        outputs=outputs,
-        offsets=offsets,
-        commands=reconstruction.commands,
-        held_samples=held_counts,
-        replayed=tuple(replayed_channels),
-        jumps=jumps,
-        gaps=gaps,
-        rare=tuple(rare_commands),
-        between=reconstruction.text,
-        sensor_noise=reading_noise(study, outputs),
-        alternatives=tuple(alternatives),
-        slow=slow,
-    )
 
 
 def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
@@ -312,6 +248,23 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
     return unidentified
 
 
+def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:
+    """Require that the residual is noise.
+
+    Raises:
+        Unexplained: It is more; the message has the likely causes.
+    """
+    try:
+        require_description(problem, best.x, results)
+    except Unexplained as refusal:
+        causes = (
+            *output_start_doubts(problem, best.x, results),
+            *outlier_doubts(problem, best.x),
+            *delay_doubts(problem, best),
+        )
+        raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
+
+
 def fitted_minimum(
     problem: FitProblem,
     search: MinimumSearch,
@@ -332,16 +285,7 @@ def fitted_minimum(
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
     results = explain(problem, x)
-    try:
-        require_description(problem, x, results)
-    except Unexplained as refusal:
-        causes = (
-            *output_start_doubts(problem, x, results),
-            *outlier_doubts(problem, x),
-            *delay_doubts(problem, search.best),
-        )
-        reasons = "".join(f". {doubt.text}" for doubt in causes)
-        raise Unexplained(f"{refusal}{reasons}") from None
+    require_explained(problem, search.best, results)
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
