@@ -11,7 +11,7 @@ from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.least_squares import unseen_minima
+from dssc_jax.flight_logs.minima import unseen_minima
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, noise_between_neighbours
 from dssc_jax.flight_logs.replay import curves_of_draws

@@ -7,8 +7,9 @@ import pytest
 
 from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.late_outputs import choices_of, delay_doubts, late_output
-from dssc_jax.flight_logs.least_squares import FitProblem, Minimum
+from dssc_jax.flight_logs.least_squares import FitProblem
 from dssc_jax.flight_logs.log_sampling import sampled_log
+from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.prediction import prediction
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import Unexplained

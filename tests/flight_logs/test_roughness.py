@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dssc_jax.flight_logs.least_squares import Minimum, NormalEquations, neighbouring_minimum
+from dssc_jax.flight_logs.least_squares import NormalEquations
+from dssc_jax.flight_logs.minima import Minimum, neighbouring_minimum
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import SearchCount
 

@@ -19,8 +19,9 @@ from dssc_jax.flight_logs.conversions import (
     reference_shift,
 )
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations, Readings
+from dssc_jax.flight_logs.least_squares import FitProblem, NormalEquations, Readings
 from dssc_jax.flight_logs.log_sampling import sampled_log
+from dssc_jax.flight_logs.minima import Minimum, MinimumSearch
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, require_unique_minimum
 from dssc_jax.flight_logs.replay import replay_log

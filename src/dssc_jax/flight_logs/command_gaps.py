@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.reader import forward_filled
 from dssc_jax.flight_logs.refusals import Doubt
 from dssc_jax.flight_logs.sampled_log import Reconstruction, SampledLog
@@ -139,8 +140,8 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
 
     Args:
         problem: The problem.
-        moves: The moves by :func:`command_moves`, shape (k, p).
-        deviations: Standard deviations of the coordinates without these moves, shape (p,).
+        moves: The moves by :func:`command_moves` of the f numbers that are fitted, shape (k, f).
+        deviations: Standard deviations of their coordinates without these moves, shape (f,).
     """
     log = problem.log
     if not log.rare:
@@ -148,7 +149,7 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     move_texts = []
     if len(moves):
         distances = np.sqrt(np.sum(moves**2, axis=0))
-        for name, distance, deviation in zip(problem.names, distances, deviations, strict=True):
+        for name, distance, deviation in zip(problem.fitted_names, distances, deviations, strict=True):
             if distance > TOLD * deviation:
                 move_texts.append(f"{name} by {distance / deviation:.2g} standard deviations")
     text = (

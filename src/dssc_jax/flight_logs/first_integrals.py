@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.refusals import FitRefused
 from dssc_jax.flight_logs.starts import fixed_integrals, start_remedy
 from dssc_jax.statistics.correlated_noise import weighted_products
@@ -69,7 +70,10 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
     for readings, noise, variance, columns in rows:
         extended = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
         products += weighted_products(noise, readings.times, extended)[0] / variance
-    return gauss_newton_step(tuple(fixed_values), problem.names, study_integrals, products)
+    products[1 : 1 + p, 0] -= problem.prior * minimum.x
+    products[1 : 1 + p, 1 : 1 + p] += np.diag(problem.prior)
+    step = gauss_newton_step(tuple(fixed_values), problem.names, study_integrals, products)
+    return step._replace(moves={name: step.moves[name] for name in problem.fitted_names})
 
 
 def gauss_newton_step(

@@ -11,6 +11,7 @@ References:
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,19 +25,14 @@ from dssc_jax.flight_logs.command_gaps import (
     held_doubts,
     with_commands,
 )
+from dssc_jax.flight_logs.declared_noise import declared_covariance, larger_covariance
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text
 from dssc_jax.flight_logs.late_outputs import delay_doubts
-from dssc_jax.flight_logs.least_squares import (
-    TINY,
-    FitProblem,
-    Minimum,
-    MinimumSearch,
-    averaged_covariance,
-    find_minima,
-)
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.log_sampling import sampled_log
+from dssc_jax.flight_logs.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.outliers import outlier_doubts
 from dssc_jax.flight_logs.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.reader import (
@@ -108,8 +104,6 @@ def fit_log(
     """
     if not allow_damaged:
         require_undamaged(study, log)
-    count = SearchCount(limits, progress)
-    starting_minima: list[Minimum] = []
     study = study.without_sweep()
     fitted_names = tuple(numbers_to_fit(study, names))
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
@@ -119,42 +113,72 @@ def fit_log(
         raise ConfigError(
             log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
         )
-    unidentified_widths: dict[str, float] = {}
-    reasons = ""
-    all_information: Mapping[str, Mapping[str, float]] | None = None
+    if fitted_names not in predictions:
+        predictions[fitted_names] = prediction(study, fitted_names, sampled.outputs.shape[1], fixed_integrals(study))
+    problem = FitProblem(study, fitted_names, predictions[fitted_names], sampled, SearchCount(limits, progress))
+    starting_minima: list[Minimum] = []
+    unidentified = UnidentifiedNumbers()
     while True:
-        if fitted_names not in predictions:
-            predictions[fitted_names] = prediction(
-                study, fitted_names, sampled.outputs.shape[1], fixed_integrals(study)
-            )
-        problem = FitProblem(study, fitted_names, predictions[fitted_names], sampled, count)
         search = find_minima(problem, starting_minima)
         if search is None:
             raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
+        starting_minima = [search.best, *search.rivals]
         comparisons = compared_commands(problem, search.best)
         better = better_commands(problem, search.best, comparisons)
         if better is not None:
-            sampled = with_commands(sampled, better)
-            starting_minima = [search.best, *search.rivals]
+            problem = replace(problem, log=with_commands(problem.log, better))
             continue
-        if all_information is None:
-            all_information = information_by_names(fitted_names, search.best.equations.information)
-        unidentified = {} if names else unidentified_numbers(problem, search)
-        if not unidentified:
+        insensitive = {} if names else insensitive_numbers(problem, search)
+        if insensitive:
+            unidentified.add_insensitive(insensitive)
+        else:
             try:
-                added_covariance = covariance_of_unidentified(all_information, fitted_names, tuple(unidentified_widths))
                 moves = command_moves(problem, search.best, comparisons)
-                return fitted_minimum(problem, search, unidentified_widths, added_covariance, moves)
+                return fitted_minimum(problem, search, unidentified.kept_widths, moves)
             except NotIdentifiable as refusal:
                 if names or refusal.number is None:
                     raise
-                unidentified = {refusal.number: refusal.width}
-                reasons = refusal.reasons
-        unidentified_widths |= unidentified
-        starting_minima = search.restricted_to([name not in unidentified for name in fitted_names])
-        fitted_names = tuple(name for name in fitted_names if name not in unidentified)
-        if not fitted_names:
-            raise none_identified(problem, search.best, unidentified_widths, reasons)
+                unidentified.add(refusal.number, refusal)
+        problem = problem.keeping(unidentified.kept)
+        if not problem.fitted_names:
+            raise none_identified(problem, search.best, unidentified)
+
+
+class UnidentifiedNumbers:
+    """The numbers of a fit that keep their laws, as the search for a set of numbers goes on that a flight identifies.
+
+    Where a flight identifies a combination of two numbers alone, one of them keeps its law. Which one leaves the other
+    narrower than its law is seen by trying.
+    """
+
+    def __init__(self) -> None:
+        self.kept: frozenset[str] = frozenset()
+        self.widths: dict[str, float] = {}
+        self.reasons = ""
+        self._last: str | None = None
+        self._tried = {self.kept}
+
+    @property
+    def kept_widths(self) -> dict[str, float]:
+        """The kept numbers, with the width that the flight leaves for each over that of its law."""
+        return {name: width for name, width in self.widths.items() if name in self.kept}
+
+    def add_insensitive(self, widths: Mapping[str, float]) -> None:
+        """Keep the laws of numbers that the output hardly depends on, by their widths."""
+        self.widths |= widths
+        self._keep(self.kept.union(widths))
+
+    def add(self, name: str, refusal: NotIdentifiable) -> None:
+        """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
+        self.widths[name] = refusal.width
+        self.reasons = refusal.reasons
+        exchanged = (self.kept - {self._last}) | {name}
+        self._keep(self.kept | {name} if exchanged in self._tried else exchanged)
+        self._last = name
+
+    def _keep(self, names: frozenset[str]) -> None:
+        self.kept = names
+        self._tried.add(names)
 
 
 def require_undamaged(study: Study, log: FlightLog) -> None:
@@ -172,16 +196,26 @@ def require_undamaged(study: Study, log: FlightLog) -> None:
     require_no_jumps(study, log)
 
 
-def none_identified(
-    problem: FitProblem, best: Minimum, unidentified_widths: Mapping[str, float], reasons: str
-) -> NotIdentifiable:
+def marginal_information(information: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """The information on some of the numbers, whatever the others are, which keep their laws; shape (f, f).
+
+    Args:
+        information: The information on all numbers, with that of the laws that are kept, shape (p, p).
+        positions: Positions of the f numbers.
+    """
+    others = np.setdiff1d(np.arange(len(information)), positions)
+    coupling = information[np.ix_(others, positions)]
+    shared = coupling.T @ np.linalg.solve(information[np.ix_(others, others)], coupling)
+    return information[np.ix_(positions, positions)] - shared
+
+
+def none_identified(problem: FitProblem, best: Minimum, unidentified: UnidentifiedNumbers) -> NotIdentifiable:
     """The refusal of a flight that identifies none of the numbers.
 
     Args:
-        problem: The last problem, with the numbers that remained.
+        problem: The problem, in which all numbers keep their laws.
         best: Its best minimum.
-        unidentified_widths: The width that the flight leaves for each number, over that of its law.
-        reasons: Why, where that is known.
+        unidentified: The numbers with their widths.
 
     Raises:
         Unexplained: The residual is more than noise.
@@ -190,9 +224,9 @@ def none_identified(
     require_description(problem, best.x, results)
     doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, best.x, results))
     return NotIdentifiable(
-        f"the flight identifies none of {', '.join(unidentified_widths)}: their laws are narrower than what it leaves "
-        f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified_widths)}. "
-        f"{reasons or width_reasons(problem)}{doubt_texts}"
+        f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
+        f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified.widths)}. "
+        f"{unidentified.reasons or width_reasons(problem)}{doubt_texts}"
     )
 
 
@@ -215,35 +249,14 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     return names
 
 
-def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
-    """The information matrix by pairs of names."""
-    return {name: dict(zip(names, map(float, row), strict=True)) for name, row in zip(names, information, strict=True)}
-
-
-def covariance_of_unidentified(
-    information: Mapping[str, Mapping[str, float]], fitted_names: Sequence[str], unidentified: Sequence[str]
-) -> np.ndarray:
-    """The covariance that unidentified numbers, which keep their laws, add to the fitted ones, shape (p, p).
-
-    An unidentified number that differs from its median by d moves the estimates by -A^-1 B d, where A and B are the
-    blocks of the information of all numbers. In coordinates of the fit d has the variance 1.
-    """
-    inner = np.array([[information[row][column] for column in fitted_names] for row in fitted_names])
-    if not unidentified:
-        return np.zeros_like(inner)
-    coupling = np.array([[information[row][column] for column in unidentified] for row in fitted_names])
-    moves = np.linalg.lstsq(inner, coupling, rcond=None)[0]
-    return moves @ moves.T
-
-
-def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
+def insensitive_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
     """Numbers whose standard deviation from this flight is not below that of their law, with the ratio of the two."""
     unidentified = {}
     information = search.best.equations.information
     information_roots = np.sqrt(np.diag(information))
     for name, root in zip(problem.names, information_roots, strict=True):
         width = math.inf if root == 0.0 else float(1.0 / root)
-        if not width < 1.0:
+        if name not in problem.kept and not width < 1.0:
             unidentified[name] = width
     return unidentified
 
@@ -269,7 +282,6 @@ def fitted_minimum(
     problem: FitProblem,
     search: MinimumSearch,
     unidentified_widths: dict[str, float],
-    added_covariance: np.ndarray,
     moves: np.ndarray,
 ) -> Fitted:
     """The estimate at the best minimum, with its covariance, if it passes all checks.
@@ -278,7 +290,6 @@ def fitted_minimum(
         problem: The problem.
         search: Its minima.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
-        added_covariance: What they add to the covariance, shape (p, p).
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
     """
     study = problem.study
@@ -286,18 +297,23 @@ def fitted_minimum(
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
     results = explain(problem, x)
     require_explained(problem, search.best, results)
-    require_identifiable(problem.names, search.best.equations.information)
+    fitted = problem.fitted
+    fitted_names = problem.fitted_names
+    require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     doubts_of_delays = delay_doubts(problem, search.best)
-    covariance = widening(rough) * averaged_covariance(problem, posteriors) + added_covariance
+    covariance = averaged_covariance(problem, posteriors, x)
+    covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
+    covariance = covariance[np.ix_(fitted, fitted)]
+    moves = moves[:, fitted]
     doubts_of_commands = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
     growth = widest_growth(covariance, covariance + moves.T @ moves)
     covariance = covariance + moves.T @ moves
     information = np.linalg.inv(covariance)
     try:
-        require_identifiable(problem.names, information)
+        require_identifiable(fitted_names, information)
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
@@ -310,10 +326,10 @@ def fitted_minimum(
         rivals.append(RivalMinimum(rival.starts, problem.named_values(rival.x), ratio))
     return Fitted(
         study=study,
-        names=tuple(problem.names),
-        estimates=problem.values(x),
-        scaled=problem.scaled(x),
-        covariance=covariance * np.outer(problem.widths, problem.widths),
+        names=tuple(fitted_names),
+        estimates=problem.values(x)[fitted],
+        scaled=problem.scaled(x)[fitted],
+        covariance=covariance * np.outer(problem.widths[fitted], problem.widths[fitted]),
         noise=dict(zip(channels, noises, strict=True)),
         unidentified=unidentified_widths,
         samples=sum(len(readings.values) for readings in problem.readings),

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, NormalEquations
+from dssc_jax.flight_logs.least_squares import FitProblem, NormalEquations
+from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.refusals import Doubt
 from dssc_jax.flight_logs.search_limits import SearchCount

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.late_commands import command_delay_doubts
-from dssc_jax.flight_logs.least_squares import LEAST_SAMPLES, TINY, FitProblem, Minimum, minimise
+from dssc_jax.flight_logs.least_squares import LEAST_SAMPLES, TINY, FitProblem
+from dssc_jax.flight_logs.minima import Minimum, minimise
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.refusals import Doubt
 from dssc_jax.flight_logs.shifts import Delay, fitted_delay, linear_cost, longest_shift

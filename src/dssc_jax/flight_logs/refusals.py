@@ -14,7 +14,8 @@ import numpy as np
 from scipy import stats
 
 from dssc_jax.flight_logs.conversions import likeness_text
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Readings
+from dssc_jax.flight_logs.minima import MinimumSearch
 from dssc_jax.flight_logs.prediction import study_noise
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
@@ -70,6 +71,7 @@ class Explained(NamedTuple):
     output: float  # standard deviation of the logged output
     independent: float  # number of independent samples of the residual
     limit: float  # root mean square that noise alone hardly exceeds
+    reading_noise: float  # root mean square of the noise from one reading to the next
 
     @property
     def unexplained(self) -> float:
@@ -116,7 +118,14 @@ def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> E
     noise_rms = min(noise_rms, residual_rms)
     count = len(readings.values)
     limit = noise_rms * math.sqrt(float(stats.chi2.ppf(NOISE_CONFIDENCE, count)) / count)
-    return Explained(residual_rms, noise_rms, float(np.std(readings.values)), independent, limit)
+    return Explained(
+        residual=residual_rms,
+        noise=noise_rms,
+        output=float(np.std(readings.values)),
+        independent=independent,
+        limit=limit,
+        reading_noise=noise_rms,
+    )
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
@@ -192,12 +201,13 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
-        if sensor == 0.0 or result.noise <= NOISIER * sensor:
+        noise = result.reading_noise
+        if sensor == 0.0 or noise <= NOISIER * sensor:
             continue
         name, unit = signal_and_unit(problem, place)
         text = (
-            f"the readings of {name} have a noise of {result.noise:.3g} {unit}, {result.noise / sensor:.3g} times that "
-            f"of the study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
+            f"the readings of {name} have a noise of {noise:.3g} {unit}, {noise / sensor:.3g} times that of the "
+            f"study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
             f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))
@@ -296,18 +306,20 @@ def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | N
 def require_unique_minimum(problem: FitProblem, search: MinimumSearch, information: np.ndarray) -> None:
     """Require that no other minimum describes the log as well as the best one does.
 
-    A rival within the confidence region of the best minimum says nothing that the region does not.
+    A rival within the confidence region of the best minimum says nothing that the region does not. One far outside of
+    the laws is refuted by them, if the best minimum is not.
 
     Args:
         problem: The least-squares problem.
         search: Its minima.
-        information: The inverse of the covariance that the answer states.
+        information: The inverse of the covariance that the answer states of the numbers that are fitted.
     """
-    allowed_difference = float(stats.chi2.ppf(TIE, len(problem.names)))
+    allowed_difference = float(stats.chi2.ppf(TIE, len(problem.fitted)))
     for rival in search.rivals:
-        move = rival.x - search.best.x
+        move = (rival.x - search.best.x)[problem.fitted]
         is_near = float(move @ information @ move) <= allowed_difference
-        if rival.cost - search.best.cost <= allowed_difference and not is_near:
+        is_refuted = problem.is_far_outside(rival.x) and not problem.is_far_outside(search.best.x)
+        if rival.cost - search.best.cost <= allowed_difference and not is_near and not is_refuted:
             best = assignments_text(problem.named_values(search.best.x))
             second = assignments_text(problem.named_values(rival.x))
             raise NotIdentifiable(

@@ -9,24 +9,28 @@ import math
 
 import numpy as np
 
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum, random_rays
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.minima import Minimum, random_rays
 from dssc_jax.flight_logs.refusals import Doubt
 
 SEED = 1  # the seeds of the search are even
 POINTS = 32
 NEAREST, FARTHEST = 0.5, 3.0  # distances of the points, in standard deviations of the estimate
+LAW_SHARE = 0.5  # longest distance along an axis, in standard deviations of the law: farther, no parabola is smooth
 SMOOTH = 1.0  # roughness that is as large as the noise of a weighted sum of squares
 
 
 def roughness(problem: FitProblem, minimum: Minimum) -> float:
     """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares."""
     values, directions = np.linalg.eigh(minimum.equations.information)
+    lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LAW_SHARE / FARTHEST)
     deviations = []
     for ray in random_rays(SEED, (POINTS, len(problem.names)), NEAREST, FARTHEST):
-        x = minimum.x + directions @ (ray / np.sqrt(np.maximum(values, TINY)))
+        move = ray * lengths
+        x = minimum.x + directions @ move
         if problem.is_admissible(problem.values(x)):
             cost = problem.normal_equations(x).cost
-            deviations.append(cost - minimum.cost - ray @ ray)
+            deviations.append(cost - minimum.cost - values @ move**2)
     finite_deviations = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
     return float(np.sqrt(np.mean(finite_deviations**2))) if finite_deviations.size else 0.0
 

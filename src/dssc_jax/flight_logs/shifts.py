@@ -11,7 +11,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum, minimise, reweighted_minimum
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.minima import Minimum, minimise, reweighted_minimum
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
 
 LONGEST_SHIFT = 0.5  # s
@@ -141,7 +142,7 @@ def fitted_delay(
         time=sample_time * (shift + distance),
         deviation=sample_time * deviation,
         p_value=p_value,
-        moves=dict(zip(problem.names, relative_moves.tolist(), strict=True)),
+        moves={problem.names[i]: float(relative_moves[i]) for i in problem.fitted},
         values=problem.named_values(end.x),
         unshifted=residuals(unshifted_problem, channels, unshifted_end.x),
         shifted=residuals(shifted_problem, channels, end.x),

@@ -1,0 +1,55 @@
+"""How far the random disturbances that a study declares move the estimates of a fit.
+
+A residual hardly shows noise that is slower than the flight, such as the mean of a gust over it. The study declares it,
+and simulations show what it does to the estimates.
+"""
+
+import numpy as np
+
+from dssc_jax.flight_logs.least_squares import FitProblem
+from dssc_jax.flight_logs.minima import Minimum
+from dssc_jax.flight_logs.prediction import quiet_values, study_noise
+from dssc_jax.flight_logs.references import median_values
+from dssc_jax.statistics.correlated_noise import weighted_products
+
+REPLICATES = 64
+
+
+def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
+    """Second moments of the moves of the coordinates by the study's noise, shape (p, p); 0 without random disturbances.
+
+    Where the residual is smaller than that of the study's noise, the noise of the flight counts as that much weaker.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+    """
+    count = len(problem.names)
+    if quiet_values(problem.study) == median_values(problem.study):
+        return np.zeros((count, count))
+    replicates = study_noise(problem.study, problem.names, problem.values(minimum.x), problem.log.commands, REPLICATES)
+    products = np.zeros((REPLICATES + count,) * 2)
+    rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
+    for readings, noise, variance, columns in rows:
+        simulated = readings.interpolate(replicates[:, readings.channel])
+        extended = np.column_stack([simulated.T, columns[:, 1:]])
+        products += weighted_products(noise, readings.times, extended)[0] / variance
+    if not np.isfinite(products).all():
+        return np.zeros((count, count))
+    gradients = products[REPLICATES:, :REPLICATES]
+    moves = np.linalg.solve(minimum.equations.information, gradients)
+    costs = np.diag(products)[:REPLICATES] - np.sum(gradients * moves, axis=0)
+    strength = min(1.0, minimum.cost / float(np.mean(costs)))
+    return strength * moves @ moves.T / REPLICATES
+
+
+def larger_covariance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The first covariance, widened where the second one is larger; both of shape (p, p), the first one regular.
+
+    In the coordinates in which the first is the identity and the second is diagonal, the larger of the two counts.
+    """
+    root = np.linalg.cholesky(first)
+    inverse = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
+    axes = root @ vectors
+    return (axes * np.maximum(values, 1.0)) @ axes.T
