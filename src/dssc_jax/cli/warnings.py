@@ -74,6 +74,12 @@ def warn_of_times(study: Study) -> None:
         earliest = extent(number.value)[0]
         if earliest >= duration:
             say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
+    for name, number in study.numbers.items():
+        begin = study.numbers.get(f"{name.rpartition('.')[0]}.at")
+        if not number.quantity.ends or begin is None or begin.expression or number.expression:
+            continue
+        if extent(number.value)[0] < extent(begin.value)[1]:
+            say(f"warning: {name} may be before {begin.name}: in draws with such times the event never happens")
 
 
 def warn_of_idle_gains(study: Study) -> None:

@@ -22,7 +22,7 @@ from dssc_jax.closed_loop.metrics import (
 )
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.named import NamedSignal, signals_in
+from dssc_jax.core.named import NamedSignal, quantity_of, signals_in
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -133,7 +133,7 @@ def sampled_signals(
         )
     for name in plant_fields:
         require_free("plant", name, {TIME, *signals})
-        quantity = outputs.get(name, Quantity("1", name))
+        quantity = quantity_of(name, outputs) or Quantity("1", name)
         signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name), quantity.periodic)
     return signals
 

@@ -16,7 +16,7 @@ from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3
 
 AT = Quantity("s", "time of the event", at_least=0.0, begins=True)
-UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0)
+UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0, ends=True)
 
 
 class Load(NamedTuple):

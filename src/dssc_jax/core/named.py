@@ -12,6 +12,7 @@ import jax
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
+from dssc_jax.core.vectors import Quaternion, Vec3
 
 Item = TypeVar("Item")
 
@@ -45,6 +46,7 @@ class NamedSignal(NamedTuple):
         return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 
+COMPONENTS = (*Vec3._fields, *Quaternion._fields)
 REPORT = "Report"
 SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 SEPARATOR = "__"
@@ -80,15 +82,41 @@ def __getattr__(name: str) -> type:
 def signals_in(info: Info) -> dict[str, Any]:
     """The signals of an info by name: its fields, and those of a part that declares quantities in place of the part.
 
-    A part that is () is left out, and an info that is () has no signal.
+    A vector's components have its name with their own behind it, as ``wind_x``, and several values of a field their
+    number, as ``rotor_1``. A part that is () is left out, and an info that is () has no signal.
     """
     signals = {}
     for name, value in zip(getattr(info, "_fields", ()), info, strict=True):
         if hasattr(value, "_fields") and quantities_of(type(value)):
             signals |= signals_in(value)
-        elif not isinstance(value, tuple) or value:
-            signals[name] = value
+        else:
+            signals |= components_of(name, value)
     return signals
+
+
+def components_of(name: str, value: Any) -> dict[str, Any]:
+    """A signal by its name, or the components of a tuple by theirs."""
+    if not isinstance(value, tuple):
+        return {name: value}
+    ends = getattr(value, "_fields", range(1, len(value) + 1))
+    components = {}
+    for end, component in zip(ends, value, strict=True):
+        components |= components_of(f"{name}_{end}", component)
+    return components
+
+
+def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | None:
+    """What a signal is: as declared under its name, or under that of the vector that it is a component of.
+
+    None if neither is declared.
+    """
+    if name in quantities:
+        return quantities[name]
+    vector, _, component = name.rpartition("_")
+    if vector not in quantities or not (component in COMPONENTS or component.isdecimal()):
+        return None
+    quantity = quantities[vector]
+    return Quantity(quantity.unit, f"{quantity.meaning} {component}", periodic=quantity.periodic)
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:

@@ -20,6 +20,7 @@ class Quantity:
         data: Whether it is one of many values of a record, which have no names in the study.
         leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
         begins: Whether it is a time at which something begins, which has no effect after the end of the loop.
+        ends: Whether it is a time at which something ends.
         periodic: Whether it is an angle that begins again after a turn.
         whole: Whether it is a whole number, whose law is a choice of whole numbers.
     """
@@ -34,6 +35,7 @@ class Quantity:
     data: bool = False
     leading: bool = False
     begins: bool = False
+    ends: bool = False
     periodic: bool = False
     whole: bool = False
 

@@ -29,6 +29,7 @@ amplify rounding: they contract multiply-adds differently."""
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
+RESTING = {64: 1e-12, 32: 1e-4}  # size of a metric at rest over that of the largest metric, by precision
 COPIES = 4  # copies of a lane, moved in different directions
 ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
 UNDECIDED_BEYOND = 1e-2  # a lane that may deviate by more is no evidence
@@ -128,16 +129,43 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
     deviations_of = deviations(study, sizes, stored_values, computed)
     names = np.array(list(deviations_of))
     table = np.stack(list(deviations_of.values()))
-    deviation = table.max(0)
     rounding = TOLERANCE[study.config.loop.precision]
-    allowed = np.full(deviation.shape, rounding)
-    is_doubtful = deviation > rounding
+    allowed = np.full(table.shape[1], rounding)
+    is_doubtful = table.max(0) > rounding
     if is_doubtful.any():
         copies = perturbed_copies(study, tuple(part[is_doubtful] for part in lanes))
         doubtful_values = {name: column[is_doubtful] for name, column in computed.items() if name in copies[0]}
-        spread = [list(deviations(study, sizes, doubtful_values, copy).values()) for copy in copies]
-        allowed[is_doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))
-    return Agreement(deviation, names[table.argmax(0)], allowed)
+        spreads: dict[str, np.ndarray] = {}
+        for name in doubtful_values:
+            spreads[name] = np.zeros(int(is_doubtful.sum()))
+        for copy in copies:
+            for name, spread in deviations(study, sizes, doubtful_values, copy).items():
+                spreads[name] = np.maximum(spreads[name], spread)
+        resting = resting_metrics(study, sizes, spreads)
+        table[np.isin(names, resting)] = 0.0
+        moving = [spread for name, spread in spreads.items() if name not in resting]
+        allowed[is_doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(moving, axis=0))
+    return Agreement(table.max(0), names[table.argmax(0)], allowed)
+
+
+def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
+    """The metrics that are nothing but rounding, such as those of a channel at rest.
+
+    They are far smaller than other metrics, whatever the units, and rounding changes them altogether.
+
+    Args:
+        study: The study.
+        sizes: Typical size of each variable.
+        spreads: Relative change of each variable by rounding.
+    """
+    names = [measure.name for measure in study.measures if measure.name in sizes and measure.name in spreads]
+    largest = max((sizes[name] for name in names), default=0.0)
+    resting = []
+    for name in names:
+        is_tiny = sizes[name] <= RESTING[study.config.loop.precision] * largest
+        if is_tiny and np.max(spreads[name]) > UNDECIDED_BEYOND / ROUNDING_FACTOR:
+            resting.append(name)
+    return resting
 
 
 def deviations(

@@ -12,7 +12,7 @@ from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.named import signals_in
+from dssc_jax.core.named import quantity_of, signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, nominal, quantities_of
 from dssc_jax.engine import kernels
@@ -183,15 +183,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
     for signal, values in zip(study.loop.measures, instant.measured, strict=True):
         columns[f"measured_{signal.name}"] = values
-    for name, values in signals_in(instant.plant).items():
-        columns |= tuple_columns(name, values) if isinstance(values, tuple) else {name: values}
-    return columns
-
-
-def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.ndarray]:
-    """The signals in a tuple, by name: ``wind_x`` is a vector's field x, and ``rotor_1`` the first of several."""
-    ends = getattr(values, "_fields", range(1, len(values) + 1))
-    return {f"{name}_{end}": column for end, column in zip(ends, values, strict=True)}
+    return columns | signals_in(instant.plant)
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:
@@ -201,22 +193,15 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     signal = field if has_channel else name
     index = study.loop.channels.index(channel) if has_channel else 0
     units = study.units[index]
-    vector, _, part = signal.rpartition("_")
     controllers = study.loop.controller
     has_controllers = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
     info = controllers[index].info if has_controllers else None
     quantities = SIGNALS | measured_quantities(study) | quantities_of(info)
-    signal_quantities = {} if has_channel else study.loop.quantities
-    if signal in quantities or signal in signal_quantities:
-        quantity = quantities[signal] if signal in quantities else signal_quantities[signal]
-        unit = units.of(quantity.unit)
-        meaning = units.named(quantity.meaning)
-    elif vector in signal_quantities:
-        unit = signal_quantities[vector].unit
-        meaning = f"{signal_quantities[vector].meaning} {part}"
-    else:
-        unit = ""
-        meaning = signal
+    quantity = quantities.get(signal)
+    if quantity is None and not has_channel:
+        quantity = quantity_of(signal, study.loop.quantities)
+    unit = "" if quantity is None else units.of(quantity.unit)
+    meaning = signal if quantity is None else units.named(quantity.meaning)
     return {"units": unit, "long_name": f"{channel}: {meaning}" if has_channel else meaning}
 
 

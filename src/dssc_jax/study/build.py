@@ -1,7 +1,7 @@
 """Construction of the closed loop from a study's tables: look up models, parse numbers, fill channels."""
 
 import math
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
@@ -21,7 +21,7 @@ from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import quantities_of
+from dssc_jax.core.quantities import extent, quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
@@ -174,6 +174,7 @@ def parsed_parts(table: TomlTable) -> Parts:
     check_axes(config, numbers)
     check_swept_parts(table, config, loop, measurable_signals, numbers)
     check_settled(loop, metric_measures, config.envelope)
+    check_settled_changes(config, numbers)
     return Parts(
         config=config,
         loop=loop,
@@ -266,6 +267,27 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence
             rule = f"must be <= {band:g}, the band of {measure.name}, outside of which a draw would end"
             remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
             raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
+
+
+def check_settled_changes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
+    """Require that nothing begins or ends after a draw may have ended as settled.
+
+    Raises:
+        ConfigError: A step, a wind or an event may come later.
+    """
+    settled = config.loop.settled
+    if settled is None:
+        return
+    for name, number in numbers.items():
+        if not number.quantity.begins and not number.quantity.ends:
+            continue
+        times = config.sweep.get(name) or extent(number.value)
+        latest = min(max(times), config.loop.duration)
+        if min(times) < config.loop.duration and latest > settled.after:
+            change = "begins" if number.quantity.begins else "ends"
+            rule = f"must be >= {latest:g} s, since {name} is a time at which something {change}"
+            remedy = "a draw that ends as settled before it would never show it"
+            raise ConfigError("loop.settled.after", f"{rule}: {remedy}; got {settled.after:g}")
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]

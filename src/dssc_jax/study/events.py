@@ -53,8 +53,21 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Stu
         if channel and (channel not in channels or isinstance(part.model, VehicleEvent)):
             hint = "has no channel" if isinstance(part.model, VehicleEvent) else nearest(str(channel), channels)
             raise ConfigError(f"{path}.channel", f"must be a channel that the event changes, got {channel!r}; {hint}")
+        require_order(part, path)
         study_events.append(StudyEvent(path, part, channel))
     return study_events
+
+
+def require_order(part: Component, path: str) -> None:
+    """Require that an event that ends can end after it begins.
+
+    Raises:
+        ConfigError: It ends before it begins, whatever its laws give.
+    """
+    until = getattr(part.params, "until", None)
+    if until is not None and extent(until)[1] <= extent(part.params.at)[0]:
+        rule = f"must be > {path}.at = {part.params.at}, or the event never happens; got {until}"
+        raise ConfigError(f"{path}.until", rule)
 
 
 def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, get_origin, get_type_hints
 
 from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.contracts import Controller, Plant
@@ -55,13 +55,31 @@ def measurable(
         )
         rate = channel_units.of("y/s")
         signals[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {channel_units.output_meaning}")
-    for signal in outputs:
+    for signal in scalar_signals(plant, outputs):
         if signal.name in signals:
             raise ConfigError(
                 f"plant.outputs.{signal.name}",
                 f"has the name of the {signals[signal.name].meaning}; give it another one",
             )
         signals[signal.name] = signal
+    return signals
+
+
+def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
+    """The outputs that are scalars, and the components of those that are vectors.
+
+    Outputs of which there are as many as rotors, say, are no scalars, and their number is not known from the type.
+    """
+    types = get_type_hints(plant.info) if plant.info is not None else {}
+    signals = []
+    for signal in outputs:
+        kind = types.get(signal.name)
+        fields = getattr(kind, "_fields", ())
+        if not fields and get_origin(kind) is not tuple:
+            signals.append(signal)
+        for field in fields:
+            meaning = f"{signal.meaning} {field}"
+            signals.append(signal._replace(name=f"{signal.name}_{field}", meaning=meaning))
     return signals
 
 

@@ -54,7 +54,9 @@ class Sensors(NamedTuple):
     position_delay: Annotated[
         float, Quantity("samples", "delay of positions", at_least=0.0, at_most=MOST_DELAYED, law=False)
     ] = 0.0
-    outage_start: Annotated[Scalar | None, Quantity("s", "start of an outage of positions", at_least=0.0)] = None
+    outage_start: Annotated[
+        Scalar | None, Quantity("s", "start of an outage of positions", at_least=0.0, begins=True)
+    ] = None
     outage_duration: Annotated[Scalar, Quantity("s", "duration of the outage", at_least=0.0)] = 0.0
     height: Annotated[Scalar | None, Quantity("m", "standard deviation of barometric heights", at_least=0.0)] = None
     height_period: Annotated[float, Quantity("samples", "period of heights", at_least=1.0, law=False)] = 1.0
