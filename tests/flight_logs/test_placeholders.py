@@ -47,8 +47,10 @@ def test_signals_that_jump_rest_or_meet_a_limit_have_none(seed):
     ):
         assert placeholder(values, is_output) is None
     outlier = noisy(seed)
-    outlier[[5, 90]] = -9999.0, 70.0  # a fit tells these
+    outlier[[5, 90]] = -70.5, 70.0  # a fit tells these
     assert placeholder(outlier, True) is None
+    outlier[40] = -9999.0  # a customary number is one also if it stands there once
+    assert placeholder(outlier, True) == (-9999.0, 1)
 
 
 def test_a_log_with_such_a_number_is_refused(tmp_path):
@@ -58,6 +60,6 @@ def test_a_log_with_such_a_number_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(f"t,y,u_total\n{rows}\n")
     table = {"signals": {"y": {"column": "y", "scale": 0.01}}}
-    text = r"y: holds -9999 at 20 readings, far from all others: leave these cells empty"
+    text = r"y: holds -9999 at 20 readings, far from all others: leave such cells empty"
     with pytest.raises(ConfigError, match=text):
         read_log(path, table=table)

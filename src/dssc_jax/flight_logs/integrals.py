@@ -276,11 +276,14 @@ def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name
     if multiple:
         hints.units[y_name] = f"is the integral of {rate_name} {multiple}"
         return
+    change = f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}"
+    if factor.value < 0.0:
+        hints.factors[y_name] = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
+        return
     clock = f"{1.0 / factor.value:.4g} times too fast" if is_fast else f"{factor.value:.4g} times too slow"
     hints.factors[y_name] = (
-        f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}: the log's clock is "
-        f"{clock}, or one of both is in another unit or of another place. Compare the times with those of another "
-        "clock, and scale the times or the column"
+        f"{change}: the log's clock is {clock}, or one of both is in another unit or of another place. Compare the "
+        "times with those of another clock, and scale the times or the column"
     )
 
 

@@ -17,9 +17,9 @@ CUSTOMARY = frozenset((*NINES, *BINARY))
 def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None:
     """The number that stands for missing values in a column, and how often; None if there is none.
 
-    It is the lowest or the highest value, repeated, and far from all others. In an output, which does not jump, any
-    number is one if it comes and goes more than once. A command may rest, jump to a limit and come back, and a
-    reference may jump, so that there only customary numbers are.
+    It is the lowest or the highest value, and far from all others. A customary number may stand there once, any other
+    one is repeated, and comes and goes, in an output, which does not jump. A command may rest, jump to a limit and come
+    back, and a reference may jump, so that there only customary numbers are.
 
     Args:
         values: The column's values, in any unit, NaN where missing, shape (rows,).
@@ -30,10 +30,10 @@ def placeholder(values: np.ndarray, is_output: bool) -> tuple[float, int] | None
         is_value = finite == value
         count = int(np.count_nonzero(is_value))
         others = np.unique(finite[~is_value])
-        if count < LEAST_REPEATED or len(others) < LEAST_OTHERS:
+        if len(others) < LEAST_OTHERS:
             continue
         is_far = float(np.abs(others - value).min()) > FAR * float(np.ptp(others))
-        comes_and_goes = is_output and len(flag_runs(is_value)[0]) > 1
+        comes_and_goes = is_output and count >= LEAST_REPEATED and len(flag_runs(is_value)[0]) > 1
         if is_far and (value in CUSTOMARY or comes_and_goes):
             return value, count
     return None
@@ -52,4 +52,5 @@ def require_no_placeholder(name: str, values: np.ndarray) -> None:
     found = placeholder(values, name.endswith(("y", "y_dot")))
     if found is not None:
         value, count = found
-        raise ConfigError(name, f"holds {value:g} at {count:,} readings, far from all others: leave these cells empty")
+        readings = "one reading" if count == 1 else f"{count:,} readings"
+        raise ConfigError(name, f"holds {value:g} at {readings}, far from all others: leave such cells empty")

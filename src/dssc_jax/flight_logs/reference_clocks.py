@@ -47,8 +47,8 @@ def fine_times(sample_time: float, samples: int) -> np.ndarray:
 def reference_stretch(references: Sequence[StretchedReference]) -> float | None:
     """The factor by which the times of all logged references are the study's, with as few digits as they tell.
 
-    None if they agree with no factor, or if none of them moves. A reading at which the reference jumps may fall to
-    either side.
+    None if they agree with no factor, or with 1, or if none of them moves. A reading at which the reference jumps may
+    fall to either side.
     """
     moving = []
     for reference in references:
@@ -70,7 +70,8 @@ def reference_stretch(references: Sequence[StretchedReference]) -> float | None:
         return None
     begins, ends = flag_runs(agrees)
     widest = int(np.argmax(ends - begins))
-    return shortest_number(float(stretches[begins[widest]]) - step, float(stretches[ends[widest] - 1]) + step)
+    stretch = shortest_number(float(stretches[begins[widest]]) - step, float(stretches[ends[widest] - 1]) + step)
+    return stretch if stretch != 1.0 else None
 
 
 def shortest_number(low: float, high: float) -> float:

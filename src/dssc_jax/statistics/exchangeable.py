@@ -7,7 +7,9 @@ Statistical Society B 79 (2017) 381-404). Nothing is assumed of how the values o
 
 The number is the curve's place in the order of extreme rank lengths of the same article, with a signal in the place
 of a point: a curve is extreme where few others depart as far in one of its signals. So every signal counts alike, also
-beside one in which all curves have spikes.
+beside one in which all curves have spikes. With many signals, many curves are the first in one of them; how far such a
+curve is beyond the second one decides between them (U. Hahn, Scandinavian Journal of Statistics 42 (2015) 1060-1083:
+continuous ranks).
 """
 
 from typing import NamedTuple
@@ -119,6 +121,26 @@ def departure_ranks(largest: np.ndarray) -> np.ndarray:
     return np.array(columns, int).reshape(len(columns), len(largest)).T
 
 
+def continuous_ranks(largest: np.ndarray) -> np.ndarray:
+    """The ranks by :func:`departure_ranks`, with a share of 1 for the curve that is alone at the first rank.
+
+    The share is exp(-g), where g is its gap from the second curve over that curve's distance from the last one.
+
+    Args:
+        largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
+    """
+    ranks = departure_ranks(largest).astype(float)
+    signals = [departures for departures in largest.T if not np.isnan(departures).any()]
+    for column, departures in enumerate(signals):
+        first = int(np.argmax(departures))
+        second = float(np.max(np.delete(departures, first)))
+        if ranks[first, column] == 1.0:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                gap = (departures[first] - second) / (second - float(departures.min()))
+            ranks[first, column] = np.exp(-gap) if np.isfinite(gap) else 0.0
+    return ranks
+
+
 def extremeness(largest: np.ndarray) -> np.ndarray:
     """Numbers that order curves by how few others depart as far in one of their signals, then in the next one.
 
@@ -134,7 +156,7 @@ def extremeness(largest: np.ndarray) -> np.ndarray:
         >>> extremeness(np.array([[1.0, 9.0], [3.0, 7.0], [2.0, 8.0]]))
         array([2., 1., 0.])
     """
-    ranks = np.sort(departure_ranks(largest), axis=1)
+    ranks = np.sort(continuous_ranks(largest), axis=1)
     if not ranks.shape[1]:
         return np.full(len(largest), np.nan)
     keys = np.column_stack([ranks, -np.nanmax(largest, axis=1)])
