@@ -92,7 +92,9 @@ def close_names(name: str, valid: Iterable[str]) -> list[str]:
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
     names = sorted(map(str, valid))
-    closest = close_names(name, names)
+    words = sorted(name.split("_"))
+    exchanged = [full for full in names if sorted(full.split("_")) == words]  # e_x for x_e
+    closest = exchanged or close_names(name, names)
     if not closest:  # the last part of a dotted path is what people remember
         tail = name.rpartition(".")[2]
         closest = [full for full in names if full.rpartition(".")[2] == tail][:1]

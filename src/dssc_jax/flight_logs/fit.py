@@ -106,6 +106,7 @@ def fit_log(
         require_undamaged(study, log)
     study = study.without_sweep()
     fitted_names = tuple(numbers_to_fit(study, names))
+    require_stated_times(study, fitted_names)
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
@@ -179,6 +180,20 @@ class UnidentifiedNumbers:
     def _keep(self, names: frozenset[str]) -> None:
         self.kept = names
         self._tried.add(names)
+
+
+def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
+    """Require that the times at which something happens to the plant are known, unless they are fitted.
+
+    Raises:
+        ConfigError: One has a law, whose median is hardly the flight's time.
+    """
+    for name, number in study.numbers.items():
+        is_time = number.quantity.begins or number.quantity.ends
+        if is_time and name in study.laws and name not in fitted_names and not name.startswith("reference."):
+            raise ConfigError(
+                name, f"has the law {study.laws[name]}, and a fit does not estimate it: set it to this flight's time"
+            )
 
 
 def require_undamaged(study: Study, log: FlightLog) -> None:

@@ -19,6 +19,7 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_logs.angle_units import angle_hints
 from dssc_jax.flight_logs.attitudes import attitude_hints
 from dssc_jax.flight_logs.command_hints import command_hint
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
@@ -288,6 +289,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
                 conversions[name] = f"is the analysed controller's {text}"
             elif hint:
                 factors[name] = hint
+    conversions |= angle_hints(study, log, references)
     hints = LogHints(
         conversions=conversions,
         shifts=comparison.shifts,
