@@ -165,3 +165,24 @@ def test_a_hold_between_samples_lasts_for_whole_ones():
         rule = {"error": 5.0, "hold": hold, "after": 1.0}
         dataset = dj.run(dj.Study.from_table(LOOP).override({"loop.settled": rule, "draws": 4})).dataset
         np.testing.assert_allclose(dataset["settled_at"].values, ended)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"reference": {"kind": "step", "at": 3.0, "size": 1.0}}, "reference.at"),
+        ({"disturbance": {"kind": "step", "value": 0.1, "at": {"uniform": [0.0, 2.0]}}}, "disturbance.at"),
+        (
+            {"disturbance": {"kind": "step", "value": 0.1, "at": 0.5}, "sweep": {"disturbance.at": [0.5, 4.0]}},
+            "disturb",
+        ),
+    ],
+)
+def test_nothing_begins_after_a_draw_may_have_settled(changes, name):
+    """A draw ended before the step that would have failed it, and passed."""
+    table = LOOP | changes
+    dj.Study.from_table(table)
+    with pytest.raises(dj.ConfigError, match=rf"loop.settled.after: must be >= \d.* since {name}.* something begins"):
+        dj.Study.from_table(table | {"loop": LOOP["loop"] | {"settled": RULE}})
+    late = table | {"loop": LOOP["loop"] | {"settled": RULE | {"after": 5.0}}}
+    assert dj.Study.from_table(late).loop.settled.after == 5.0

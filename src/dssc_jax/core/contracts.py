@@ -242,7 +242,8 @@ class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
     ``defaults`` is an instance of the parameters with the values that a table does not give. ``level`` of one channel,
-    ``(params) -> y``, is the constant about which it moves or at which it ends; None: 0.
+    ``(params) -> y``, is the constant about which it moves or at which it ends; None: 0. ``of_angle`` is the form for
+    an output that is an angle, such as one that goes from value to value by the shorter way; None: the same.
     """
 
     params: type
@@ -250,6 +251,7 @@ class Reference(NamedTuple, Generic[Desired]):
     prepare: Callable[[Params], Params] = as_given
     defaults: Params = None
     level: Callable[[Params], Scalar] | None = None
+    of_angle: "Reference[Desired] | None" = None
 
 
 class Variation(StrEnum):

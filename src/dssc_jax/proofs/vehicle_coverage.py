@@ -52,9 +52,9 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     Raises:
         NotCovered: a part of the loop is outside of the theorem; the message gives the reason.
     """
+    require_loop(study)
     require_laws(study)
     ends = ends_of(study.without_sweep())
-    require_loop(study)
     plant = ends.part("plant")
     inner_gains = require_inner_loop(plant)
     vehicle = ends.low.plant.vehicle

@@ -47,7 +47,7 @@ def parse_single_parts(
     """
     parts = {
         "plant": plant,
-        "reference": parse_reference(tables["reference"], channels, units),
+        "reference": parse_reference(tables["reference"], channels, units, plant.model.angles),
         "wind": parse_winds(tables["wind"]),
     }
     if len(channels) == 1:

@@ -1,6 +1,6 @@
 """Parsing of the loop's slots: one part for the whole loop, a sum of winds, a reference, or one part a channel."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -12,7 +12,7 @@ from dssc_jax.core.adapters import (
     with_channel_count,
 )
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
-from dssc_jax.core.registry import single
+from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.models.actuators import UNMODELLED
@@ -81,8 +81,21 @@ def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
     return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
 
 
-def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
+def of_angles(registry: Registry) -> Registry:
+    """The references of a registry in their forms for an output that is an angle."""
+    entries = {}
+    for kind, entry in registry.items():
+        members = {option: model.of_angle or model for option, model in entry.members.items()}
+        entries[kind] = entry._replace(members=members)
+    return entries
+
+
+def parse_reference(
+    table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...], angles: Collection[str]
+) -> Component:
     """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x.
+
+    ``angles`` are the channels whose output is an angle.
 
     The package's trajectories have a point for each of the vehicle's channels. A plant with fewer channels takes the
     first points; further channels of a plant with more stay at zero. A trajectory of the user's has a point for each of
@@ -90,7 +103,10 @@ def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[Ch
     """
     slot = "reference"
     if len(channels) == 1:
-        return with_units(parse_whole(table, slot), units[0])
+        registry = of_angles(REGISTRIES[slot]) if channels[0] in angles else REGISTRIES[slot]
+        component = parse_component(table, registry, slot)
+        numbers = tuple(number.under(slot, slot) for number in component.numbers)
+        return with_units(replace(component, numbers=numbers), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     if joint.kind in REGISTRIES["trajectory"] and len(channels) != len(UAV.channels):
@@ -98,9 +114,10 @@ def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[Ch
     replaced_channels = [channel for channel in channels if channel in table]
     if not replaced_channels:
         return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))
-    replacements = {
-        channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in replaced_channels
-    }
+    replacements = {}
+    for channel in replaced_channels:
+        registry = of_angles(REFERENCES) if channel in angles else REFERENCES
+        replacements[channel] = parse_component(table[channel], registry, dotted(slot, channel))
     numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
     for place, (channel, part) in enumerate(replacements.items()):
         numbers_of_part = with_units(part, units[channels.index(channel)]).numbers

@@ -124,7 +124,7 @@ def parse_slot(slot: str, table: Any, loop: Loop, measurable_signals: Mapping[st
             parse_channels(sensors.channels, slot, channels)
             parse_signal_sensors(sensors, measurable_signals)
         case "reference":
-            parse_reference(table, channels, (UNNAMED_UNITS,) * len(channels))
+            parse_reference(table, channels, (UNNAMED_UNITS,) * len(channels), loop.plant.angles)
         case "wind":
             parse_winds(table)
         case _ if slot == EVENT:

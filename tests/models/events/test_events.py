@@ -7,6 +7,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
+from dssc_jax.cli.warnings import warn_of_times
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import Condition, share_of
 from dssc_jax.core.signals import Outcome
@@ -243,3 +244,17 @@ def test_a_growing_delay_acts_before_the_actuators():
         "actuator.0.mu": "unmodelled.0.1.mu",
         "actuator.1.rate": "unmodelled.0.2.rate",
     }
+
+
+def test_an_event_ends_after_it_begins(capsys):
+    """One that ended before it began never happened, without a word."""
+    event = {"kind": "rotor", "rotor": 1, "effectiveness": 0.5}
+    refusal = r"event.0.until: must be > event.0.at = 1.0, or the event never happens; got 0.5"
+    with pytest.raises(ConfigError, match=refusal):
+        dj.Study.from_table(BASE | {"event": [event | {"at": 1.0, "until": 0.5}]})
+    times = {"at": {"uniform": [0.2, 1.5]}, "until": {"uniform": [1.0, 2.0]}}
+    warn_of_times(dj.Study.from_table(BASE | {"event": [event | times]}))
+    assert "event.0.until may be before event.0.at" in capsys.readouterr().err
+    times = {"at": {"uniform": [0.2, 0.9]}, "until": {"uniform": [1.0, 2.0]}}
+    warn_of_times(dj.Study.from_table(BASE | {"event": [event | times]}))
+    assert not capsys.readouterr().err

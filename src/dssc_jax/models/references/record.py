@@ -2,6 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
+import numpy as np
+
 from dssc_jax.core.contracts import Reference
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
@@ -15,6 +17,8 @@ class RecordParams(NamedTuple):
 
     The derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate by the same rule of
     interpolation, and y_ref'' its slope.
+
+    The record of an angle may jump by a turn, as where it is within (-pi, pi]: it goes by the shorter way.
 
     A study file gives ``file`` and ``column`` instead, and ``rate_column``, with ``rate_file`` if that is another file;
     the values become part of the study when it is read.
@@ -58,9 +62,15 @@ def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
     return piece_at(pieces, t)
 
 
+def unwrapped(params: RecordParams) -> RecordParams:
+    """The record of an angle without its jumps by a turn, so that it goes from value to value by the shorter way."""
+    return params._replace(value=tuple(np.unwrap(np.array(params.value, float)).tolist()))
+
+
 def record(rule: Interpolation) -> Reference:
     """The reference that follows a record by the given rule."""
-    return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule))
+    of_angle = Reference(RecordParams, record_at, lambda params: record_pieces(unwrapped(params), rule))
+    return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), of_angle=of_angle)
 
 
 RECORD = Entry(
