@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.compiled_lanes import LaneBatch
-from dssc_jax.engine.reference import TOLERANCE, deviations
+from dssc_jax.engine.reference import TOLERANCE, deviations, resting_metrics
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested
 from tests.results.test_durability import SMALL
@@ -126,3 +126,31 @@ def test_bad_requests(whole, tmp_path, capsys):
             dj.verify(whole, **options)
     assert guarded(["verify", str(tmp_path)]) == 2
     assert "is not a results folder" in capsys.readouterr().err
+
+
+def test_a_channel_at_rest_does_not_make_a_result_worthless(tmp_path):
+    """Its errors are rounding of the other channels, 1e-16 rad, which any other program rounds otherwise."""
+    table = {
+        "name": "resting-yaw", "draws": 3, "loop": {"duration": 2.0, "sample_time": 0.02},
+        "plant": {"kind": "uav", "vehicle": {"kind": "m600_hexacopter", "mass": {"uniform": [10.0, 12.0]}}},
+        "reference": {"kind": "hover", "position": [0.0, 0.3, 1.0]},
+        "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 0.3},
+    }  # fmt: skip
+    result = dj.run(dj.Study.from_table(table), tmp_path / "resting")
+    resting = np.median(result.dataset["error_rms_psi"].values)
+    assert 0.0 < resting < 1e-12
+    found = dj.verify(result, draws=3)
+    assert (found.verdict, found.undecided) == ("agrees", 0)
+    change(result.path, "error_rms_y", 1 + 1e-6)
+    assert dj.verify(dj.load(result.path), draws=3).verdict == "differs"
+
+
+def test_a_small_metric_that_rounding_does_not_change_is_evidence():
+    """Smallness alone excuses nothing: a charge of 1e-15 beside a voltage of 1 is no rounding."""
+    study = dj.Study.from_table(UNCERTAIN)
+    names = [measure.name for measure in study.measures][:2]
+    sizes = {names[0]: 1.0, names[1]: 1e-15}
+    quiet = dict.fromkeys(names, np.array([1e-13]))
+    assert resting_metrics(study, sizes, quiet) == []
+    assert resting_metrics(study, sizes, quiet | {names[1]: np.array([0.5])}) == [names[1]]
+    assert resting_metrics(study, sizes | {names[1]: 1e-3}, quiet | {names[1]: np.array([0.5])}) == []

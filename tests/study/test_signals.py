@@ -272,3 +272,31 @@ def test_a_y_that_is_exact_beside_a_noisy_sensor_is_told(sensor, warns, capsys):
 def test_a_disturbance_after_the_end_is_told(at, warns, capsys):
     warn_of_times(car(disturbance=[{**HALF, "kind": "step", "at": at}]))
     assert ("disturbance.0.at = 50 s is not before the end" in capsys.readouterr().err) == warns
+
+
+VECTORS = {
+    "name": "vectors", "draws": 1, "loop": {"duration": 0.2, "sample_time": 0.02}, "plant": {"kind": "uav"},
+    "reference": {"kind": "hover", "position": [0.2, 0.0, 0.0]}, "controller": {"kind": "pid", "k_p": 0.9},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["rotor_1", "rotor_speed_4", "wind_x", "rate_y", "attitude_w"])
+def test_components_of_a_vehicles_vectors_are_signals(name):
+    """By the name of the column: requirements and formulas of a rotor's speed or a body rate crashed."""
+    required = [{"signal": name, "metric": "max_abs", "max": 1e9}, {"formula": f"always {name} < 1e9"}]
+    study = dj.Study.from_table(VECTORS | {"requirement": required})
+    draw = dj.simulate(study)
+    assert float(draw.attrs[f"max_abs_{name}"]) == pytest.approx(np.abs(draw[name].values).max(), rel=1e-12)
+    vector = name.rpartition("_")[0]
+    for wrong in ({"signal": vector, "metric": "max_abs", "max": 1.0}, {"formula": f"always {vector} < 1"}):
+        with pytest.raises(ConfigError, match=rf"{vector}.*did you mean"):
+            dj.Study.from_table(VECTORS | {"requirement": [wrong]})
+
+
+def test_components_of_a_vehicles_vectors_are_measured():
+    measured = dj.simulate(dj.Study.from_table(VECTORS | {"sensor": {"measures": ["rate_y", "wind_z"]}}))
+    np.testing.assert_array_equal(measured["measured_rate_y"], measured["rate_y"])
+    assert measured["measured_rate_y"].attrs["units"] == "rad/s"
+    for name in ("rate", "rotor", "rotor_1"):
+        with pytest.raises(ConfigError, match=f"'{name}' cannot be measured"):
+            dj.Study.from_table(VECTORS | {"sensor": {"measures": [name]}})

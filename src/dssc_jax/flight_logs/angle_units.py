@@ -41,7 +41,7 @@ def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[st
 def is_in_degrees(values: np.ndarray, reference: np.ndarray) -> bool:
     """Whether an angle is near its reference [rad] as degrees, and not as radians; NaN where missing."""
     finite = values[np.isfinite(values)]
-    if not finite.size or float(np.abs(finite).max()) <= np.pi:
+    if not finite.size or float(np.abs(finite).max()) <= 2.0 * np.pi:  # radians of any frame
         return False
     in_radians = rms(np.asarray(wrap_angle(jnp.asarray(values - reference))))
     in_degrees = rms(np.asarray(wrap_angle(jnp.asarray(np.radians(values) - reference))))

@@ -29,7 +29,8 @@ NO_INTEGRAL = 0.7  # correlation: less, and it is not
 JUMP = 5.0  # factor on the typical change beside the rate: a larger change is hardly noise
 LASTING = 10.0  # factor on the typical difference of two means beside the rate: a larger one is no noise
 NEIGHBOURS = 8  # values of each mean
-MOST_JUMPS = 3  # of an output that has jumps, and no other error
+MOST_JUMPS = 12  # of an output that has jumps, and no other error
+MOST_LISTED = 3  # jumps that a message lists
 TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation
 
 
@@ -257,7 +258,9 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
         return
     jumps = jumps_beside(y, rate, log.start, end)
     if jumps:
-        jump_texts = ", ".join(f"by {jump.size:.3g} {unit} at {jump.time:.4g} s" for jump in jumps)
+        jump_texts = ", ".join(f"by {jump.size:.3g} {unit} at {jump.time:.4g} s" for jump in jumps[:MOST_LISTED])
+        if len(jumps) > MOST_LISTED:
+            jump_texts += f", and {len(jumps) - MOST_LISTED} times more,"
         cause = step_cause(study, index, [jump.time - log.start for jump in jumps], [jump.size for jump in jumps])
         hints.jumps[y_name] = f"jumps {jump_texts} of the log, and {rate_name} has no such peak: {cause}"
         return
