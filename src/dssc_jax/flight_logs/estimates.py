@@ -2,7 +2,7 @@
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -108,7 +108,7 @@ class Fitted:
         std = float(self.deviations[place])
         if self.study.laws[name].logarithmic:
             return Law("lognormal", (mean, std))
-        quantity = self.study.numbers[name].quantity
+        quantity = with_sign(self.study.numbers[name].quantity, self.study.laws[name])
         bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)
         if all(bound is None for bound in bounds) and name not in self.study.parameter_names:
             return Law("normal", (mean, std))
@@ -194,6 +194,16 @@ class Fitted:
             "kept": {name: width if math.isfinite(width) else None for name, width in self.unidentified.items()},
             "toml": self.toml(),
         }
+
+
+def with_sign(quantity: Quantity, law: Law) -> Quantity:
+    """The quantity with the sign that all values of a law have, as a parameter whose inverse counts needs it."""
+    low, high = law.support
+    if low > 0.0 and quantity.above is None and quantity.at_least is None:
+        return replace(quantity, above=0.0)
+    if high < 0.0 and quantity.below is None and quantity.at_most is None:
+        return replace(quantity, below=0.0)
+    return quantity
 
 
 def truncation(quantity: Quantity, mean: float, std: float) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 A results folder therefore contains the data that it was computed with, and reading it opens no other file.
 """
 
+import codecs
 import io
 import math
 from collections.abc import Mapping
@@ -233,8 +234,12 @@ def require_few_columns(path: Path, count: int) -> None:
         raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
 
 
-def require_different_columns(path: Path, names: list[str]) -> None:
-    """Require that no two columns of a file share a name; raises ConfigError."""
+def require_header(path: Path, names: list[str]) -> None:
+    """Require names in a file's first line, no two of them the same; raises ConfigError."""
+    if all(is_number(name) for name in names):
+        raise ConfigError(
+            "file", f"'{path}' has no header: its first line holds numbers; write the columns' names there"
+        )
     for position, name in enumerate(names):
         if name and name in names[:position]:
             raise ConfigError("file", f"'{path}' has two columns '{name}'; rename one of them, or leave it out")
@@ -257,6 +262,8 @@ def recorded_frame(path: Path) -> Any:
         content = record_content(path)
         if not content.strip():
             raise ConfigError("file", f"'{path}' is empty")
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise ConfigError("file", f"'{path}' is text in UTF-16; save it as UTF-8")
         if content.startswith(ULOG):
             raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
         if parquet:
@@ -265,13 +272,15 @@ def recorded_frame(path: Path) -> Any:
         form = csv_form(path, content)
         header = csv_header(content).decode(errors="replace").split(form.separator)
         require_few_columns(path, len(header))
-        require_different_columns(path, [name.strip().strip('"') for name in header])
+        require_header(path, [name.strip().strip('"') for name in header])
         table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
         return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
     except ImportError as error:
         raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
     except ConfigError:
         raise
+    except UnicodeDecodeError as error:
+        raise ConfigError("file", f"'{path}' is no text, as a CSV file is: byte {error.start} is no UTF-8") from error
     except Exception as error:  # readers of files raise errors of many kinds
         raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error
 
