@@ -300,3 +300,11 @@ def test_components_of_a_vehicles_vectors_are_measured():
     for name in ("rate", "rotor", "rotor_1"):
         with pytest.raises(ConfigError, match=f"'{name}' cannot be measured"):
             dj.Study.from_table(VECTORS | {"sensor": {"measures": [name]}})
+
+
+def test_a_metric_of_a_channel_that_its_controller_does_not_report_says_what_it_needs():
+    wrong = VECTORS | {"requirement": [{"metric": "sampling_ratio_x", "max": 1.0}]}
+    with pytest.raises(
+        ConfigError, match="'sampling_ratio_x' needs integral_gain, tau_m, which this loop does not have"
+    ):
+        dj.Study.from_table(wrong)

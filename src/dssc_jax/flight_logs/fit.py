@@ -105,8 +105,8 @@ def fit_log(
     if not allow_damaged:
         require_undamaged(study, log)
     study = study.without_sweep()
-    fitted_names = tuple(numbers_to_fit(study, names))
-    require_stated_times(study, fitted_names)
+    candidates = tuple(numbers_to_fit(study, names))
+    require_stated_times(study, candidates)
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
@@ -114,9 +114,9 @@ def fit_log(
         raise ConfigError(
             log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
         )
-    if fitted_names not in predictions:
-        predictions[fitted_names] = prediction(study, fitted_names, sampled.outputs.shape[1], fixed_integrals(study))
-    problem = FitProblem(study, fitted_names, predictions[fitted_names], sampled, SearchCount(limits, progress))
+    if candidates not in predictions:
+        predictions[candidates] = prediction(study, candidates, sampled.outputs.shape[1], fixed_integrals(study))
+    problem = FitProblem(study, candidates, predictions[candidates], sampled, SearchCount(limits, progress))
     starting_minima: list[Minimum] = []
     unidentified = UnidentifiedNumbers()
     while True:
@@ -184,6 +184,8 @@ class UnidentifiedNumbers:
 
 def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
     """Require that the times at which something happens to the plant are known, unless they are fitted.
+
+    Those of the reference do not matter: the plant gets the logged commands.
 
     Raises:
         ConfigError: One has a law, whose median is hardly the flight's time.
@@ -294,10 +296,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
 
 
 def fitted_minimum(
-    problem: FitProblem,
-    search: MinimumSearch,
-    unidentified_widths: dict[str, float],
-    moves: np.ndarray,
+    problem: FitProblem, search: MinimumSearch, unidentified_widths: dict[str, float], moves: np.ndarray
 ) -> Fitted:
     """The estimate at the best minimum, with its covariance, if it passes all checks.
 

@@ -118,9 +118,11 @@ class AvailableMetrics(NamedTuple):
         if name.endswith("_margin"):
             rule = f"'{name}' belongs to the linearised loop"
             raise ConfigError(place, f'{rule}; write margin = "{name.removesuffix("_margin")}" in place of the metric')
-        if name in self.kinds and len(self.channels) == 1:
-            needs = ", ".join(self.kinds[name].needs)
-            raise ConfigError(place, f"'{name}' needs {needs}, which this loop does not have")
+        for channel in self.channels:
+            for kind, metric in self.kinds.items():
+                if metric.needs and suffixed(kind, channel) == name:
+                    needs = ", ".join(metric.needs)
+                    raise ConfigError(place, f"'{name}' needs {needs}, which this loop does not have")
         raise ConfigError(place, f"unknown metric '{name}'; {nearest(name, self.names)}")
 
 
