@@ -8,6 +8,7 @@ import pytest
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.held_outputs import drop_repeats, stuck_span, usual_hold
+from dssc_jax.flight_logs.integrals import still_text
 from dssc_jax.flight_logs.outliers import outliers
 from dssc_jax.flight_logs.reader import Column, FlightLog, read_log
 from dssc_jax.flight_logs.refusals import Unexplained
@@ -116,6 +117,16 @@ def test_a_sensor_that_sticks_is_told():
     assert told.startswith(f"repeats one value from {TIMES[100]:.4g} s to {TIMES[129]:.4g} s of the log")
     later = FlightLog("flight", {"y": Column(TIMES, stuck)}, float(TIMES[130]))  # the part after, as the hint says
     assert "y" not in replay_log(linear(), later, commands=False).hints.factors
+
+
+def test_a_rate_that_sticks_while_its_output_moves_is_told():
+    noise = 0.01 * np.random.default_rng(2).normal(size=(2, len(TIMES)))
+    rate = np.cos(TIMES) + noise[0]
+    y = np.sin(TIMES) + noise[1]
+    rate[100:130] = rate[100]
+    assert "repeats one value" in still_text(Column(TIMES, y), Column(TIMES, rate), "y", 0.0, 1e9)
+    y[100:130] = y[100]  # nothing moves there: a vehicle on the ground
+    assert still_text(Column(TIMES, y), Column(TIMES, rate), "y", 0.0, 1e9) == ""
 
 
 def test_columns_that_share_a_name_and_cells_that_are_text_are_refused(tmp_path):

@@ -207,12 +207,32 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
             continue
         if rate is None:
             continue
-        if is_still(rate) and not is_still(y):
-            hints.factors[rate_name] = f"does not change while {y_name} does: its column holds something else"
+        stillness = still_text(y, rate, y_name, log.start, end)
+        if stillness:
+            hints.factors[rate_name] = stillness
+            continue
         is_copied = y_name in hints.units or rate_name in hints.units
         if not is_copied and channel not in loop.plant.angles:
             add_integral_hints(hints, study, index, log)
     return hints
+
+
+def still_text(y: Column, rate: Column, y_name: str, begin: float, end: float) -> str:
+    """What a rate is that rests, always or for a while, while its output moves; empty if it does not.
+
+    Args:
+        y: The output.
+        rate: Its derivative.
+        y_name: The output's signal.
+        begin: Time of the log from which on it counts [s].
+        end: Time up to which it counts [s].
+    """
+    if is_still(rate) and not is_still(y):
+        return f"does not change while {y_name} does: its column holds something else"
+    stuck = stuck_span(values_between(rate, begin, end))
+    if stuck is None or is_still(values_between(y, *stuck)):
+        return ""
+    return stuck_text(*stuck)
 
 
 def last_sample_time(study: Study, log: FlightLog) -> float:
