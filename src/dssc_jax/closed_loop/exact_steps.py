@@ -53,15 +53,15 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
             states, lines = apply_movers(movers, states, commands)
 
             def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
-                """Disturbances and remainder at a stage."""
+                """Disturbances, inputs and the remainder's rates of change, at a fraction of the substep."""
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
-                slopes = []
+                remainder_rates = []
                 if parts.plant.remainder is not None:
-                    slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
-                    slopes = [slope[row] for row in rows]
-                return [*drive.disturbance, *drive.inputs, *slopes]
+                    rates = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
+                    remainder_rates = [rates[row] for row in rows]
+                return [*drive.disturbance, *drive.inputs, *remainder_rates]
 
             inputs = [terms_of(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)

@@ -119,7 +119,7 @@ def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopS
 
 
 def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
-    """Whether two break points have the same numbers of all draws, up to rounding."""
+    """Whether two break points have the same statistics over the draws, up to rounding."""
     if (first.stable, first.no_operating_point) != (second.stable, second.no_operating_point):
         return False
     numbers = []

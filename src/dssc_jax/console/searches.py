@@ -106,7 +106,8 @@ def missed_text(bound: MissedBound, draws: int) -> str:
         excess = f"{excess} {bound.unit}".removesuffix(" 1")
     if bound.draws is None:
         return f"{bound.text}: missed by {excess}"
-    if bound.unit == "" and not math.isfinite(bound.excess):
+    has_no_amount = bound.unit == "" and not math.isfinite(bound.excess)  # such as "runs to its end"
+    if has_no_amount:
         return f"{bound.text}: missed by {bound.draws:,} of {draws:,} draws"
     return f"{bound.text}: missed by {bound.draws:,} of {draws:,} draws, by at most {excess}"
 

@@ -156,7 +156,10 @@ def newton(
     start: Scalar,
     steps: int,
 ) -> Scalar:
-    """x with f(x) = value, by Newton's method; ``tangent(parameters, x)`` is (f(x), f'(x)), a function of a module."""
+    """x with f(x) = value, by Newton's method; ``tangent(parameters, x)`` is (f(x), f'(x)).
+
+    ``tangent`` is a function of a module, no closure: each new function object is traced anew.
+    """
 
     def nearer(_: int, x: Scalar) -> Scalar:
         f, slope = tangent(parameters, x)

@@ -85,7 +85,8 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
     def regulator_loop_gain(weight: float) -> float:
         return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ response))
 
-    return crossing(regulator_loop_gain, float(np.abs(c @ response)) ** 2)
+    guess = float(np.abs(c @ response)) ** 2  # |G|^2, as |1 + L|^2 = 1 + |G|^2/weight in continuous time
+    return crossing(regulator_loop_gain, guess)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:

@@ -83,8 +83,8 @@ class LaneFunction:
 
         Args:
             values: The draw's numbers by dotted name: each uncertain or swept one, and any other that shall differ from
-                the study's. Expressions follow from the parameters' values. What a model derives from its numbers
-                before tracing stays; ``study.override`` derives it again.
+                the study's. Expressions follow from the parameters' values. What a model has computed from the
+                study's numbers before tracing keeps its value; ``study.override`` computes it again.
             index: Index of the draw, which decides its noise.
 
         Raises:

@@ -31,7 +31,7 @@ BINS = 40
 TABLE_WIDTH = 1240  # px
 PICTURE = 500, 640  # rows and columns of the painted scatter
 LARGE_MARK_DRAWS = 5000  # fewer draws have large marks
-LOOKS = {"bright": 0.85, "dim": 0.12}
+OPACITIES = {"bright": 0.85, "dim": 0.12}
 """Opacity of the brushed draws, or of all where none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
 
@@ -64,7 +64,7 @@ class Brushing:
             axis: Select(title=f"{axis} axis", value=name, options=list(table.columns), width=300)
             for axis, name in axis_columns.items()
         }
-        self.colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
+        self.colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in OPACITIES.items()}
         self.parallel = ParallelAxes(table, self.source, SCRIPT, self.colours)
         self.map = CellMap(table, self.source, SCRIPT) if table.result.study.axes else None
         labels = [table.label(name) for name in axis_columns.values()]

@@ -153,10 +153,10 @@ def sample_time_slider(study: Study) -> Slider:
     """The slider of the sample time, whose positions divide the duration."""
     start = study.loop.sample_time
     steps = []
-    for share in SAMPLE_TIMES:
-        count = study.config.loop.duration / (share * start)
+    for factor in SAMPLE_TIMES:
+        count = study.config.loop.duration / (factor * start)
         if count >= 1.0 and abs(count - round(count)) <= 1e-6 * count:
-            steps.append(share * start)
+            steps.append(factor * start)
     return Slider(
         name=CLOCK_SLIDER,
         part="",

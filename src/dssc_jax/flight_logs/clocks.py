@@ -16,8 +16,9 @@ LONG_GAP = 10.0
 """Multiple of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
-LATE = 10.0
-"""Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
+LATE = 10.0  # s
+LATE_SHARE = 0.1
+"""Share of a log's span. A topic's last message is a stray one if it is later than its end by more than both."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
 MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
 SAME_STEP = 0.1  # share of the length of a fall or gap: closer, those of two topics are the same
@@ -49,7 +50,7 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
     unusual = []
     for topic in topics:
         length = topic.gap.late - topic.gap.early
-        if is_steady(topic) and length * topic.usual > LONG_GAP:
+        if is_steady(topic) and length * topic.usual_rate > LONG_GAP:
             unusual.append((topic, topic.gap))
     return grouped_steps(unusual)
 
@@ -57,7 +58,7 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
 def is_steady(topic: LogTopic) -> bool:
     """Whether a topic is sent at a rate. One sent at changes or in bursts is not, and none of its gaps is unusual."""
     time_outside_gap = topic.last - topic.first - (topic.gap.late - topic.gap.early)
-    return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * time_outside_gap * topic.usual
+    return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * time_outside_gap * topic.usual_rate
 
 
 class LateMessage(NamedTuple):
@@ -77,10 +78,10 @@ def span_of(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
     for topic in stamped_topics:
         if topic.messages >= LEAST_MESSAGES:
             length = topic.gap.late - topic.gap.early
-            is_stray = topic.gap.late == topic.last and length * topic.usual > LONG_GAP
+            is_stray = topic.gap.late == topic.last and length * topic.usual_rate > LONG_GAP
             ends.append(topic.gap.early if is_stray else topic.last)
     end = max(ends or [topic.last for topic in stamped_topics], default=0.0)
-    limit = end + max(LATE, end / LATE)
+    limit = end + max(LATE, LATE_SHARE * end)
     late_messages = [LateMessage(topic.name, topic.last) for topic in stamped_topics if topic.last > limit]
     return max((topic.last for topic in stamped_topics if topic.last <= limit), default=end), late_messages
 
@@ -105,7 +106,7 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
         last=float(finite_times[-1]),
         falls=len(falls),
         fall=fall,
-        usual=usual_rate,
+        usual_rate=usual_rate,
         gap=gap,
     )
 
@@ -150,7 +151,7 @@ def grouped_steps(topic_stamps: Sequence[tuple[LogTopic, Stamps]]) -> list[Clock
         if latest and max(abs(a - b) for a, b in zip(latest.stamps, stamps, strict=True)) <= slack:
             steps[-1] = latest._replace(topics=(*latest.topics, topic.name), falls=max(latest.falls, topic.falls))
         else:
-            steps.append(ClockStep(stamps, (topic.name,), topic.falls, topic.usual))
+            steps.append(ClockStep(stamps, (topic.name,), topic.falls, topic.usual_rate))
     return steps
 
 

@@ -97,6 +97,7 @@ def gauss_newton_step(
     step = inverse @ gradient
     # how much more of the weighted sum of squares the free integrals take away
     reduction = float(gradient @ step - gradient[:p] @ np.linalg.solve(number_information, gradient[:p]))
+    # in standard deviations of the numbers while the integrals are those of the study
     moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(number_information)))).tolist()
     values = study_integrals + (step / scale)[p:]
     deviations = (np.sqrt(np.diag(inverse)) / scale)[p:]

@@ -290,10 +290,10 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
 
 def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
     """Say what the factor between an output and the integral of its derivative means: a unit, a sign or a clock."""
-    is_fast = abs(factor.value) < 1.0
+    changes_less = abs(factor.value) < 1.0  # the output, than the integral
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)
-    if inverse and is_fast:
+    if inverse and changes_less:
         hints.units[rate_name] = f"is the derivative of {y_name} {inverse}"
         return
     if multiple:
@@ -303,7 +303,7 @@ def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name
     if factor.value < 0.0:
         hints.factors[y_name] = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
         return
-    clock = f"{1.0 / factor.value:.4g} times too fast" if is_fast else f"{factor.value:.4g} times too slow"
+    clock = f"{1.0 / factor.value:.4g} times too fast" if changes_less else f"{factor.value:.4g} times too slow"
     hints.factors[y_name] = (
         f"{change}: the log's clock is {clock}, or one of both is in another unit or of another place. Compare the "
         "times with those of another clock, and scale the times or the column"

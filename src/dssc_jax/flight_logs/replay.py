@@ -89,16 +89,16 @@ def analysed_command(study: Study, index: int, readings: np.ndarray, references:
     if loop.controller[index].takes(study.template.controller[index]):
         raise ConfigError("controller", "takes measured signals beside y and y', which a log does not have")
 
-    def commands(signals: tuple[Measurement, ReferencePoint]) -> jax.Array:
+    def commands(columns: tuple[Measurement, ReferencePoint]) -> jax.Array:
         params = study.params(median_values(study))
 
         def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:
             next_state, controlled = control(loop, params, index, state, *signals)
             return as_arrays(next_state), jnp.asarray(controlled.command.total)
 
-        first = jax.tree.map(lambda column: column[0], signals)
+        first = jax.tree.map(lambda column: column[0], columns)
         initial = as_arrays(initial_control(loop, params, index, *first))
-        return jax.lax.scan(sample, initial, signals)[1]
+        return jax.lax.scan(sample, initial, columns)[1]
 
     with arithmetic(study.config.loop.precision):
         real = jnp.result_type(float)

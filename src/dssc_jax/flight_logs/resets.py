@@ -292,7 +292,7 @@ def without_jump(values: np.ndarray, row: int, jump: float) -> np.ndarray:
 
 
 def stamps_around_reset(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
-    """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
+    """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude's reset with it."""
 
     def stamps_of(jump: Reset) -> tuple[float, float]:
         published = topics[f"{jump.counter.topic}:0"]["timestamp"]
@@ -343,7 +343,10 @@ def needed_fields(topic: str, name: str, topics: TopicData) -> tuple[str, ...]:
 
 
 def concerns(reset: Reset, topic: str, needs: Iterable[str]) -> bool:
-    """Whether a reset changes some fields of a topic, or the velocity along their axis."""
+    """Whether a reset changes one of the fields ``needs`` of a topic, or the velocity along the axis of one of them.
+
+    A field of a setpoint counts as the estimate's field in the same frame; a reset of the attitude concerns its yaw.
+    """
     jumping = set(reset.counter.fields)
     if topic in SETPOINTS:
         needs = [SETPOINTS[topic].get(name, "") for name in needs]

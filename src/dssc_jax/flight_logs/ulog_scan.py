@@ -51,7 +51,7 @@ class LogTopic(NamedTuple):
         last: Time of the last one [s].
         falls: Number of messages with an earlier stamp than the message before.
         fall: Stamps before and after the first of them [s]; NaN if there is none.
-        usual: Messages a second where none are missing; NaN of a single one.
+        usual_rate: Messages a second where none are missing; NaN of a single one.
         gap: Stamps before and after the longest time without a message [s]; NaN of a single message.
     """
 
@@ -61,14 +61,14 @@ class LogTopic(NamedTuple):
     last: float
     falls: int = 0
     fall: Stamps = Stamps()
-    usual: float = np.nan
+    usual_rate: float = np.nan
     gap: Stamps = Stamps()
 
     @property
     def rate(self) -> float:
         """Messages a second between the first and the last one, or where none are missing if stamps fall."""
         span = self.last - self.first
-        return self.usual if self.falls or not span > 0.0 else (self.messages - 1) / span
+        return self.usual_rate if self.falls or not span > 0.0 else (self.messages - 1) / span
 
 
 class TopicCount:
@@ -85,10 +85,10 @@ class TopicCount:
         "gap",
         "intervals",
         "last",
-        "low",
         "messages",
         "shorter_gap",
         "sizes",
+        "stamp_after_fall",
         "sums",
     )
 
@@ -97,12 +97,12 @@ class TopicCount:
         self.messages = 0
         self.first: int | None = None  # us, as all stamps
         self.last = 0
-        self.gap = self.shorter_gap = (0, 0)
-        self.low = 0  # after the last fall
-        self.falls = 0
-        self.fall: tuple[int, int] | None = None
-        self.intervals = [0] * 65  # by the binary digits of their length
-        self.sums = [0] * 65
+        self.gap = self.shorter_gap = (0, 0)  # stamps around the longest interval, and around the longest before it
+        self.stamp_after_fall = 0  # of the last fall
+        self.falls = 0  # stamps that are earlier than the one before
+        self.fall: tuple[int, int] | None = None  # stamps around the first of them
+        self.intervals = [0] * 65  # number of intervals, by the binary digits of their length
+        self.sums = [0] * 65  # their total length, by the same digits
 
     def add(self, stamp: int) -> None:
         """Count a message with a stamp; one of 0 is none."""
@@ -115,7 +115,7 @@ class TopicCount:
             step = stamp - self.last
             if step < 0:
                 self.falls += 1
-                self.low = stamp
+                self.stamp_after_fall = stamp
                 self.fall = self.fall or (self.last, stamp)
                 if self.last == self.gap[1]:  # a stray stamp is no gap
                     self.gap = self.shorter_gap
@@ -123,12 +123,12 @@ class TopicCount:
                 digits = step.bit_length()
                 self.intervals[digits] += 1
                 self.sums[digits] += step
-                if step > self.gap[1] - self.gap[0] and self.last != self.low:
+                if step > self.gap[1] - self.gap[0] and self.last != self.stamp_after_fall:
                     self.shorter_gap = self.gap
                     self.gap = (self.last, stamp)
         self.last = stamp
 
-    def usual(self) -> float:
+    def usual_rate(self) -> float:
         """Messages a second, without intervals of more than eight times the middle one."""
         interval_count = sum(self.intervals)
         cumulative_count = 0
@@ -154,7 +154,7 @@ class TopicCount:
             last=last,
             falls=self.falls,
             fall=seconds(self.fall),
-            usual=self.usual(),
+            usual_rate=self.usual_rate(),
             gap=gap,
         )
 

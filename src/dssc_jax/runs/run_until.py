@@ -147,7 +147,8 @@ def require_same_rule(folder: Path, study: Study, rule: StoppingRule, most: int)
     manifest: Manifest = read_manifest(folder) if folder.is_dir() else {"study": {}}
     stopping = manifest.get("stopping") or {}
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
-    if not same_rule or manifest["study"] | {"draws": most} != study.table:
+    stored_study = manifest["study"] | {"draws": most}  # it has the draws at which the run stopped
+    if not same_rule or stored_study != study.table:
         raise ConfigError(
             str(folder),
             "is no result of this study under this stopping rule; choose another `out`",

@@ -95,8 +95,8 @@ class LawErrors(Analysis):
         share = f"{100 * self.limit:g} %"
         low, high = self.interval
         if high > self.limit:
-            under = f"failure probability in [{low:.3g}, {high:.3g}]"
-            return f"more than {share} may fail even under the assumed laws: {under}"
+            probability_text = f"failure probability in [{low:.3g}, {high:.3g}]"
+            return f"more than {share} may fail even under the assumed laws: {probability_text}"
         answer = self.answer
         return (
             f"at most {share} fail while all means are at most {answer.mean_shift:.3g} standard deviations wrong, or "
@@ -123,6 +123,7 @@ class LawErrors(Analysis):
             confidence=CONFIDENCE,
             failure=FailureShare(self.failures, probability, self.interval, self.interval_method),
             **radii,
+            # both are bounds, each of which fails with 2.5 % at most; a widening of 1 is none
             mean_shift=max(shift.bound, self.guaranteed.mean_shift),
             widening=max(widening.bound, self.guaranteed.widening or 1.0),
             guaranteed=self.guaranteed,

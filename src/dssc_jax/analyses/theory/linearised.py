@@ -64,8 +64,9 @@ def require_continuous(study: Study) -> None:
             f"{', '.join(kinds_with(CONTROLLERS, 'synthesised'))} do",
         )
     loop, template = study.loop, study.template
-    dynamics = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])
-    require_continuous_dynamics(study, substituted(loop, template, [dynamics])[0].unmodelled[0])
+    place = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])
+    smooth_loop, _ = substituted(loop, template, [place])  # dynamics that are smooth nowhere have a substitute
+    require_continuous_dynamics(study, smooth_loop.unmodelled[0])
 
 
 def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
@@ -111,8 +112,8 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         error = tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
-        reaching = model.output(dynamics, z, total)
-        rate = loop.plant.derivative(params.plant, unravel(x), quiet._replace(command=reaching), 0.0)
+        command_at_plant = model.output(dynamics, z, total)
+        rate = loop.plant.derivative(params.plant, unravel(x), quiet._replace(command=command_at_plant), 0.0)
         return jnp.concatenate([ravel_pytree(rate)[0], ravel_pytree(as_arrays(slope))[0]])
 
     origin = jnp.zeros(resting.size + memory.size)

@@ -209,8 +209,8 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
     if study.numbers[name].expression:
         raise ConfigError(place, study.numbers[name].follows)
     for follower in study.followers(name) if table.certified or table.slack is not None else ():
-        part = follower.split(".")
-        if part[0] in ASSUMED or "nominal" in part:
+        parts = follower.split(".")
+        if parts[0] in ASSUMED or "nominal" in parts:
             raise ConfigError(
                 place, "is what the theorem's bounds are made of, so that they would move; give it a number"
             )

@@ -35,7 +35,7 @@ Tensor = np.ndarray
 
 
 def as_tensor(value: Any, build: Builder) -> Tensor:
-    """The elements of a value as an array of objects; of shape () for a scalar."""
+    """A value as an array of objects: an array's numbers become constants, and a scalar is an array of shape ()."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
     tensor = np.empty(np.shape(value) if isinstance(value, np.ndarray) else (), object)

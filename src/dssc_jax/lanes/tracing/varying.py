@@ -44,7 +44,11 @@ class VaryingResults:
         self._masks: dict[int, tuple[Jaxpr, list[int]]] = {}
 
     def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
-        """The mask of each result, from that of each operand."""
+        """The mask of each result, from that of each operand.
+
+        The masks in terms of the jaxpr's own inputs are found once. The jaxpr is kept with them, so that no other one
+        can get its id.
+        """
         if id(jaxpr) not in self._masks:
             scope: dict[Var, int] = {variable: 2 << i for i, variable in enumerate(jaxpr.invars)}
 

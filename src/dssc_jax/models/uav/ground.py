@@ -102,7 +102,8 @@ def has_crashed(
     """Whether the vehicle hits the ground in a sample: a foot touches too fast, or the centre of mass is below it.
 
     A foot that is above the ground touches it with the rate (climb^2 - 2 acceleration gap)^(1/2), as the acceleration
-    hardly changes within a sample. Later its rate is no longer that of the touch, because the ground has braked it.
+    hardly changes within a sample. A foot that is below the ground already counts only while it still sinks too fast:
+    the ground may have braked it since its touch.
 
     Args:
         ground: The plane and the feet.

@@ -267,7 +267,11 @@ class SetProgram:
         return matrices
 
     def decrease(self, step: Step) -> Affine:
-        """How much V falls more than it has to over a step, as a form of state and inputs."""
+        """How much V falls more than it has to over a step, as a quadratic form of the state z and the inputs w.
+
+        It is ((1 - T_s lambda) V(z) - V(z+))/T_s + sum of mu_j w_j^2; see :func:`invariant_set`. ``spare`` enlarges
+        lambda and reduces the multipliers mu_j, and SLACK is taken from all eigenvalues.
+        """
         n = self.n
         entries = self.entries
         a = self.inverse @ step.a @ self.scale

@@ -216,15 +216,15 @@ class Update(NamedTuple):
     error: tuple[Scalar, ...]
 
     def by(self, row: Sparse, difference: Scalar, std: Scalar, measured: Scalar) -> "Update":
-        """The update by one number; without it nothing changes.
+        """The update by one measured number; where it was not measured, nothing changes.
 
         Args:
-            row: Its slope with the error state.
+            row: The entries of its derivative h by the error state that are not 0.
             difference: Measured minus estimated.
             std: Standard deviation of its noise.
             measured: Whether it was measured.
         """
-        shares = []
+        shares = []  # P h'
         for i in range(STATES):
             value: Scalar = 0.0
             for place, weight in row:

@@ -305,7 +305,10 @@ def checked_bounds(
     damping: tuple[float, float],
     nominal: Nominal | None,
 ) -> VehicleBounds | Obstacle:
-    """The fixed point as a result, if the loop slides under it."""
+    """The bounds ``y``, a fixed point of F, as a result.
+
+    It is ``Obstacle.SLIDING`` instead if the equivalent control of a channel may exceed rho under them.
+    """
     totals, _ = vehicle_totals(nominal, y)
     deviations = all_deviations(problem, totals, slopes)
     _, remainders, rotors = apply_map(problem, responses, deviations, y, damping, nominal)
