@@ -13,6 +13,7 @@ from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, Study
 from dssc_jax.study import Study
 
 SIGNIFICANCE = 0.05  # level of the test of a log
+MOST_MINIMA = 3  # of a search, beside the best one, that are listed
 LONG_OUTSIDE = 0.05  # share of the samples outside the range of all draws that the verdict tells
 
 Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
@@ -262,11 +263,14 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
     if summary["search_cut"]:
-        remark = "these are the best numbers so far, others may be better"
+        remark = "these are the best numbers so far, others may be better; repeat it with more --simulations"
         lines.append(f"the search ended early, {summary['search_cut']}: {remark}")
-    for minimum in summary["other_minima"]:
+    minima = summary["other_minima"]
+    for minimum in minima[:MOST_MINIMA]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
         lines.append(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
+    if len(minima) > MOST_MINIMA:
+        lines.append(f"others end in {len(minima) - MOST_MINIMA} more minima, which --json lists")
     return lines
 
 

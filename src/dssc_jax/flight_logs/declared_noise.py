@@ -11,8 +11,15 @@ from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.prediction import quiet_values, study_noise
 from dssc_jax.flight_logs.references import median_values
 from dssc_jax.statistics.correlated_noise import weighted_products
+from dssc_jax.study import Study
 
 REPLICATES = 64
+ROUNDING = 1e-12  # least eigenvalue of a correlation matrix, as a share of the largest one
+
+
+def declares_noise(study: Study) -> bool:
+    """Whether a study has random disturbances or winds."""
+    return quiet_values(study) != median_values(study)
 
 
 def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
@@ -25,7 +32,7 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
         minimum: The minimum.
     """
     count = len(problem.names)
-    if quiet_values(problem.study) == median_values(problem.study):
+    if not declares_noise(problem.study):
         return np.zeros((count, count))
     replicates = study_noise(problem.study, problem.names, problem.values(minimum.x), problem.log.commands, REPLICATES)
     products = np.zeros((REPLICATES + count,) * 2)
@@ -44,12 +51,15 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
 
 
 def larger_covariance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The first covariance, widened where the second one is larger; both of shape (p, p), the first one regular.
+    """The first covariance, widened where the second one is larger; both of shape (p, p).
 
     In the coordinates in which the first is the identity and the second is diagonal, the larger of the two counts.
     """
-    root = np.linalg.cholesky(first)
-    inverse = np.linalg.inv(root)
+    scale = np.sqrt(np.diag(first))
+    values, vectors = np.linalg.eigh(first / np.outer(scale, scale))
+    roots = np.sqrt(np.maximum(values, ROUNDING * values[-1]))
+    root = scale[:, None] * vectors * roots
+    inverse = (vectors / roots).T / scale
     values, vectors = np.linalg.eigh(inverse @ second @ inverse.T)
     axes = root @ vectors
     return (axes * np.maximum(values, 1.0)) @ axes.T

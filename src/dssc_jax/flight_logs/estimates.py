@@ -20,6 +20,7 @@ from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_do
 
 BOUND_MARGIN = 1e-6  # share of the distance from an exclusive bound by which a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
+WITHOUT_SCALE = ("1", "s", "1/s", "samples")  # units of numbers that no other unit of an output or command changes
 OUTSIDE_LAW = (
     3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside
 )
@@ -137,7 +138,8 @@ class Fitted:
             ends = law.quantile(np.array([0.001, 0.999]))
             low, high = fit_scale(law, ends)
             if scaled < low - OUTSIDE_LAW * deviation or scaled > high + OUTSIDE_LAW * deviation:
-                outside[name] = factor_text(ends / value, units) if value != 0.0 else ""
+                has_scale = value != 0.0 and self.study.numbers[name].quantity.unit not in WITHOUT_SCALE
+                outside[name] = factor_text(ends / value, units) if has_scale else ""
         return outside if len(set(outside.values())) == 1 else dict.fromkeys(outside, "")
 
     def toml(self) -> str:

@@ -129,10 +129,8 @@ def fit_log(
         if better is not None:
             problem = replace(problem, log=with_commands(problem.log, better))
             continue
-        insensitive = {} if names else insensitive_numbers(problem, search)
-        if insensitive:
-            unidentified.add_insensitive(insensitive)
-        else:
+        insensitive = {} if names else insensitive_numbers(problem, search.best)
+        if not unidentified.update_insensitive(insensitive):
             try:
                 moves = command_moves(problem, search.best, comparisons)
                 return fitted_minimum(problem, search, unidentified.kept_widths, moves)
@@ -156,6 +154,8 @@ class UnidentifiedNumbers:
         self.kept: frozenset[str] = frozenset()
         self.widths: dict[str, float] = {}
         self.reasons = ""
+        self._insensitive: set[str] = set()
+        self._recovered: set[str] = set()
         self._last: str | None = None
         self._tried = {self.kept}
 
@@ -164,10 +164,21 @@ class UnidentifiedNumbers:
         """The kept numbers, with the width that the flight leaves for each over that of its law."""
         return {name: width for name, width in self.widths.items() if name in self.kept}
 
-    def add_insensitive(self, widths: Mapping[str, float]) -> None:
-        """Keep the laws of numbers that the output hardly depends on, by their widths."""
-        self.widths |= widths
-        self._keep(self.kept.union(widths))
+    def update_insensitive(self, widths: Mapping[str, float]) -> bool:
+        """Keep the laws of numbers that the output hardly depends on, and tell whether other numbers are kept now.
+
+        At another minimum the output may depend on a number all the same. It is then fitted again, once.
+
+        Args:
+            widths: The numbers with their widths, kept ones among them.
+        """
+        before = self.kept
+        recovered = self._insensitive - widths.keys() - self._recovered
+        self._recovered |= recovered
+        self._insensitive = (self._insensitive | widths.keys()) - recovered
+        self.widths |= {name: width for name, width in widths.items() if name not in self.kept}
+        self._keep((self.kept - recovered).union(widths))
+        return self.kept != before
 
     def add(self, name: str, refusal: NotIdentifiable) -> None:
         """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
@@ -266,16 +277,19 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
     return names
 
 
-def insensitive_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
-    """Numbers whose standard deviation from this flight is not below that of their law, with the ratio of the two."""
-    unidentified = {}
-    information = search.best.equations.information
-    information_roots = np.sqrt(np.diag(information))
-    for name, root in zip(problem.names, information_roots, strict=True):
-        width = math.inf if root == 0.0 else float(1.0 / root)
-        if name not in problem.kept and not width < 1.0:
-            unidentified[name] = width
-    return unidentified
+def insensitive_numbers(problem: FitProblem, minimum: Minimum) -> dict[str, float]:
+    """Numbers on which the output hardly depends at a minimum, with their widths.
+
+    A width is the number's standard deviation from this flight, were all others known, over that of its law. It is not
+    below 1.
+    """
+    widths = {}
+    information = np.diag(minimum.equations.information) - problem.prior
+    for name, entry in zip(problem.names, information, strict=True):
+        width = 1.0 / math.sqrt(entry) if entry > 0.0 else math.inf
+        if not width < 1.0:
+            widths[name] = width
+    return widths
 
 
 def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:

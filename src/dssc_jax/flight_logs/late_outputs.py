@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.flight_logs.declared_noise import declares_noise
 from dssc_jax.flight_logs.late_commands import command_delay_doubts
 from dssc_jax.flight_logs.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.minima import Minimum, minimise
@@ -182,13 +183,18 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
 
 
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
-    """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers."""
+    """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers.
+
+    A gust leaves a smooth residual, which any shift changes. So where the study declares one, the residual has the
+    noise of the minimum. A shift that is the longest one is no delay.
+    """
     margin = longest_shift(problem)
     shifts = ShiftedOutputs(problem, margin)
     if margin < 1 or not shifts.has_enough_readings():
         return ()
-    channels, shift, remaining_share = screened_shift(shifts, minimum.x, margin, white=True)
-    if shift == 0 or remaining_share > MOST_REMAINING:
+    white = not declares_noise(problem.study)
+    channels, shift, remaining_share = screened_shift(shifts, minimum.x, margin, white)
+    if shift == 0 or abs(shift) == margin or remaining_share > MOST_REMAINING:
         return ()
     names = [signal_name(problem.study.loop.channels[channel], "y") for channel in channels]
     delay = abs(shift) * problem.study.loop.sample_time

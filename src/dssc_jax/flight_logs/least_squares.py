@@ -150,13 +150,15 @@ class FitProblem:
         medians = {name: law.median for name, law in self.study.laws.items()}
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 
+    def beyond_laws(self, x: np.ndarray) -> np.ndarray:
+        """How far each number is outside of its law at coordinates, in standard deviations of the law; 0 inside."""
+        ends = np.array([fit_scale(law, law.quantile(LAW_ENDS)) for law in self.laws])
+        low, high = (ends.T - self.medians) / self.widths
+        return np.maximum(0.0, np.maximum(low - x, x - high))
+
     def is_far_outside(self, x: np.ndarray) -> bool:
         """Whether a number is far outside of its law at coordinates."""
-        for law, median, width, coordinate in zip(self.laws, self.medians, self.widths, x, strict=True):
-            ends = (fit_scale(law, law.quantile(LAW_ENDS)) - median) / width
-            if coordinate < ends[0] - FAR_OUTSIDE or coordinate > ends[1] + FAR_OUTSIDE:
-                return True
-        return False
+        return bool(np.any(self.beyond_laws(x) > FAR_OUTSIDE))
 
     def columns(self, x: np.ndarray, commands: np.ndarray | None = None) -> list[np.ndarray]:
         """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p).

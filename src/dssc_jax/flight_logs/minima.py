@@ -98,11 +98,20 @@ def screened_points(problem: FitProblem) -> np.ndarray:
     return points[np.argsort(costs, kind="stable")]
 
 
-def distinct_minima(ends: Sequence[Minimum]) -> list[Minimum]:
+def cost_with_laws(problem: FitProblem, minimum: Minimum) -> float:
+    """The weighted sum of squares, and the squares of the distances outside of the laws.
+
+    A log with unlikely numbers that tells them well has its minimum there all the same, since its sum of squares is far
+    larger elsewhere. Where it hardly tells a number, a minimum inside the laws is the better one.
+    """
+    return minimum.cost + float(np.sum(problem.beyond_laws(minimum.x) ** 2))
+
+
+def distinct_minima(problem: FitProblem, ends: Sequence[Minimum]) -> list[Minimum]:
     """Minima that differ, the best first; without infinite ones."""
     minima: list[Minimum] = []
     finite = [end for end in ends if math.isfinite(end.cost)]
-    for end in sorted(finite, key=lambda end: end.cost):
+    for end in sorted(finite, key=lambda end: cost_with_laws(problem, end)):
         for index, minimum in enumerate(minima):
             if np.abs(end.x - minimum.x).max() < SAME_MINIMUM:
                 minima[index] = minimum._replace(starts=minimum.starts + end.starts)
@@ -184,7 +193,7 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
                 if ends and problem.count.reason:
                     break
                 ends.append(minimise(problem, x))
-            if unseen_minima(len(ends), len(distinct_minima(ends))) < UNSEEN_MINIMA:
+            if unseen_minima(len(ends), len(distinct_minima(problem, ends))) < UNSEEN_MINIMA:
                 break
     except KeyboardInterrupt:
         if not ends:
@@ -196,12 +205,13 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
 def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) -> MinimumSearch | None:
     """Find the minima from several starts, or from given minima; None if no start has a finite output."""
     ends = [minimise(problem, minimum.x, minimum.starts) for minimum in starting_minima] or searched_minima(problem)
-    minima = distinct_minima(ends)
+    minima = distinct_minima(problem, ends)
     for turn in range(MINIMUM_ROUNDS if minima else 0):
         best = reweighted_minimum(problem, minima[0])
         if turn == 0:
             best = neighbouring_minimum(problem, best)
-        minima = distinct_minima([best, *(minimise(problem, rival.x, rival.starts) for rival in minima[1:])])
-        if minima[0].cost >= best.cost:
+        ends = [best, *(minimise(problem, rival.x, rival.starts) for rival in minima[1:])]
+        minima = distinct_minima(problem, ends)
+        if cost_with_laws(problem, minima[0]) >= cost_with_laws(problem, best):
             break
     return MinimumSearch(minima[0], minima[1:], sum(end.starts for end in ends)) if minima else None
