@@ -10,18 +10,38 @@ import numpy as np
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.conversions import FEWER, multiple_of, rms
 from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
-from dssc_jax.flight_logs.reader import forward_filled
+from dssc_jax.flight_logs.reader import Column, forward_filled
 
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
 LARGE_OFFSET = 0.1  # share of that deviation: a smaller offset is not told
 LEAST_VALUES = 20
+FASTER = 0.75  # share of T_s: commands that change more often are those of a faster controller
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
 LEAST_STUCK = 5  # equal samples in a row of a command that sticks
 STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
 MOST_SPANS = 3  # in which a command sticks
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
+
+
+def rate_hint(command: Column, sample_time: float) -> str:
+    """That a logged command changes more often than the study's controller gives one, in words; empty if it does not.
+
+    Args:
+        command: The command as logged.
+        sample_time: T_s of the study [s].
+    """
+    change_times = command.time[1:][np.diff(command.value) != 0.0]
+    if len(change_times) < LEAST_VALUES:
+        return ""
+    interval = float(np.median(np.diff(change_times)))
+    if not interval < FASTER * sample_time:
+        return ""
+    return (
+        f"changes every {interval:.3g} s, and the study's controller gives a command every {sample_time:g} s: set "
+        "loop.sample_time to that of the flight's controller. A fit takes one of its commands for each sample"
+    )
 
 
 def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:

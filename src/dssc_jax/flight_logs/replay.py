@@ -21,7 +21,7 @@ from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.angle_units import angle_hints
 from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.command_hints import command_hint
+from dssc_jax.flight_logs.command_hints import command_hint, rate_hint
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy, times_text
 from dssc_jax.flight_logs.integrals import integral_hints
@@ -285,10 +285,11 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         if "u_total" in signals:
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
+            rate_text = rate_hint(log.columns[name], loop.sample_time)
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-            elif hint:
-                factors[name] = hint
+            elif rate_text or hint:
+                factors[name] = rate_text or hint
     conversions |= angle_hints(study, log, references)
     hints = LogHints(
         conversions=conversions,
