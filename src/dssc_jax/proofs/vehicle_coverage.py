@@ -52,9 +52,11 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     Raises:
         NotCovered: a part of the loop is outside of the theorem; the message gives the reason.
     """
-    require_loop(study)
+    if study.config.event:
+        raise NotCovered("[[event]] changes the loop at a time")
     require_laws(study)
     ends = ends_of(study.without_sweep())
+    require_loop(study)
     plant = ends.part("plant")
     inner_gains = require_inner_loop(plant)
     vehicle = ends.low.plant.vehicle
@@ -109,8 +111,6 @@ def require_laws(study: Study) -> None:
 def require_loop(study: Study) -> None:
     """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
     loop = study.loop
-    if study.config.event:
-        raise NotCovered("[[event]] changes the loop at a time")
     plant: UavParams = study.template.plant
     if any((plant.roll or 0.0, plant.pitch or 0.0, *plant.body_rate)):
         raise NotCovered("plant.roll, plant.pitch or plant.body_rate is not 0: a proof starts level and does not turn")
