@@ -3,7 +3,11 @@
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.fit import fit_log, marginal_information
+from dssc_jax.flight_logs.fit import UnidentifiedNumbers, fit_log, marginal_information
+from dssc_jax.flight_logs.least_squares import FitProblem, NormalEquations
+from dssc_jax.flight_logs.log_sampling import sampled_log
+from dssc_jax.flight_logs.minima import Minimum, distinct_minima
+from dssc_jax.flight_logs.refusals import NotIdentifiable
 from tests.flight_logs.test_fit import linear, log_of, output
 
 
@@ -38,3 +42,40 @@ def test_where_one_factor_of_a_product_keeps_its_law_the_other_covers_the_truth(
             hits.append(low <= truth[name] <= high)
     assert len(hits) >= 8
     assert stats.binom.cdf(sum(hits), len(hits), 0.9) > 1e-4
+
+
+def test_a_number_is_kept_in_place_of_another_before_both_are():
+    unidentified = UnidentifiedNumbers()
+    kept = []
+    for name in ("a", "b", "a", "c"):
+        unidentified.add(name, NotIdentifiable("open", name, 2.0))
+        kept.append("".join(sorted(unidentified.kept)))
+    assert kept == ["a", "b", "ab", "bc"]
+    assert unidentified.kept_widths == {"b": 2.0, "c": 2.0}
+
+
+def test_a_number_that_another_minimum_depends_on_is_fitted_again_once():
+    unidentified = UnidentifiedNumbers()
+    assert unidentified.update_insensitive({"a": 3.0})
+    assert not unidentified.update_insensitive({"a": 2.0})
+    assert unidentified.kept_widths == {"a": 3.0}
+    assert unidentified.update_insensitive({})
+    assert not unidentified.kept
+    assert unidentified.update_insensitive({"a": 5.0})
+    assert not unidentified.update_insensitive({})
+    assert unidentified.kept_widths == {"a": 5.0}
+
+
+def test_a_minimum_inside_the_laws_comes_before_one_outside_that_is_hardly_better():
+    study = linear()
+    u = np.zeros(400)
+    problem = FitProblem(study, ("plant.k_p", "plant.a_p"), None, sampled_log(study, log_of(output(1.0, 1.0, u), u)))
+    equations = NormalEquations(100.0, np.zeros(2), np.eye(2))
+    inside = Minimum(np.array([1.0, 0.0]), equations, 1)
+    outside = Minimum(np.array([30.0, 0.0]), equations._replace(cost=90.0), 1)
+    assert distinct_minima(problem, [outside, inside])[0] is inside
+    clear = Minimum(np.array([30.0, 0.0]), equations._replace(cost=0.0), 1)
+    much_worse = inside._replace(equations=equations._replace(cost=5000.0))
+    assert distinct_minima(problem, [much_worse, clear])[0] is clear
+    assert problem.is_far_outside(outside.x)
+    assert not problem.is_far_outside(inside.x)
