@@ -3,11 +3,12 @@
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.fit import UnidentifiedNumbers, fit_log, marginal_information
+from dssc_jax.flight_logs.fit import fit_log, marginal_information
 from dssc_jax.flight_logs.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.log_sampling import sampled_log
 from dssc_jax.flight_logs.minima import Minimum, distinct_minima
 from dssc_jax.flight_logs.refusals import NotIdentifiable
+from dssc_jax.flight_logs.unidentified import UnidentifiedNumbers
 from tests.flight_logs.test_fit import linear, log_of, output
 
 

@@ -10,7 +10,7 @@ References:
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text
 from dssc_jax.flight_logs.late_outputs import delay_doubts
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, averaged_covariance
+from dssc_jax.flight_logs.least_squares import FAR_OUTSIDE, TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.log_sampling import sampled_log
 from dssc_jax.flight_logs.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.outliers import outlier_doubts
@@ -55,11 +55,13 @@ from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.flight_logs.start_doubts import output_start_doubts, wind_doubts
 from dssc_jax.flight_logs.starts import fixed_integrals
+from dssc_jax.flight_logs.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.width_reasons import open_numbers, widest_growth, width_reasons
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
+EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
 
 
 def fit_log(
@@ -139,58 +141,14 @@ def fit_log(
                     raise
                 unidentified.add(refusal.number, refusal)
         problem = problem.keeping(unidentified.kept)
+        starting_minima = [at_medians(minimum, problem.is_kept) for minimum in starting_minima]
         if not problem.fitted_names:
             raise none_identified(problem, search.best, unidentified)
 
 
-class UnidentifiedNumbers:
-    """The numbers of a fit that keep their laws, as the search for a set of numbers goes on that a flight identifies.
-
-    Where a flight identifies a combination of two numbers alone, one of them keeps its law. Which one leaves the other
-    narrower than its law is seen by trying.
-    """
-
-    def __init__(self) -> None:
-        self.kept: frozenset[str] = frozenset()
-        self.widths: dict[str, float] = {}
-        self.reasons = ""
-        self._insensitive: set[str] = set()
-        self._recovered: set[str] = set()
-        self._last: str | None = None
-        self._tried = {self.kept}
-
-    @property
-    def kept_widths(self) -> dict[str, float]:
-        """The kept numbers, with the width that the flight leaves for each over that of its law."""
-        return {name: width for name, width in self.widths.items() if name in self.kept}
-
-    def update_insensitive(self, widths: Mapping[str, float]) -> bool:
-        """Keep the laws of numbers that the output hardly depends on, and tell whether other numbers are kept now.
-
-        At another minimum the output may depend on a number all the same. It is then fitted again, once.
-
-        Args:
-            widths: The numbers with their widths, kept ones among them.
-        """
-        before = self.kept
-        recovered = self._insensitive - widths.keys() - self._recovered
-        self._recovered |= recovered
-        self._insensitive = (self._insensitive | widths.keys()) - recovered
-        self.widths |= {name: width for name, width in widths.items() if name not in self.kept}
-        self._keep((self.kept - recovered).union(widths))
-        return self.kept != before
-
-    def add(self, name: str, refusal: NotIdentifiable) -> None:
-        """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
-        self.widths[name] = refusal.width
-        self.reasons = refusal.reasons
-        exchanged = (self.kept - {self._last}) | {name}
-        self._keep(self.kept | {name} if exchanged in self._tried else exchanged)
-        self._last = name
-
-    def _keep(self, names: frozenset[str]) -> None:
-        self.kept = names
-        self._tried.add(names)
+def at_medians(minimum: Minimum, is_kept: np.ndarray) -> Minimum:
+    """A minimum as the start of another search, in which the numbers that keep their laws begin at their medians."""
+    return minimum._replace(x=np.where(is_kept, 0.0, minimum.x))
 
 
 def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
@@ -309,6 +267,26 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
 
 
+def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
+    """Require that no number is far outside its law where the simulated output explains nothing of the logged one.
+
+    A controller that holds a place in a gust gives commands against it, and the best gain for them is 0.
+
+    Raises:
+        NotIdentifiable: One is; the message has the farthest.
+    """
+    beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
+    farthest = int(np.argmax(beyond))
+    explains_nothing = all(result.residual > EXPLAINS_NOTHING * result.output for result in results)
+    if beyond[farthest] > FAR_OUTSIDE and explains_nothing:
+        name = problem.names[farthest]
+        raise NotIdentifiable(
+            f"the flight does not identify {name}: its best value, {problem.values(x)[farthest]:.4g}, is far outside "
+            "its law, and the simulated output explains nothing of the logged one. Fly steps that show the number",
+            name,
+        )
+
+
 def fitted_minimum(
     problem: FitProblem, search: MinimumSearch, unidentified_widths: dict[str, float], moves: np.ndarray
 ) -> Fitted:
@@ -325,6 +303,7 @@ def fitted_minimum(
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
     results = explain(problem, x)
     require_explained(problem, search.best, results)
+    require_plausible(problem, x, results)
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))

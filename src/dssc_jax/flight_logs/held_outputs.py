@@ -11,6 +11,7 @@ from dssc_jax.flight_logs.reader import Column
 LEAST_STUCK = 10  # equal readings in a row of a noisy output: fewer may be chance
 NOISY = 0.9  # share of the other readings that differ from the one before
 TURNING = 0.3  # share of their changes that have another sign than the one before: fewer are those of a smooth output
+AT_SPEED = 0.5  # share of the usual change between two readings: a smaller one is nearly rest
 LEAST_CHANGES = 10  # of an output that is held: fewer do not tell a rate
 REGULAR = 0.9  # least share of the times between two changes that are the usual one, to a sample
 DIFFERENT = 0.5  # share of the changes that differ in size: fewer are those of a coarse scale
@@ -47,14 +48,28 @@ def drop_repeats(values: np.ndarray) -> np.ndarray:
 
 
 def stuck_span(column: Column) -> tuple[float, float] | None:
-    """The times between which a noisy output repeats one value, as that of a stuck sensor [s]; None: it never does."""
+    """The times between which an output repeats one value, as that of a stuck sensor [s]; None: it never does.
+
+    A noisy output never repeats one for long. One that moves smoothly comes to rest before it repeats one.
+    """
     changes = np.diff(column.value)
     begins, ends = flag_runs(changes == 0.0)
     if not begins.size or np.max(ends - begins) + 1 < LEAST_STUCK:
         return None
     longest = int(np.argmax(ends - begins))
     others = np.delete(changes, np.s_[begins[longest] : ends[longest]])
-    signs = np.sign(others[others != 0.0])
-    if len(signs) <= max(LEAST_STUCK, NOISY * len(others)) or np.mean(np.diff(signs) != 0.0) < TURNING:
+    moves = others[others != 0.0]
+    if len(moves) <= max(LEAST_STUCK, NOISY * len(others)):
+        return None
+    is_noisy = np.mean(np.diff(np.sign(moves)) != 0.0) >= TURNING
+    if not is_noisy and not stops_at_speed(changes, int(begins[longest]), int(ends[longest])):
         return None
     return float(column.time[begins[longest]]), float(column.time[ends[longest]])
+
+
+def stops_at_speed(changes: np.ndarray, begin: int, end: int) -> bool:
+    """Whether a run of changes that are 0 begins and ends at a usual speed, shape (n,)."""
+    if begin == 0 or end == len(changes):
+        return False
+    usual_change = float(np.median(np.abs(changes[changes != 0.0])))
+    return min(abs(float(changes[begin - 1])), abs(float(changes[end]))) > AT_SPEED * usual_change

@@ -203,11 +203,8 @@ class FitProblem:
         return [self.names[i] for i in self.fitted]
 
     def keeping(self, names: Iterable[str]) -> "FitProblem":
-        """The problem in which other numbers keep their laws, with the noise of this one."""
-        problem = replace(self, kept=frozenset(names))
-        problem.noises = list(self.noises)
-        problem.variances = list(self.variances)
-        return problem
+        """The problem in which other numbers keep their laws, with white noise, as at the beginning of a search."""
+        return replace(self, kept=frozenset(names))
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
         """The search for the noise of each channel's residual at coordinates."""

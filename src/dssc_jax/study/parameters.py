@@ -93,10 +93,7 @@ class Expression(Uncertain):
         return self._evaluated(ends, evaluate_intervals, lambda number: Interval.of(number, number))
 
     def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
-        """The expression in numbers or in intervals, after the parameters that it depends on.
-
-        Every parameter with a law must be in ``values``. ``exact`` makes a plain number a number or an interval.
-        """
+        """The expression in numbers or intervals; every parameter with a law that it depends on is in ``values``."""
         operands: dict[str, T] = {}
         for parameter in self.parameters:
             if parameter.dotted in values:
