@@ -140,10 +140,10 @@ def fit_log(
                 if names or refusal.number is None:
                     raise
                 unidentified.add(refusal.number, refusal)
+        if unidentified.kept.issuperset(candidates):
+            raise none_identified(problem, search.best, unidentified)
         problem = problem.keeping(unidentified.kept)
         starting_minima = [at_medians(minimum, problem.is_kept) for minimum in starting_minima]
-        if not problem.fitted_names:
-            raise none_identified(problem, search.best, unidentified)
 
 
 def at_medians(minimum: Minimum, is_kept: np.ndarray) -> Minimum:
@@ -199,8 +199,8 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
     """The refusal of a flight that identifies none of the numbers.
 
     Args:
-        problem: The problem, in which all numbers keep their laws.
-        best: Its best minimum.
+        problem: The last problem, with the noise of its minimum.
+        best: That minimum.
         unidentified: The numbers with their widths.
 
     Raises:
