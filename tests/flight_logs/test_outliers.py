@@ -140,3 +140,15 @@ def test_columns_that_share_a_name_and_cells_that_are_text_are_refused(tmp_path)
         read_log(table)
     table.write_text(f"t,y,u_total\n{rows}")
     assert isinstance(read_log(table).columns["y"], Column)
+
+
+def test_a_smooth_output_that_sticks_at_speed_is_told_and_one_that_rests_is_not():
+    smooth = np.sin(TIMES) + 1e-4 * np.random.default_rng(3).normal(size=len(TIMES))
+    stuck = smooth.copy()
+    stuck[100:130] = stuck[100]
+    assert stuck_span(Column(TIMES, stuck)) == pytest.approx((TIMES[100], TIMES[129]))
+    resting = np.concatenate([np.zeros(100), 1.0 - np.cos(TIMES[: len(TIMES) - 100])])
+    ended = smooth.copy()
+    ended[300:] = ended[300]  # the log goes on after the flight
+    for other in (smooth, resting, ended):
+        assert stuck_span(Column(TIMES, other)) is None
