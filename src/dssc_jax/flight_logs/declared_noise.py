@@ -6,10 +6,11 @@ and simulations show what it does to the estimates.
 
 import numpy as np
 
-from dssc_jax.flight_logs.least_squares import FitProblem
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.minima import Minimum
 from dssc_jax.flight_logs.prediction import quiet_values, study_noise
 from dssc_jax.flight_logs.references import median_values
+from dssc_jax.flight_logs.refusals import NotIdentifiable
 from dssc_jax.statistics.correlated_noise import weighted_products
 from dssc_jax.study import Study
 
@@ -30,6 +31,9 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
+
+    Raises:
+        NotIdentifiable: A simulation with the study's noise diverges, so that nothing tells how far it moves them.
     """
     count = len(problem.names)
     if not declares_noise(problem.study):
@@ -42,11 +46,14 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
         extended = np.column_stack([simulated.T, columns[:, 1:]])
         products += weighted_products(noise, readings.times, extended)[0] / variance
     if not np.isfinite(products).all():
-        return np.zeros((count, count))
+        raise NotIdentifiable(
+            "with the study's random disturbances the simulated output is not finite for these commands, so that no "
+            "interval can be told"
+        )
     gradients = products[REPLICATES:, :REPLICATES]
     moves = np.linalg.solve(minimum.equations.information, gradients)
     costs = np.diag(products)[:REPLICATES] - np.sum(gradients * moves, axis=0)
-    strength = min(1.0, minimum.cost / float(np.mean(costs)))
+    strength = min(1.0, minimum.cost / max(float(np.mean(costs)), TINY))
     return strength * moves @ moves.T / REPLICATES
 
 

@@ -122,6 +122,8 @@ class FitProblem:
         self.laws = [self.study.laws[name] for name in self.names]
         self.widths = np.array([prior_width(law) for law in self.laws])
         self.medians = np.array([fit_scale(law, law.median) for law in self.laws])
+        ends = np.array([fit_scale(law, law.quantile(LAW_ENDS)) for law in self.laws])
+        self.lowest, self.highest = (ends.T - self.medians) / self.widths  # coordinates of the laws' ends, shape (p,)
         counts = np.isfinite(self.log.outputs).sum(axis=1)
         sample_time = self.study.loop.sample_time
         channels = np.flatnonzero(counts >= LEAST_SAMPLES)
@@ -152,9 +154,7 @@ class FitProblem:
 
     def beyond_laws(self, x: np.ndarray) -> np.ndarray:
         """How far each number is outside of its law at coordinates, in standard deviations of the law; 0 inside."""
-        ends = np.array([fit_scale(law, law.quantile(LAW_ENDS)) for law in self.laws])
-        low, high = (ends.T - self.medians) / self.widths
-        return np.maximum(0.0, np.maximum(low - x, x - high))
+        return np.maximum(0.0, np.maximum(self.lowest - x, x - self.highest))
 
     def is_far_outside(self, x: np.ndarray) -> bool:
         """Whether a number is far outside of its law at coordinates."""

@@ -1,7 +1,5 @@
 """From a log to outputs and commands at the samples of a study."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
@@ -39,38 +37,37 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     loop = study.loop
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
     references = study_references(study, samples)
-    outputs = SampledOutputs(study, log, samples)
-    commands = SampledCommands(study, log, samples)
+    sampling = LogSampling(study, log, samples)
     for row in range(len(loop.channels)):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
-            outputs.add(row, signals["y"])
+            sampling.add_output(row, signals["y"])
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
-            commands.add_logged(row, command)
+            sampling.add_command(row, command)
         else:
-            commands.add_replayed(row, signals, references[row])
-    require_outputs(study, log, outputs.values)
+            sampling.replay_command(row, signals, references[row])
+    require_outputs(study, log, sampling.outputs)
     end = log.start + (samples - 1) * loop.sample_time
-    reconstruction, *alternatives = reconstructions(list(commands.values))
+    reconstruction, *alternatives = reconstructions(list(sampling.commands))
     return SampledLog(
-        outputs=outputs.values,
-        offsets=outputs.offsets,
+        outputs=sampling.outputs,
+        offsets=sampling.offsets,
         commands=reconstruction.commands,
-        held_samples=commands.held_samples,
-        replayed=tuple(commands.replayed),
-        jumps=commands.jumps,
-        gaps=log_gaps(log, commands.needed_signals, end),
-        rare=tuple(commands.rare),
+        held_samples=sampling.held_samples,
+        replayed=tuple(sampling.replayed),
+        jumps=sampling.jumps,
+        gaps=log_gaps(log, sampling.needed_signals, end),
+        rare=tuple(sampling.rare),
         between=reconstruction.text,
-        sensor_noise=reading_noise(study, outputs.values),
+        sensor_noise=reading_noise(study, sampling.outputs),
         alternatives=tuple(alternatives),
-        slow=outputs.slow,
+        slow=sampling.slow,
     )
 
 
-class SampledOutputs:
-    """The outputs of a log at a study's samples.
+class LogSampling:
+    """The outputs and commands of a log at a study's samples, channel by channel; fields as of :class:`SampledLog`.
 
     Args:
         study: The study.
@@ -81,46 +78,33 @@ class SampledOutputs:
     def __init__(self, study: Study, log: FlightLog, samples: int) -> None:
         self._study = study
         self._log = log
-        self.values = np.full((len(study.loop.channels), samples), np.nan)
-        self.offsets = np.zeros(self.values.shape)
+        shape = (len(study.loop.channels), samples)
+        self.outputs = np.full(shape, np.nan)
+        self.offsets = np.zeros(shape)
+        self.commands = np.zeros(shape)
         self.slow: dict[str, float] = {}
-
-    def add(self, row: int, output: np.ndarray) -> None:
-        """Add a channel's output; of one that is held between rarer readings, the readings."""
-        loop = self._study.loop
-        name = signal_name(loop.channels[row], "y")
-        samples = self.values.shape[1]
-        self.offsets[row] = nearest_offsets(self._log.columns[name], self._log.start, loop.sample_time, samples)
-        self.values[row] = np.where(np.isfinite(self.offsets[row]), output, np.nan)
-        hold = usual_hold(self.values[row])
-        if hold > 1:
-            self.values[row] = drop_repeats(self.values[row])
-            self.slow[name] = hold * loop.sample_time
-
-
-class SampledCommands:
-    """The commands of a log at a study's samples, logged or replayed.
-
-    Args:
-        study: The study.
-        log: The log.
-        samples: Number of samples.
-    """
-
-    def __init__(self, study: Study, log: FlightLog, samples: int) -> None:
-        self._study = study
-        self._log = log
-        self.values = np.zeros((len(study.loop.channels), samples))
         self.replayed: list[str] = []
         self.rare: list[str] = []
         self.needed_signals: list[str] = []  # their gaps falsify a command
         self.held_samples: dict[str, int] = {}
         self.jumps: dict[str, float] = {}
 
-    def add_logged(self, row: int, command: np.ndarray) -> None:
+    def add_output(self, row: int, output: np.ndarray) -> None:
+        """Add a channel's output; of one that is held between rarer readings, the readings."""
+        loop = self._study.loop
+        name = signal_name(loop.channels[row], "y")
+        samples = self.outputs.shape[1]
+        self.offsets[row] = nearest_offsets(self._log.columns[name], self._log.start, loop.sample_time, samples)
+        self.outputs[row] = np.where(np.isfinite(self.offsets[row]), output, np.nan)
+        hold = usual_hold(self.outputs[row])
+        if hold > 1:
+            self.outputs[row] = drop_repeats(self.outputs[row])
+            self.slow[name] = hold * loop.sample_time
+
+    def add_command(self, row: int, command: np.ndarray) -> None:
         """Add a channel's logged command."""
         name = signal_name(self._study.loop.channels[row], "u_total")
-        self.values[row] = command
+        self.commands[row] = command
         self.needed_signals.append(name)
         self.held_samples |= held_samples({name: command})
         if is_rare(command):
@@ -129,7 +113,7 @@ class SampledCommands:
         if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):
             self.jumps[name] = jump
 
-    def add_replayed(self, row: int, signals: Mapping[str, np.ndarray], reference: np.ndarray) -> None:
+    def replay_command(self, row: int, signals: dict[str, np.ndarray], reference: np.ndarray) -> None:
         """Add the command of the analysed controller for what was logged of a channel.
 
         Args:
@@ -141,12 +125,12 @@ class SampledCommands:
             ConfigError: The log lacks what the controller needs.
         """
         channel = self._study.loop.channels[row]
-        replay = replayed_channel(self._study, row, dict(signals), reference)
+        replay = replayed_channel(self._study, row, signals, reference)
         if isinstance(replay, str):
             name = signal_name(channel, "u_total")
             rule = f"has no command {name}, and {replay}; {column_remedy(channel, 'u_total')}"
             raise ConfigError(self._log.name, rule)
-        self.values[row] = replay
+        self.commands[row] = replay
         self.replayed.append(channel)
         self.needed_signals += [signal_name(channel, name) for name in signals if name.startswith("y")]
 
