@@ -66,7 +66,7 @@ def warn_of_signals(study: Study) -> None:
 
 
 def warn_of_times(study: Study) -> None:
-    """Print a warning of everything that begins after the end of the loop in every draw."""
+    """Print a warning of what never happens: it begins after the end of the loop, or may end before it begins."""
     duration = study.config.loop.duration
     for name, number in study.numbers.items():
         if not number.quantity.begins or name in study.axes:

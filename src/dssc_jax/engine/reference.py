@@ -29,7 +29,8 @@ amplify rounding: they contract multiply-adds differently."""
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
-RESTING = {64: 1e-12, 32: 1e-4}  # size of a metric at rest over that of the largest metric, by precision
+RESTING = {64: 1e-12, 32: 1e-6}  # size of a metric at rest over that of the largest metric, by precision
+ALTOGETHER = 0.05  # relative change by rounding: more, and a metric at rest is nothing but rounding
 COPIES = 4  # copies of a lane, moved in different directions
 ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
 UNDECIDED_BEYOND = 1e-2  # a lane that may deviate by more is no evidence
@@ -163,7 +164,7 @@ def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[s
     resting = []
     for name in names:
         is_tiny = sizes[name] <= RESTING[study.config.loop.precision] * largest
-        if is_tiny and np.max(spreads[name]) > UNDECIDED_BEYOND / ROUNDING_FACTOR:
+        if is_tiny and np.max(spreads[name]) > ALTOGETHER:
             resting.append(name)
     return resting
 

@@ -55,9 +55,9 @@ def with_units(component: Component, units: ChannelUnits) -> Component:
     return replace(component, numbers=tuple(numbers))
 
 
-def parse_whole(table: TomlTable, slot: str) -> Component:
-    """Parse the component of a slot that the loop has once."""
-    component = parse_component(table, REGISTRIES[slot], slot)
+def parse_whole(table: TomlTable, slot: str, registry: Registry | None = None) -> Component:
+    """Parse the component of a slot that the loop has once; without a registry, from that of the slot."""
+    component = parse_component(table, REGISTRIES[slot] if registry is None else registry, slot)
     return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
 
 
@@ -103,10 +103,8 @@ def parse_reference(
     """
     slot = "reference"
     if len(channels) == 1:
-        registry = of_angles(REGISTRIES[slot]) if channels[0] in angles else REGISTRIES[slot]
-        component = parse_component(table, registry, slot)
-        numbers = tuple(number.under(slot, slot) for number in component.numbers)
-        return with_units(replace(component, numbers=numbers), units[0])
+        registry = of_angles(REFERENCES) if channels[0] in angles else REFERENCES
+        return with_units(parse_whole(table, slot, registry), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     if joint.kind in REGISTRIES["trajectory"] and len(channels) != len(UAV.channels):
