@@ -13,9 +13,9 @@ from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
 from dssc_jax.study.components import FieldSpec, field_specs
-from dssc_jax.study.importing import imported
+from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.sections import params_of
 
 FieldRow: TypeAlias = tuple[str, str, str, str, str]
@@ -199,11 +199,11 @@ def entries_named(name: str) -> dict[str, Entry]:
         ConfigError: there is none, and neither a law, a metric nor a field.
     """
     if ":" in name:
-        return {"your own": entry_of(imported(name, name), name)}
+        return {"your own": entry_of(import_object(name, name), name)}
     by_table = registries()
     entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
-    if not entries and name not in LAWS and name not in KNOWN and not fields_named(name):
-        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
+    if not entries and name not in LAWS and name not in PACKAGE_METRICS and not fields_named(name):
+        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | PACKAGE_METRICS.keys()
         for registry in by_table.values():
             for entry in registry.values():
                 valid |= {row[0] for row in rows_of(entry) if "." not in row[0]}
@@ -235,8 +235,8 @@ def described_name(name: str) -> dict[str, Any]:
         description["fields"] = fields_by_kind
     if name in LAWS:
         description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
-    if name in KNOWN:
-        description["metric"] = metric_description(KNOWN[name])
+    if name in PACKAGE_METRICS:
+        description["metric"] = metric_description(PACKAGE_METRICS[name])
     return description
 
 
@@ -254,8 +254,8 @@ def show_kind(name: str) -> None:
     if name in LAWS:
         law = LAWS[name]
         output().print(f"law {name} = {law.signature}: {law.rule[0]}", markup=False)
-    if name in KNOWN:
-        metric = KNOWN[name]
+    if name in PACKAGE_METRICS:
+        metric = PACKAGE_METRICS[name]
         output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
     for slot, entry in entries.items():
         show_rows(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', rows_of(entry))

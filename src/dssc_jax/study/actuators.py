@@ -16,7 +16,7 @@ from dssc_jax.study.measures import MEASURES, USUAL_SENSOR
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import STRICT, StudyTable
-from dssc_jax.study.table_errors import explain
+from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
 
 ACTUATOR = "actuator"
@@ -54,7 +54,7 @@ def labels_of(tables: list[TomlTable]) -> list[str]:
             try:
                 label = ActuatorTable.model_validate({key: table[key] for key in ELEMENT_FIELDS if key in table}).name
             except ValidationError as error:
-                raise explain(error, ELEMENT_FIELDS) from None
+                raise first_error(error, ELEMENT_FIELDS) from None
         if label in labels:
             raise ConfigError(f"{place}.name", f"'{label}' names two elements")
         labels.append(label or str(index))

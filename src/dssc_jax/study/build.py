@@ -31,7 +31,7 @@ from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command
 from dssc_jax.study.fitting import fitted_controllers, nominal_params
 from dssc_jax.study.measures import measurable, parse_signal_sensors, sensor_tables
 from dssc_jax.study.measuring import available_metrics, kinds_of, parse_measures
-from dssc_jax.study.numbers import Number, dotted, parameter_numbers
+from dssc_jax.study.numbers import Number, dotted_name, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
 from dssc_jax.study.parts import (
     parse_columns,
@@ -58,7 +58,7 @@ from dssc_jax.study.slots import (
     TABLES,
 )
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
-from dssc_jax.study.table_errors import explain
+from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
 
 FIXED_TABLES: dict[str, type[BaseModel]] = {
@@ -83,7 +83,7 @@ def validate_fixed(table: TomlTable) -> StudyTable:
         nested_table = FIXED_TABLES.get(".".join(parent_path))
         top_table = FIXED_TABLES.get("".join(parent_path[:1]))
         table_model = nested_table or top_table or StudyTable
-        raise explain(error, table_model.model_fields) from None
+        raise first_error(error, table_model.model_fields) from None
 
 
 def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
@@ -203,12 +203,12 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
     common = {name: value for name, value in table.items() if name not in channels}
     channel_units = []
     for units, channel in zip(units_of_plant, channels, strict=True):
-        with errors_under(dotted("units", channel if channel in table else "")):
+        with errors_under(dotted_name("units", channel if channel in table else "")):
             overrides = as_table(table[channel]) if channel in table else {}
             try:
                 changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:
-                raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
+                raise first_error(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
         channel_units.append(units._replace(**changes))
     return tuple(channel_units)
 

@@ -10,7 +10,7 @@ from typing import Any
 from dssc_jax.core import files
 from dssc_jax.study.native import native_files
 
-NAMING = ("kind", "metric", "names")
+REFERENCE_KEYS = ("kind", "metric", "names")
 """Keys of a study's tables that may refer to a module's object."""
 
 
@@ -21,7 +21,7 @@ def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
     while pending_nodes:
         node = pending_nodes.pop()
         if isinstance(node, Mapping):
-            for key in NAMING:
+            for key in REFERENCE_KEYS:
                 value = node.get(key)
                 texts = value if isinstance(value, list | tuple) else [value]
                 names.update(text for text in texts if isinstance(text, str) and ":" in text)
@@ -47,7 +47,7 @@ def code_file(name: str) -> Path | None:
     return Path(spec.origin) if spec and spec.has_location and spec.origin else None
 
 
-def recorded(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
+def code_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
     """File and digest of each module that a study refers to, by ``module:object``, and of native code; for JSON."""
     modules = {name: file_digest(code_file(name)) for name in code_names(table)}
     native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
@@ -61,8 +61,8 @@ def file_digest(file: Path | None) -> dict[str, str | None]:
     return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
 
 
-def folders_of(modules: object) -> tuple[Path, ...]:
-    """The folders from which a run imported its modules, as far as :func:`recorded` tells; the top one of packages."""
+def module_folders(modules: object) -> tuple[Path, ...]:
+    """The folders from which a run imported its modules, as far as :func:`code_digests` tells; the top one of packages."""
     paths = []
     for name, module in modules.items() if isinstance(modules, Mapping) else ():
         file = module.get("file") if isinstance(module, Mapping) else None
@@ -83,7 +83,7 @@ def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] 
 
     Args:
         table: The study's table.
-        modules: The result of :func:`recorded` when the study was run; None: nothing was recorded.
+        modules: The result of :func:`code_digests` when the study was run; None: nothing was recorded.
     """
     lines = []
     for name in code_names(table):

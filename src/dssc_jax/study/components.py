@@ -20,12 +20,12 @@ from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.importing import imported
+from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import is_law, is_number
-from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_number, parse_numbers
+from dssc_jax.study.numbers import Number, leaves_of, numbers_by_name, parse_number, parse_numbers
 from dssc_jax.study.parameters import Expression
-from dssc_jax.study.table_errors import explain
-from dssc_jax.study.tables import merged, with_default
+from dssc_jax.study.table_errors import first_error
+from dssc_jax.study.tables import merge_tables, with_default
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def lookup(kind: object, registry: Registry) -> Entry:
         return registry[kind]
     if ":" not in kind:
         raise ConfigError("kind", f"unknown kind '{kind}'; {nearest(kind, registry)}")
-    model = imported(kind, "kind")
+    model = import_object(kind, "kind")
     if is_record(model) and not isinstance(model, type) and not hasattr(model, "params"):
         model = Preset(type(model), model)
     if isinstance(model, Entry):
@@ -246,7 +246,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         if kind is None:
             raise ConfigError("kind", f"is required and missing; valid names are {', '.join(sorted(registry))}")
         entry = lookup(kind, registry)
-        table = merged(entry.base, table)
+        table = merge_tables(entry.base, table)
         model = member_of(entry, table)
         choices = ("kind", *entry.keys, *([entry.option] if entry.option else []))
         params, numbers = parse_params(
@@ -286,7 +286,9 @@ def parse_params(
         fields[name] = leaves_of(value)
         mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
-            numbers[name] = tuple(Number.of(path, mark, item, path) for path, item in flattened(name, value).items())
+            numbers[name] = tuple(
+                Number.of(path, mark, item, path) for path, item in numbers_by_name(name, value).items()
+            )
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
 
 
@@ -390,7 +392,7 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     try:
         validated = model.model_validate(values)
     except ValidationError as error:
-        raise explain(error, [*specs, *choices], [name for name in specs if specs[name].derived]) from None
+        raise first_error(error, [*specs, *choices], [name for name in specs if specs[name].derived]) from None
     parsed_values = {name: getattr(validated, name) for name in model.model_fields}
     for name, value in parsed_values.items():
         enum = Text if specs[name].text else specs[name].enum

@@ -14,7 +14,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 LEAST_EIGENVALUE = 1e-8  # least eigenvalue of the correlation matrix
 
 
-def gaussian(rank: float) -> float:
+def normal_correlation(rank: float) -> float:
     """Linear correlation of two normal variables whose rank correlation is ``rank``.
 
     Reference:
@@ -35,7 +35,7 @@ def split_pair(pair: str) -> tuple[str, str]:
     return names[0], names[1]
 
 
-def paired(table: Mapping[str, float]) -> tuple[str, ...]:
+def correlated_names(table: Mapping[str, float]) -> tuple[str, ...]:
     """Names that occur in a pair, in the table's order."""
     return tuple(dict.fromkeys(name for pair in table for name in split_pair(pair)))
 
@@ -67,15 +67,15 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
         if not -1.0 < rank < 1.0:
             raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
     if table:
-        require_positive_definite(table, paired(table))
+        require_positive_definite(table, correlated_names(table))
 
 
-def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
+def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
     """Correlation matrix of the normal variables for ``names``."""
     correlations = np.eye(len(names))
     for pair, rank in table.items():
         i, j = (names.index(name) for name in split_pair(pair))
-        correlations[i, j] = correlations[j, i] = gaussian(rank)
+        correlations[i, j] = correlations[j, i] = normal_correlation(rank)
     return correlations
 
 
@@ -85,7 +85,7 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     Raises:
         ConfigError: It is not; the message names the pair with the largest share in the smallest eigenvalue.
     """
-    correlations = matrix(table, names)
+    correlations = correlation_matrix(table, names)
     values, vectors = np.linalg.eigh(correlations)
     if values[0] > LEAST_EIGENVALUE:
         return

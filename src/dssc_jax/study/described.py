@@ -23,7 +23,7 @@ from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import KNOWN, available_metrics, kinds_of, parse_measures
+from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, kinds_of, parse_measures
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
@@ -52,7 +52,7 @@ class DescribedSignal(BaseModel):
     meaning: str
 
 
-class OwnMetric(BaseModel):
+class DescribedMetric(BaseModel):
     """A metric from the study's own code: its meaning and scope."""
 
     model_config = NO_EXTRA_FIELDS
@@ -78,7 +78,7 @@ class Description(BaseModel):
     fields: dict[str, tuple[str, ...]]
     seen: tuple[str, ...]
     signals: dict[str, DescribedSignal]
-    metrics: dict[str, OwnMetric]
+    metrics: dict[str, DescribedMetric]
     certified: Any
     silence: str
 
@@ -122,7 +122,7 @@ class Described(Study):
 
     @classmethod
     def of(cls, table: Mapping[str, object], source: str, code: JsonObject, content: object) -> "Described":
-        """Build a study from its table and the result of :func:`describe`.
+        """Build a study from its table and the result of :func:`describe_study`.
 
         Raises:
             ConfigError: they do not fit, or are damaged.
@@ -158,7 +158,7 @@ class Described(Study):
             name: Metric(a.unit, a.meaning, update=unloaded, value=unloaded, needs=a.needs, scope=a.scope)
             for name, a in description.metrics.items()
         }
-        metrics = KNOWN | metrics_of_user
+        metrics = PACKAGE_METRICS | metrics_of_user
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, metrics)
@@ -221,7 +221,7 @@ def numbers_of(description: Description, parameters: ParameterTable) -> dict[str
     return numbers
 
 
-def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
+def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
     """The data that :meth:`Described.of` needs in addition to a study's table, for JSON.
 
     Args:
@@ -237,7 +237,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         value = number.expression.text if number.expression else value
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
     fields, vehicle_fields = info_fields(study.loop, study.template)
-    metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
+    metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in PACKAGE_METRICS}
     return {
         "channels": list(study.loop.plant.channels),
         "angles": list(study.loop.plant.angles),
@@ -258,7 +258,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
     }
 
 
-def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
+def stored_study(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
     """The study of a folder, which may come from anyone: the code it refers to is loaded only on request.
 
     Args:

@@ -16,8 +16,8 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Params, PlantInput, Scalar
 from dssc_jax.study.components import Component
-from dssc_jax.study.laws import Uncertain
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.laws import UncertainValue
+from dssc_jax.study.numbers import dotted_name
 
 COMMAND_DISTURBANCE = "disturbance"
 """Name of the disturbance beside the command."""
@@ -25,7 +25,7 @@ COMMAND_DISTURBANCE = "disturbance"
 
 def nominal_params(params: Params) -> Params:
     """Parameters with the nominal value in place of each law."""
-    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, Uncertain) else leaf, params)
+    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 def setting_of(
@@ -96,7 +96,7 @@ def fitted_controllers(
     result = []
     for name, component in zip(channels, controllers, strict=True):
         if component.model.fit is not None:
-            with errors_under(dotted("controller", name)):
+            with errors_under(dotted_name("controller", name)):
                 component = replace(component, params=component.model.fit(component.params, setting))
         result.append(component)
     return result

@@ -26,7 +26,7 @@ def allow_imports(folder: str | Path) -> None:
         importlib.invalidate_caches()
 
 
-def imported(name: str, place: str) -> Any:
+def import_object(name: str, place: str) -> Any:
     """Import a user's object by its name ``package.module:object``.
 
     Raises:

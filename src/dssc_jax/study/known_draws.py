@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from jax.tree_util import tree_leaves, tree_structure
 
-from dssc_jax.study.laws import Uncertain
+from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.study import Study
 
 POINT = "point"
@@ -41,6 +41,6 @@ def has_same_nominal_values(study: Study, plain: Study) -> bool:
     if tree_structure(study.template) != tree_structure(plain.template):
         return False
     for leaf, plain_leaf in zip(tree_leaves(study.template), tree_leaves(plain.template), strict=True):
-        if not isinstance(leaf, Uncertain) and not np.array_equal(leaf, plain_leaf):  # a record is an array
+        if not isinstance(leaf, UncertainValue) and not np.array_equal(leaf, plain_leaf):  # a record is an array
             return False
     return True

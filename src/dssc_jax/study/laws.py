@@ -184,7 +184,7 @@ SPREAD = "spread"
 """The name, in place of a number's dotted name, for widening all laws together."""
 
 
-class Uncertain(ABC):
+class UncertainValue(ABC):
     """The content of a number that differs between draws: a law, or an expression of such numbers."""
 
     @property
@@ -204,7 +204,7 @@ class Uncertain(ABC):
 
 
 @dataclass(frozen=True)
-class Law(Uncertain):
+class Law(UncertainValue):
     """A law that replaces a number.
 
     Args:

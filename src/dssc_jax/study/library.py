@@ -28,7 +28,7 @@ def available_studies() -> dict[str, Path]:
     return files
 
 
-def find(name: str) -> Path:
+def find_study(name: str) -> Path:
     """The file of a study given by path or by name.
 
     Raises:

@@ -15,11 +15,11 @@ from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
-from dssc_jax.study.importing import imported
+from dssc_jax.study.importing import import_object
 from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
-KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
+PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
 
 ROUNDING = 1e-9  # relative, of times that are compared
 
@@ -39,7 +39,7 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
     Raises:
         ConfigError: One cannot be imported, is not a metric, or has the name of another.
     """
-    metrics = dict(KNOWN)
+    metrics = dict(PACKAGE_METRICS)
     named_metrics = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
     named_metrics += [
         (f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric
@@ -47,7 +47,7 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
     for place, name in named_metrics:
         if ":" not in name:
             continue
-        metric = imported(name, place)
+        metric = import_object(name, place)
         if not isinstance(metric, Metric):
             raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
         if metrics.setdefault(short(name), metric) is not metric:

@@ -11,7 +11,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.plants import PLANTS
 
-SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compare": CONTROLLERS}
+NATIVE_SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compare": CONTROLLERS}
 """The tables of a study whose parts may be native code, with the kinds of their parts."""
 
 
@@ -51,7 +51,7 @@ def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]
     """The tables that name native code; a part of a comparison without a kind has that of ``[controller]``."""
     controller = table.get("controller")
     kind = controller.get("kind") if isinstance(controller, Mapping) else None
-    for slot, registry in SLOTS.items():
+    for slot, registry in NATIVE_SLOTS.items():
         yield from tables_within(table.get(slot), kind, registry)
 
 
@@ -80,7 +80,10 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     native_parts = list(native_tables(table))
     if not native_parts:
         return dict(table)
-    return {name: with_digest(value, native_parts, folder) if name in SLOTS else value for name, value in table.items()}
+    return {
+        name: with_digest(value, native_parts, folder) if name in NATIVE_SLOTS else value
+        for name, value in table.items()
+    }
 
 
 def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], folder: Path) -> object:
@@ -98,7 +101,7 @@ def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
     empty_digests: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
-        if slot in SLOTS and field.rpartition(".")[2] == "file":
+        if slot in NATIVE_SLOTS and field.rpartition(".")[2] == "file":
             empty_digests[f"{name.removesuffix('file')}sha256"] = ""
     return {**empty_digests, **changes}
 

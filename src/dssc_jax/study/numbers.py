@@ -56,11 +56,11 @@ class Number:
 
     def under(self, path: str, name: str) -> "Number":
         """The number of a part as a number of the whole, which contains the part at ``path`` under ``name``."""
-        paths = tuple(dotted(path, path_in_part) for path_in_part in self.paths)
-        return replace(self, name=dotted(name, self.name), paths=paths)
+        paths = tuple(dotted_name(path, path_in_part) for path_in_part in self.paths)
+        return replace(self, name=dotted_name(name, self.name), paths=paths)
 
 
-def dotted(*parts: str) -> str:
+def dotted_name(*parts: str) -> str:
     """Join the parts of a dotted name; empty parts are omitted."""
     return ".".join(part for part in parts if part)
 
@@ -131,11 +131,11 @@ def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
     return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
 
 
-def flattened(name: str, value: object) -> TomlTable:
+def numbers_by_name(name: str, value: object) -> TomlTable:
     """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
     if not isinstance(value, tuple):
         return {name: value}
-    return {key: item for i, part in enumerate(value) for key, item in flattened(f"{name}.{i}", part).items()}
+    return {key: item for i, part in enumerate(value) for key, item in numbers_by_name(f"{name}.{i}", part).items()}
 
 
 def leaves_of(value: Any) -> Any:

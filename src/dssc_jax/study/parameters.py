@@ -25,7 +25,7 @@ from dssc_jax.study.expressions import (
     names_of,
     parse_expression,
 )
-from dssc_jax.study.laws import LAWS, Law, Uncertain, is_law, is_number, parse_law
+from dssc_jax.study.laws import LAWS, Law, UncertainValue, is_law, is_number, parse_law
 from dssc_jax.study.schema import LONGEST_PHRASE, unit_text
 from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
 
@@ -57,7 +57,7 @@ class Parameter(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class Expression(Uncertain):
+class Expression(UncertainValue):
     """An expression of parameters.
 
     Args:

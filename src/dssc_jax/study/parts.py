@@ -10,7 +10,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.components import Component
 from dssc_jax.study.measures import require_signals
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.numbers import dotted_name
 from dssc_jax.study.schema import LoopTable
 from dssc_jax.study.slots import (
     PER_CHANNEL,
@@ -100,7 +100,7 @@ def require_controllers(
     for channel, part in zip(channels, controllers, strict=True):
         if "l0" not in part.params._fields:
             rule = "the gains need the field l0, which defines sigma = e' + l0 e"
-            raise ConfigError(dotted("controller", channel), rule)
+            raise ConfigError(dotted_name("controller", channel), rule)
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
@@ -115,7 +115,7 @@ def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], s
         longest = 0.0 if jitter is None else extent(jitter)[1]
         if longest > sample_time:
             rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
-            raise ConfigError(dotted(dotted("sensor", channel), "jitter"), rule)
+            raise ConfigError(dotted_name(dotted_name("sensor", channel), "jitter"), rule)
         numbers = []
         for number in sensor.numbers:
             if number.name.endswith(".jitter"):

@@ -5,7 +5,7 @@ import re
 SEPARATORS = re.compile(r"\s*(?::|,|;|\.\.+|\bto\b|\s)\s*")
 
 
-def separated(text: str, parts: int) -> str:
+def separator_hint(text: str, parts: int) -> str:
     """The end of a message about ``NAME=A:B:...``: the text with the right separators, if only these are wrong.
 
     Args:

@@ -28,7 +28,7 @@ from dssc_jax.models.wind import WINDS
 from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.events import EVENT
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.numbers import dotted_name
 from dssc_jax.study.tables import channel_table, has_dotted, stands_alone
 
 REGISTRIES = {
@@ -115,11 +115,11 @@ def parse_reference(
     replacements = {}
     for channel in replaced_channels:
         registry = of_angles(REFERENCES) if channel in angles else REFERENCES
-        replacements[channel] = parse_component(table[channel], registry, dotted(slot, channel))
+        replacements[channel] = parse_component(table[channel], registry, dotted_name(slot, channel))
     numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
     for place, (channel, part) in enumerate(replacements.items()):
         numbers_of_part = with_units(part, units[channels.index(channel)]).numbers
-        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in numbers_of_part]
+        numbers += [number.under(f"{slot}.replaced.{place}", dotted_name(slot, channel)) for number in numbers_of_part]
     models = {channels.index(channel): part.model for channel, part in replacements.items()}
     model = replace_channels(joint.model, models)
     params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
@@ -137,7 +137,7 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
     common = {name: value for name, value in table.items() if name not in channels}
     components = []
     for index, channel in enumerate(channels):
-        channel_path = dotted(slot, channel)
+        channel_path = dotted_name(slot, channel)
         override = as_table(table.get(channel, {}), channel_path) if channel else {}
         is_alone = stands_alone(override, common)
         with errors_under(channel_path):
@@ -198,7 +198,8 @@ def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
     for index, part in enumerate(parts):
         parent_path = path if len(parts) == 1 else f"{path}.{index}"
         numbers += [
-            replace(n, paths=tuple(dotted(parent_path, inner_path) for inner_path in n.paths)) for n in part.numbers
+            replace(n, paths=tuple(dotted_name(parent_path, inner_path) for inner_path in n.paths))
+            for n in part.numbers
         ]
     params = parts[0].params if len(parts) == 1 else tuple(part.params for part in parts)
     kind = " + ".join(part.kind for part in parts)

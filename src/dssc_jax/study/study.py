@@ -19,18 +19,18 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
-from dssc_jax.study.correlation import matrix, paired, require_correlation
+from dssc_jax.study.correlation import correlated_names, correlation_matrix, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.formulas import tokens_of
-from dssc_jax.study.laws import Law, RangedLaw, Uncertain
-from dssc_jax.study.library import find
+from dssc_jax.study.laws import Law, RangedLaw, UncertainValue
+from dssc_jax.study.library import find_study
 from dssc_jax.study.native import with_digests, without_old_digests
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, names_within
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import PARAMETERS, changed, read_toml
+from dssc_jax.study.tables import PARAMETERS, read_toml, with_changes
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
@@ -96,7 +96,7 @@ class Study:
         Raises:
             ConfigError: File, dotted path, rule and value of the first error.
         """
-        file = find(str(path))
+        file = find_study(str(path))
         return cls.from_table(with_files(read_toml(file), file.parent), str(path))
 
     @classmethod
@@ -106,7 +106,7 @@ class Study:
         Raises:
             ConfigError: As in :meth:`load`.
         """
-        content = changed(table, {}, source)
+        content = with_changes(table, {}, source)
         try:
             study = cls(table=content, source=source, **build(content)._asdict())
             uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
@@ -124,7 +124,9 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        table = with_files(changed(self.table, without_old_digests(changes), self.source), Path(self.source).parent)
+        table = with_files(
+            with_changes(self.table, without_old_digests(changes), self.source), Path(self.source).parent
+        )
         return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":
@@ -189,12 +191,12 @@ class Study:
     @property
     def correlated(self) -> tuple[str, ...]:
         """The uncertain numbers that are not independent of all others."""
-        return paired(self.config.correlation)
+        return correlated_names(self.config.correlation)
 
     @property
     def correlation(self) -> np.ndarray:
         """Correlation matrix of the normal variables for :attr:`correlated`."""
-        return matrix(self.config.correlation, self.correlated)
+        return correlation_matrix(self.config.correlation, self.correlated)
 
     @property
     def hash(self) -> str:
@@ -276,7 +278,7 @@ class Study:
                 rules_by_name[name] = f"{rule}, got [{low:.4g}, {high:.4g}]"
         return rules_by_name
 
-    def leaves(self) -> dict[str, float | Uncertain]:
+    def leaves(self) -> dict[str, float | UncertainValue]:
         """Value or law of each number by dotted name; of one that follows from laws, its expression."""
         return {name: number.value for name, number in self.numbers.items()}
 

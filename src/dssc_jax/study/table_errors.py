@@ -14,7 +14,7 @@ NOT_SET = (
 )
 
 
-def explain(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
+def first_error(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
     """The first error of pydantic as an error of this package; a misspelt name goes before all others.
 
     A name is misspelt if it is unknown and resembles one that is required and missing.

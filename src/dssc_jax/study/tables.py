@@ -137,7 +137,7 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
             return
     first_part, _, remainder = name.partition(".")
     if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
-        value = described_like(value, table[first_part].get(remainder))
+        value = with_description(value, table[first_part].get(remainder))
     *parents, key = name.split(".")
     if not all([*parents, key]):
         raise ConfigError(name, "has an empty part; a single dot stands between two parts")
@@ -220,7 +220,7 @@ def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]
         if index >= len(new_values):
             raise ConfigError("", f"has {indices_text(len(new_values))}; got '{key}'")
         with errors_under(key):
-            new_values[index] = merged_value(new_values[index], entry)
+            new_values[index] = merge_values(new_values[index], entry)
     return new_values
 
 
@@ -259,7 +259,7 @@ def quotes_hint(section: str, key: str, value: object) -> str:
     return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"
 
 
-def described_like(value: object, former_content: object) -> object:
+def with_description(value: object, former_content: object) -> object:
     """A new content of a parameter with the unit and the meaning of the earlier one, if it has none of its own."""
     description = (
         {key: former_content[key] for key in DESCRIPTION if key in former_content}
@@ -271,7 +271,7 @@ def described_like(value: object, former_content: object) -> object:
     return (dict(value) if isinstance(value, dict) else {"value": value}) | description
 
 
-def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
+def with_changes(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
     """A copy of a table from ``source`` with other values, by dotted name.
 
     Raises:
@@ -287,16 +287,16 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
     return new_table
 
 
-def merged(common: TomlTable, override: TomlTable) -> TomlTable:
-    """``common`` with the values of ``override``; see :func:`merged_value`."""
+def merge_tables(common: TomlTable, override: TomlTable) -> TomlTable:
+    """``common`` with the values of ``override``; see :func:`merge_values`."""
     result = dict(common)
     for name, value in override.items():
         with errors_under(name):
-            result[name] = merged_value(result.get(name), value)
+            result[name] = merge_values(result.get(name), value)
     return result
 
 
-def merged_value(inherited: Any, value: Any) -> Any:
+def merge_values(inherited: Any, value: Any) -> Any:
     """A value that overrides an inherited one: a table changes a table of its kind, entries by index change a list.
 
     Any other value replaces the inherited one.
@@ -305,7 +305,7 @@ def merged_value(inherited: Any, value: Any) -> Any:
         ConfigError: The list has no such index.
     """
     if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-        return merged(inherited, value) if has_kind_of(value, inherited) else value
+        return merge_tables(inherited, value) if has_kind_of(value, inherited) else value
     return with_default(value, inherited)
 
 
@@ -324,7 +324,7 @@ def stands_alone(override: TomlTable, common: TomlTable) -> bool:
 
 def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
     """The table of a channel: the common one with the channel's values, or a table of another kind alone."""
-    return dict(override) if stands_alone(override, common) else merged(common, override)
+    return dict(override) if stands_alone(override, common) else merge_tables(common, override)
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:
