@@ -62,7 +62,7 @@ def file_digest(file: Path | None) -> dict[str, str | None]:
 
 
 def module_folders(modules: object) -> tuple[Path, ...]:
-    """The folders from which a run imported its modules, as far as :func:`code_digests` tells; the top one of packages."""
+    """Folders from which a run imported the modules of :func:`code_digests`; of a package, the folder that holds it."""
     paths = []
     for name, module in modules.items() if isinstance(modules, Mapping) else ():
         file = module.get("file") if isinstance(module, Mapping) else None
