@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
-from dssc_jax.study.components import field_specs
+from dssc_jax.study.fields import field_specs
 from dssc_jax.study.table_errors import UNKNOWN_NAME
 
 TOP = "at the top of the file, above the first [section]"
@@ -89,7 +89,7 @@ def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterat
             entry = spec.mark.registry.get(inner.get("kind", spec.mark.default) or "")
             if entry is not None:
                 yield from places_in(entry, f"{section}.{name}", inner)
-        elif spec.nested or spec.listed is not None:
-            yield from fields_in(spec.listed or spec.core, f"{section}.{name}", inner)
-        elif not spec.derived:
+        elif spec.is_nested or spec.item_type is not None:
+            yield from fields_in(spec.item_type or spec.hint, f"{section}.{name}", inner)
+        elif not spec.is_derived:
             yield section, name

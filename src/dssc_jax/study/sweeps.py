@@ -10,8 +10,8 @@ from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.actuators import ACTUATOR
-from dssc_jax.study.components import field_specs
 from dssc_jax.study.events import EVENT, parse_events, vehicle_events
+from dssc_jax.study.fields import field_specs
 from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable

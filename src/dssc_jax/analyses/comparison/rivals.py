@@ -18,7 +18,8 @@ from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.components import field_specs, lookup
+from dssc_jax.study.components import lookup
+from dssc_jax.study.fields import field_specs
 from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.tables import channel_table, merge_tables
 
