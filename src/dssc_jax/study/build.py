@@ -29,7 +29,7 @@ from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted_controllers, nominal_params
-from dssc_jax.study.measures import measurable, parse_signal_sensors, sensor_tables
+from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, sensor_tables
 from dssc_jax.study.measuring import available_metrics, kinds_of, parse_measures
 from dssc_jax.study.numbers import Number, dotted_name, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
@@ -135,11 +135,11 @@ def parsed_parts(table: TomlTable) -> Parts:
     single_parts = parse_single_parts(tables, plant, channels, units)
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
     outputs = plant.model.reported(plant.params)
-    measurable_signals = measurable(plant.model, nominal_params(plant.params), outputs, channels, units)
-    sensors = sensor_tables(tables["sensor"], measurable_signals)
-    measures = tuple(measurable_signals[name] for name in sensors.measures)
+    measurable = measurable_signals(plant.model, nominal_params(plant.params), outputs, channels, units)
+    sensors = sensor_tables(tables["sensor"], measurable)
+    measures = tuple(measurable[name] for name in sensors.measures)
     columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
-    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable_signals)
+    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable)
     sample_time = config.loop.sample_time
     columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
     require_controllers(columns["controller"], channels, measures)
@@ -172,7 +172,7 @@ def parsed_parts(table: TomlTable) -> Parts:
     numbers = by_name(n for part in (*single_parts.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, loop, measurable_signals, numbers)
+    check_swept_parts(table, config, loop, measurable, numbers)
     check_settled(loop, metric_measures, config.envelope)
     check_settled_changes(config, numbers)
     return Parts(

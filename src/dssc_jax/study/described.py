@@ -77,7 +77,7 @@ class Description(BaseModel):
         signals: Signals that requirements can name.
         metrics: Metrics of the study's code by name.
         certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why Theorem 1 does not apply, in words; empty if it does.
+        silence: Why Theorem 1 does not apply, in words; empty if it does, or without the functions of Table 1.
     """
 
     model_config = NO_EXTRA_FIELDS

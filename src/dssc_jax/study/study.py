@@ -21,7 +21,7 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.correlation import correlated_names, correlation_matrix, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
-from dssc_jax.study.formulas import tokens_of
+from dssc_jax.study.formula_tokens import tokens_of
 from dssc_jax.study.laws import Law, RangedLaw, UncertainValue
 from dssc_jax.study.library import find_study
 from dssc_jax.study.native import with_digests, without_old_digests

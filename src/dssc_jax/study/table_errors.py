@@ -66,4 +66,4 @@ def first_error(error: ValidationError, names: Iterable[str], computed: Collecti
             expected = str(problem.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
-            return ConfigError(path, f"{first_error['msg'][0].lower()}{first_error['msg'][1:]}, got {value!r}")
+            return ConfigError(path, f"{problem['msg'][0].lower()}{problem['msg'][1:]}, got {value!r}")
