@@ -63,10 +63,9 @@ def sections_of(
 def has_field(params: type, name: str) -> bool:
     """Whether a parameter type has a field with a name that a study may state."""
     spec = field_specs(params).get(name)
-    is_data = (
-        spec is not None and isinstance(spec.mark, Quantity) and spec.mark.data
-    )  # a record's values, from its file
-    return spec is not None and not is_data
+    if spec is None:
+        return False
+    return not (isinstance(spec.mark, Quantity) and spec.mark.data)  # the values of a record come from its file
 
 
 def params_of(entry: Entry) -> Any:
