@@ -24,7 +24,7 @@ from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, kinds_of, parse_measures
+from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, metric_kinds, parse_measures
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
@@ -278,7 +278,7 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
     for name, signal in signals_of(study.loop, study.template, study.units).items():
         signals[name] = {"unit": signal.unit, "meaning": signal.meaning}
     metrics = {}
-    for name, metric in kinds_of(study.config).items():
+    for name, metric in metric_kinds(study.config).items():
         if name not in PACKAGE_METRICS:
             metrics[name] = {
                 "unit": metric.unit,

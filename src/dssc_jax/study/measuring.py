@@ -34,7 +34,7 @@ ENVELOPE_SIGNALS = {
 """Unit, meaning and value of each signal that an envelope can bound, from the sample of a channel."""
 
 
-def kinds_of(config: StudyTable) -> dict[str, Metric]:
+def metric_kinds(config: StudyTable) -> dict[str, Metric]:
     """All kinds of metric by name: the package's, and those that a study refers to as ``package.module:object``.
 
     Raises:
