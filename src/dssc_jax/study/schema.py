@@ -55,7 +55,7 @@ class LoopTable(BaseModel):
     settled: SettledTable | None = Field(default=None, description="rule that ends a draw which has settled")
 
     @model_validator(mode="after")
-    def _clock(self) -> "LoopTable":
+    def _check_clock(self) -> "LoopTable":
         if self.sample_time > self.duration:
             raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
         ratio = self.duration / self.sample_time
@@ -153,7 +153,7 @@ class RequirementTable(RequiredWindow):
     min: Bound | None = Field(default=None, description="lower bound; of a margin also with a unit")
 
     @model_validator(mode="after")
-    def _one_bound(self) -> "RequirementTable":
+    def _check_subject(self) -> "RequirementTable":
         subjects = [name for name in SUBJECTS if getattr(self, name) is not None]
         if len(subjects) != 1:
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
@@ -235,7 +235,7 @@ class EnvelopeTable(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _bounds(self) -> "EnvelopeTable":
+    def _check_bounds(self) -> "EnvelopeTable":
         if not self.upper and not self.lower:
             raise ValueError("needs upper or lower, or both")
         crossing_time = crossing(self.lower, self.upper)
@@ -363,7 +363,7 @@ class StudyTable(BaseModel):
     plot: PlotTable = Field(default=PlotTable(), description="figure of a sweep")
 
     @model_validator(mode="after")
-    def _size(self) -> "StudyTable":
+    def _check_size(self) -> "StudyTable":
         lanes = self.draws * math.prod(len(values) for values in self.sweep.values())
         if lanes > MOST_LANES:
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
@@ -375,7 +375,7 @@ class StudyTable(BaseModel):
         return self.sampling in ("random", "auto")
 
     @model_validator(mode="after")
-    def _design(self) -> "StudyTable":
+    def _check_design(self) -> "StudyTable":
         if self.independent:
             if "replicates" in self.model_fields_set:
                 remedy = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
