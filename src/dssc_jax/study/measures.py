@@ -16,6 +16,7 @@ from dssc_jax.study.components import Component, as_table, parse_component
 
 MEASURES = "measures"
 WHOLE_STATE = "state"
+"""Value of ``measures`` that stands for all states of a linear plant."""
 USUAL_SENSOR = "ideal"
 """Default kind of all sensors in a study that measures further signals."""
 RATE_FIELDS = ("velocity", "jitter")
@@ -53,8 +54,9 @@ def measurable_signals(
     """
     signals = {}
     if plant.linear is not None:
-        for i in range(1, len(plant.linear(params).a) + 1):
-            signals[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
+        for index in range(1, len(plant.linear(params).a) + 1):
+            state = state_signal(str(index))
+            signals[state.name] = state
     for channel, channel_units in zip(channels, units, strict=True):
         prefix = f"{channel}_" if channel else ""
         signals[f"{prefix}y"] = NamedSignal(
@@ -70,6 +72,11 @@ def measurable_signals(
             )
         signals[signal.name] = signal
     return signals
+
+
+def state_signal(index: str) -> NamedSignal:
+    """Signal of one state of a linear plant, whose unit is unknown; the index counts from 1."""
+    return NamedSignal(f"{STATE}{index}", "", f"{WHOLE_STATE} {index} of the plant")
 
 
 def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
@@ -103,7 +110,7 @@ def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> Se
     """
     measured_names = table.get(MEASURES, [])
     if measured_names == WHOLE_STATE:
-        measured_names = [name for name, signal in measurable.items() if signal.meaning.startswith(f"{WHOLE_STATE} ")]
+        measured_names = [name for name in measurable if measurable[name] == state_signal(name.removeprefix(STATE))]
         if not measured_names:
             raise ConfigError(f"sensor.{MEASURES}", "the plant has no linear part, so its state has no names")
     if not isinstance(measured_names, list | tuple) or not all(isinstance(name, str) for name in measured_names):
