@@ -146,7 +146,7 @@ class Described(Study):
         try:
             description = Description.model_validate(content)
             parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
-            numbers = numbers_of(description, parameters)
+            numbers = described_numbers(description, parameters)
             verdicts = np.asarray(description.certified or False, dtype=bool)
         except ValueError as error:  # pydantic's ValidationError is one
             complaint = " ".join(str(error).split())
@@ -156,15 +156,15 @@ class Described(Study):
         refusal = ConfigError(source, rule)
         unloaded: Any = UnloadedModel(refusal)
         channels = description.channels or ("",)
-        units = units_of(description)
+        units = described_units(description)
         if len(units) != len(channels):
             raise mismatch
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
-            measures, requirements = measures_of(description, config, units, parameters, unloaded)
+            measures, requirements = described_measures(description, config, units, parameters, unloaded)
         except ConfigError as error:
             raise error.within(source) from None
-        loop = Loop(plant_of(description, unloaded), *[unloaded] * 7, channels=channels, **time_fields(config))
+        loop = Loop(described_plant(description, unloaded), *[unloaded] * 7, channels=channels, **time_fields(config))
         shape = tuple(len(values) for values in config.sweep.values())
         is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == channels
         if not is_consistent or (verdicts.shape or shape) != shape:
@@ -193,7 +193,7 @@ class Described(Study):
         raise self.refusal
 
 
-def plant_of(description: Description, unloaded: Any) -> Plant:
+def described_plant(description: Description, unloaded: Any) -> Plant:
     """A plant with the channels of the description and placeholders for its functions."""
     return Plant(
         params=NoParams,
@@ -206,14 +206,14 @@ def plant_of(description: Description, unloaded: Any) -> Plant:
     )
 
 
-def units_of(description: Description) -> tuple[ChannelUnits, ...]:
+def described_units(description: Description) -> tuple[ChannelUnits, ...]:
     """Units and meanings of each channel's output and command."""
     if description.units is not None:
         return tuple(ChannelUnits(*texts) for texts in description.units)
     return tuple(ANGLE if name in description.angles else POSITION for name in description.channels or ("",))
 
 
-def measures_of(
+def described_measures(
     description: Description,
     config: StudyTable,
     units: tuple[ChannelUnits, ...],
@@ -244,7 +244,7 @@ def remedy_for(table: Mapping[str, object]) -> str:
     return " and ".join([REMEDY] * bool(code_names(table)) + native)
 
 
-def numbers_of(description: Description, parameters: ParameterTable) -> dict[str, Number]:
+def described_numbers(description: Description, parameters: ParameterTable) -> dict[str, Number]:
     """Record of each number of the loop by name, without paths, which only the models have."""
     numbers = {}
     for name, entry in description.numbers.items():

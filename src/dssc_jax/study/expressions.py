@@ -226,13 +226,13 @@ def apply_to_numbers(operation: Operation, *values: Numeric) -> Numeric:
     An undefined result, such as 1/0, is not finite; no error is raised.
     """
     xp = namespace(*values)
-    if operation.ufunc == "power" and xp is not np and is_whole(values[1]):
+    if operation.ufunc == "power" and xp is not np and is_whole_exponent(values[1]):
         return values[0] ** int(values[1])  # products, which have a derivative at and below 0
     result = getattr(xp, operation.ufunc)(*values)
     return float(result) if isinstance(result, np.generic) else result
 
 
-def is_whole(exponent: Numeric) -> bool:
+def is_whole_exponent(exponent: Numeric) -> bool:
     """Whether an exponent is a whole plain number, not too large for products."""
     return is_number(exponent) and abs(exponent) <= LARGEST_PRODUCT and float(exponent).is_integer()
 

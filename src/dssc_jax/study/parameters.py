@@ -53,7 +53,7 @@ class Parameter(NamedTuple):
     content: Content
 
     @property
-    def dotted(self) -> str:
+    def dotted_name(self) -> str:
         """Dotted name of the parameter in the study."""
         return f"{PARAMETERS}.{self.name}"
 
@@ -80,12 +80,12 @@ class Expression(UncertainValue):
     @property
     def names(self) -> tuple[str, ...]:
         """Dotted names of the parameters that the expression depends on."""
-        return tuple(parameter.dotted for parameter in self.parameters)
+        return tuple(parameter.dotted_name for parameter in self.parameters)
 
     @cached_property
     def laws(self) -> dict[str, Law]:
         """Laws of the parameters that the expression depends on, by dotted name."""
-        return {p.dotted: p.content for p in self.parameters if isinstance(p.content, Law)}
+        return {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, Law)}
 
     def at(self, values: Mapping[str, Numeric]) -> Numeric:
         """Value of the expression for values of its parameters.
@@ -104,8 +104,8 @@ class Expression(UncertainValue):
         """Value of the expression in numbers or intervals; ``exact`` makes one of a plain number."""
         operands: dict[str, T] = {}
         for parameter in self.parameters:
-            if parameter.dotted in values:
-                operands[parameter.name] = values[parameter.dotted]
+            if parameter.dotted_name in values:
+                operands[parameter.name] = values[parameter.dotted_name]
             elif isinstance(parameter.content, str):
                 operands[parameter.name] = evaluate(parse_expression(parameter.content), operands.__getitem__)
             elif isinstance(parameter.content, float):
@@ -131,10 +131,10 @@ class Expression(UncertainValue):
         """
         return support_of(self)
 
-    def place_of(self, point: tuple[float, ...]) -> str:
+    def undefined_at(self, point: tuple[float, ...]) -> str:
         """End of a message: the parameters at which the expression has no value; ``point`` has those with laws."""
         values = dict(zip(self.laws, point, strict=True)) if point else {}
-        values |= {p.dotted: p.content for p in self.parameters if isinstance(p.content, float)}
+        values |= {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, float)}
         if not values:
             return ""
         value_text = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
@@ -153,7 +153,7 @@ def support_of(expression: Expression) -> tuple[float, float]:
     if not expression.laws:
         value = expression.median
         if not math.isfinite(value):
-            raise ValueError(f"{text} has no finite value{expression.place_of(())}")
+            raise ValueError(f"{text} has no finite value{expression.undefined_at(())}")
         return value, value
     names = list(expression.laws)
 
@@ -163,7 +163,7 @@ def support_of(expression: Expression) -> tuple[float, float]:
     value_range = range_of(values, [law.support for law in expression.laws.values()])
     has_finite_support = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
     if value_range.undefined is not None:
-        raise ValueError(f"{text} has no finite value{expression.place_of(value_range.undefined)}")
+        raise ValueError(f"{text} has no finite value{expression.undefined_at(value_range.undefined)}")
     if has_finite_support and not math.isfinite(value_range.low - value_range.high):
         raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
     return value_range.low, value_range.high

@@ -152,13 +152,13 @@ def recorded_columns(path: Path, names: list[str], label: str = "column") -> lis
         raise ConfigError("file", f"'{path.name}' has no row with numbers in {', '.join(map(repr, names))}")
     infinite_rows = complete_rows[np.any(np.isinf(table[:, complete_rows]), axis=0)]
     if infinite_rows.size:
-        place = place_of(path, int(infinite_rows[0]))
+        place = row_place(path, int(infinite_rows[0]))
         raise ConfigError(label, f"'{path.name}' must hold finite numbers; {place} does not")
     times = table[0, complete_rows]
     decreasing = np.flatnonzero(np.diff(times) <= 0.0)
     if decreasing.size:
         before, after = times[decreasing[0] : decreasing[0] + 2]
-        place = place_of(path, int(complete_rows[decreasing[0] + 1]))
+        place = row_place(path, int(complete_rows[decreasing[0] + 1]))
         rule = f"{after:g} s comes after {before:g} s in {place}"
         raise ConfigError("time_column", f"'{path.name}' must have rising times; {rule}")
     return table[:, complete_rows].tolist()
@@ -187,11 +187,11 @@ def first_text(column: Any, path: Path) -> str:
         try:
             float(cell)
         except (TypeError, ValueError):
-            return f"{place_of(path, row)} has {cell!r}"
+            return f"{row_place(path, row)} has {cell!r}"
     return ""
 
 
-def place_of(path: Path, row: int) -> str:
+def row_place(path: Path, row: int) -> str:
     """Place of a row of the data frame in its file, in words: the line of a CSV file, or the row."""
     if is_parquet(path):
         return f"row {row + 1}"

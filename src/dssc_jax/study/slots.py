@@ -169,7 +169,7 @@ COMMAND = "command"
 """Value of ``input`` for a disturbance that adds to the command of a plant with one channel."""
 
 
-def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
+def disturbance_place(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
     """Place at which a disturbance acts: the name of a channel, empty for the only one, or that of an input.
 
     Args:
@@ -206,7 +206,7 @@ def placed_disturbances(
     disturbances_by_place: dict[str, list[Component]] = {place: [] for place in (*channels, *inputs)}
     for path, part in parts.items():
         entries = as_table(part, path)
-        place = place_of(entries, path, channels, inputs)
+        place = disturbance_place(entries, path, channels, inputs)
         entries.pop("input", None)
         disturbances_by_place[place].append(parse_component(entries, DISTURBANCES, path).under("", path))
     return disturbances_by_place
