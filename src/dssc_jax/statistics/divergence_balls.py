@@ -96,11 +96,11 @@ class TotalVariation(DivergenceBall):
     title = "total variation"
 
     def divergence(self, q: float, p: float) -> float:
-        """|q - p|."""
+        """Total variation |q - p| between the outcomes, fails or not."""
         return abs(q - p)
 
     def worst(self, p: float, radius: float) -> float:
-        """min(1, p + r)."""
+        """Largest failure probability min(1, p + r) within the radius r."""
         require_ball(p, radius)
         return min(1.0, p + radius)
 
@@ -111,11 +111,11 @@ class KullbackLeibler(DivergenceBall):
     title = "Kullback-Leibler divergence"
 
     def divergence(self, q: float, p: float) -> float:
-        """q ln(q/p) + (1-q) ln((1-q)/(1-p))."""
+        """Divergence q ln(q/p) + (1-q) ln((1-q)/(1-p)) between the outcomes, fails or not [nat]."""
         return float(special.rel_entr(q, p) + special.rel_entr(1.0 - q, 1.0 - p))
 
     def worst(self, p: float, radius: float) -> float:
-        """The root q >= p of the divergence at the radius."""
+        """Largest failure probability q within the radius, where the divergence equals the radius; by bisection."""
         require_ball(p, radius)
         if p in (0.0, 1.0) or radius == 0.0:
             return p
@@ -131,13 +131,13 @@ class ChiSquare(DivergenceBall):
     title = "chi-square divergence"
 
     def divergence(self, q: float, p: float) -> float:
-        """(q - p)^2 / (p (1 - p))."""
+        """Divergence (q - p)^2 / (p (1 - p)) between the outcomes, fails or not."""
         if q == p:
             return 0.0
         return (q - p) ** 2 / (p * (1.0 - p)) if 0.0 < p < 1.0 else math.inf
 
     def worst(self, p: float, radius: float) -> float:
-        """min(1, p + sqrt(r p (1 - p)))."""
+        """Largest failure probability min(1, p + sqrt(r p (1 - p))) within the radius r."""
         require_ball(p, radius)
         return min(1.0, p + math.sqrt(radius * p * (1.0 - p)))
 

@@ -94,12 +94,12 @@ class Shift(Change):
         return -size, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Logarithm of each draw's importance weight, shape (n,)."""
         weighted_amounts = self.precision @ amounts
         return scores @ weighted_amounts - 0.5 * amounts @ weighted_amounts
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Weighted mean of the gradient R^-1 (c - d) in the amounts, shape (numbers,)."""
         return (shares @ scores - amounts) @ self.precision
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
@@ -111,7 +111,7 @@ class Shift(Change):
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Add the amounts to the scores."""
         return scores + amounts
 
 
@@ -133,12 +133,12 @@ class Widening(Change):
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Logarithm of each draw's importance weight, shape (n,)."""
         shrunk = scores * np.exp(-amounts)
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Weighted mean of the gradient in the amounts, diag(y) R^-1 y - 1 with y = D^-1 c, shape (numbers,)."""
         shrunk = scores * np.exp(-amounts)
         moments = (shrunk * shares[:, None]).T @ shrunk
         return np.sum(self.precision * moments, axis=1) - 1.0
@@ -157,7 +157,7 @@ class Widening(Change):
         return self.log_second_moment(size * free)
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Multiply the scores by the relative widths exp(amounts)."""
         return scores * np.exp(amounts)
 
     def _squares(self, scores: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ class WeightedDraws:
         probability = min(1.0, float(failing.sum()) / draws)
         return WeightedChange(amounts, probability, interval, float(effective), effective_size(failing))
 
-    def trusted(self, size: float) -> bool:
+    def is_trusted(self, size: float) -> bool:
         """Whether the weights of every change within this size are even enough for an estimate.
 
         The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law, and that of failing
@@ -98,8 +98,8 @@ class WeightedDraws:
         return self.at(self.extreme(size, -1.0))
 
     def interval_within(self, size: float) -> tuple[float, float] | None:
-        """Interval of the failure probability over all changes within this size; None if :meth:`trusted` is false."""
-        if not self.trusted(size):
+        """Interval of the failure probability over all changes within this size; None if the weights are too uneven."""
+        if not self.is_trusted(size):
             return None
         return self.best(size).interval[0], self.worst(size).interval[1]
 
@@ -178,9 +178,9 @@ def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
         limit: Largest failure probability allowed.
     """
     worst = lru_cache(draws.worst)
-    if not draws.trusted(0.0):
+    if not draws.is_trusted(0.0):
         return LargestChange(0.0, None, 0.0, worst(0.0))
-    explored = largest_size(draws.trusted, LARGEST_SIZE)
+    explored = largest_size(draws.is_trusted, LARGEST_SIZE)
     bound = largest_size(lambda size: worst(size).interval[1] <= limit, explored)
     estimate = None
     if worst(explored).probability > limit:
