@@ -20,7 +20,7 @@ from benchmarks.pages import PAGES as PAGES_OF
 from benchmarks.pages import type_name
 from dssc_jax.cli.application import app
 from dssc_jax.models.actuators import UNMODELLED
-from dssc_jax.study.build import FIXED_TABLES
+from dssc_jax.study.sections import FIXED_TABLES
 from tests.page_examples import BLOCK
 
 ROOT = Path(__file__).parents[1]

@@ -11,12 +11,12 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
-from dssc_jax.study.build import REGISTRIES
 from dssc_jax.study.fields import FieldSpec, field_specs
 from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.sections import params_of
+from dssc_jax.study.slots import REGISTRIES
 
 FieldRow: TypeAlias = tuple[str, str, str, str, str]
 """A field of a kind, with the columns :data:`KIND_COLUMNS`."""

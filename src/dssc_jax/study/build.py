@@ -1,13 +1,13 @@
 """Construction of a study from its table: models, parameters, numbers, metrics and requirements."""
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
@@ -23,9 +23,9 @@ from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
-from dssc_jax.study.components import Component, as_table
-from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
+from dssc_jax.study.actuators import require_one_form, section_of
+from dssc_jax.study.components import as_table
+from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
 from dssc_jax.study.fitting import fitted_controllers, nominal_params
 from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, sensor_tables
 from dssc_jax.study.measuring import available_metrics, metric_kinds, parse_measures
@@ -38,36 +38,13 @@ from dssc_jax.study.parts import (
     require_controllers,
     with_bounded_jitter,
 )
-from dssc_jax.study.schema import (
-    EnvelopeTable,
-    LoopTable,
-    MetricsTable,
-    PlotTable,
-    RequirementTable,
-    SettledTable,
-    StudyTable,
-    TuneTable,
-    UnitsTable,
-)
-from dssc_jax.study.sections import with_section
+from dssc_jax.study.schema import StudyTable, UnitsTable
+from dssc_jax.study.sections import FIXED_TABLES, with_section
 from dssc_jax.study.settled_checks import require_changes_before_settling, require_whole_windows
-from dssc_jax.study.slots import REGISTRIES, SLOTS, TABLES
+from dssc_jax.study.slots import SLOTS, TABLES
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
 from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
-
-FIXED_TABLES: dict[str, type[BaseModel]] = {
-    "loop": LoopTable,
-    "loop.settled": SettledTable,
-    "units": UnitsTable,
-    "actuator": ActuatorTable,
-    "metrics": MetricsTable,
-    "requirement": RequirementTable,
-    "envelope": EnvelopeTable,
-    "plot": PlotTable,
-    "tune": TuneTable,
-}
-"""Tables whose fields do not depend on a kind, by their section."""
 
 
 def validate_fixed(table: TomlTable) -> StudyTable:
@@ -121,7 +98,7 @@ def build(table: TomlTable) -> Parts:
     try:
         return parsed_parts(table)
     except ConfigError as error:
-        raise with_section(error, table, {"": StudyTable, **FIXED_TABLES}, REGISTRIES) from None
+        raise with_section(error, table) from None
 
 
 def parsed_parts(table: TomlTable) -> Parts:
@@ -146,7 +123,10 @@ def parsed_parts(table: TomlTable) -> Parts:
     columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
     require_controllers(columns["controller"], channels, measures)
     columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
-    columns |= columns_with_events(columns, parameters.resolved(config.event, EVENT), plant, channels)
+    events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
+    for slot in CHANNEL_EVENTS:
+        columns[slot] = with_channel_events(columns[slot], events, channels, slot)
+    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     loop = Loop(
         **{slot: part.model for slot, part in single_parts.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
@@ -184,28 +164,6 @@ def parsed_parts(table: TomlTable) -> Parts:
         measures=metric_measures,
         requirements=requirements,
     )
-
-
-def columns_with_events(
-    columns: Mapping[str, list[Component]], tables: list[TomlTable], plant: Component, channels: tuple[str, ...]
-) -> dict[str, list[Component]]:
-    """The slots that events change: actuators and sensor of each channel, and the events of the vehicle.
-
-    Args:
-        columns: Parts of each channel by slot.
-        tables: Tables of the events.
-        plant: The plant, parsed.
-        channels: Names of the channels; one empty name for a plant with one channel.
-
-    Raises:
-        ConfigError: An event is not valid.
-    """
-    events = events_of(tables, plant, channels)
-    return {
-        "unmodelled": with_command_events(columns["unmodelled"], events, channels),
-        "sensor": with_sensor_events(columns["sensor"], events, channels),
-        "events": list(vehicle_events(events, plant.params.vehicle)) if events else [],
-    }
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:

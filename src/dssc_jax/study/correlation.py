@@ -67,7 +67,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
         if not -1.0 < rank < 1.0:
             raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
     if table:
-        require_positive_definite(table, correlated_names(table))
+        require_positive_definite(table)
 
 
 def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
@@ -79,12 +79,13 @@ def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np
     return correlations
 
 
-def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]) -> None:
+def require_positive_definite(table: Mapping[str, float]) -> None:
     """Require that the correlation matrix is positive definite.
 
     Raises:
         ConfigError: It is not; the message names the pair that lowers the smallest eigenvalue most.
     """
+    names = correlated_names(table)
     correlations = correlation_matrix(table, names)
     values, vectors = np.linalg.eigh(correlations)
     if values[0] > LEAST_EIGENVALUE:

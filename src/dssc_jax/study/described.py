@@ -19,7 +19,7 @@ from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
+from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
@@ -70,7 +70,7 @@ class Description(BaseModel):
     Args:
         channels: Names of the channels.
         angles: Names of the channels whose output is an angle.
-        units: Units and meanings of output and command in each channel; None for metres or radians.
+        units: Units and meanings of output and command in each channel.
         numbers: Numbers of the loop by name.
         fields: Names of the fields in the controller's info, by channel.
         seen: Names of the fields in the plant's info.
@@ -83,7 +83,7 @@ class Description(BaseModel):
     model_config = NO_EXTRA_FIELDS
     channels: tuple[str, ...]
     angles: tuple[str, ...]
-    units: tuple[tuple[str, str, str, str], ...] | None = None
+    units: tuple[tuple[str, str, str, str], ...]
     numbers: dict[str, DescribedNumber]
     fields: dict[str, tuple[str, ...]]
     seen: tuple[str, ...]
@@ -156,7 +156,7 @@ class Described(Study):
         refusal = ConfigError(source, rule)
         unloaded: Any = UnloadedModel(refusal)
         channels = description.channels or ("",)
-        units = described_units(description)
+        units = tuple(ChannelUnits(*texts) for texts in description.units)
         if len(units) != len(channels):
             raise mismatch
         try:
@@ -204,13 +204,6 @@ def described_plant(description: Description, unloaded: Any) -> Plant:
         channels=description.channels,
         angles=description.angles,
     )
-
-
-def described_units(description: Description) -> tuple[ChannelUnits, ...]:
-    """Units and meanings of each channel's output and command."""
-    if description.units is not None:
-        return tuple(ChannelUnits(*texts) for texts in description.units)
-    return tuple(ANGLE if name in description.angles else POSITION for name in description.channels or ("",))
 
 
 def described_measures(

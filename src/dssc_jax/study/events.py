@@ -1,5 +1,6 @@
 """Events ``[[event]]`` of a study: those of the vehicle, and those of a channel's sensor or command."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -151,24 +152,6 @@ def behind_first(part: Component, place: str) -> Component:
     return replace(part, numbers=numbers)
 
 
-def with_sensor_events(column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]) -> list[Component]:
-    """The sensor of each channel, wrapped by the events that change it.
-
-    Args:
-        column: Sensor of each channel.
-        events: All events of the study.
-        channels: Names of the channels.
-    """
-    sensors = list(column)
-    for study_event in events:
-        if not isinstance(study_event.part.model, SensorEvent):
-            continue
-        for index, channel in enumerate(channels):
-            if study_event.channel in ("", channel):
-                sensors[index] = wrapped_sensor(sensors[index], study_event, f"sensor.{index}")
-    return sensors
-
-
 def wrapped_sensor(sensor: Component, study_event: StudyEvent, place: str) -> Component:
     """A sensor with an event, at a place of the loop's parameters."""
     event = study_event.under(f"{place}.event")
@@ -179,26 +162,6 @@ def wrapped_sensor(sensor: Component, study_event: StudyEvent, place: str) -> Co
         params=Wrapped(sensor.params, event.params),
         numbers=(*sensor_numbers, *event.numbers),
     )
-
-
-def with_command_events(
-    column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]
-) -> list[Component]:
-    """The actuators of each channel, preceded by the events that change its command.
-
-    Args:
-        column: Actuators, or other unmodelled dynamics, of each channel.
-        events: All events of the study.
-        channels: Names of the channels.
-    """
-    actuators = list(column)
-    for study_event in events:
-        if not isinstance(study_event.part.model, CommandEvent):
-            continue
-        for index, channel in enumerate(channels):
-            if study_event.channel in ("", channel):
-                actuators[index] = chain_with_event(actuators[index], study_event, f"unmodelled.{index}")
-    return actuators
 
 
 def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) -> Component:
@@ -216,3 +179,32 @@ def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) 
         numbers=(*event.numbers, *moved_actuators.numbers),
         elements=elements,
     )
+
+
+CHANNEL_EVENTS: dict[str, tuple[type, Callable[[Component, StudyEvent, str], Component]]] = {
+    "unmodelled": (CommandEvent, chain_with_event),
+    "sensor": (SensorEvent, wrapped_sensor),
+}
+"""Slots whose parts events change: the type of these events, and how one is added to a part."""
+
+
+def with_channel_events(
+    column: Sequence[Component], events: list[StudyEvent], channels: tuple[str, ...], slot: str
+) -> list[Component]:
+    """The part of each channel in a slot, with the events that change it.
+
+    Args:
+        column: Part of each channel.
+        events: All events of the study.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        slot: A slot of :data:`CHANNEL_EVENTS`.
+    """
+    event_type, add_event = CHANNEL_EVENTS[slot]
+    parts = list(column)
+    for study_event in events:
+        if not isinstance(study_event.part.model, event_type):
+            continue
+        for index, channel in enumerate(channels):
+            if study_event.channel in ("", channel):
+                parts[index] = add_event(parts[index], study_event, f"{slot}.{index}")
+    return parts

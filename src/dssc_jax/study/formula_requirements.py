@@ -1,16 +1,14 @@
 """Requirements that a formula is true, and the signals that formulas can name."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import TypeAlias
 
 from dssc_jax.closed_loop.formulas import formula_metric, memory_size
-from dssc_jax.closed_loop.metrics import Instant, Measure
+from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Info, Scalar
 from dssc_jax.study.formulas import FormulaParser
 from dssc_jax.study.schema import RequirementTable, StudyTable
 from dssc_jax.study.table_errors import value_errors_at
@@ -22,22 +20,13 @@ MOST_MEMORY = 8000  # most samples in the delay lines of a formula
 Constants: TypeAlias = Callable[[str, str], float]
 """(text of an expression, place in the study that needs it) -> its value, a plain number."""
 
+TIME = SampledSignal("s", "time", lambda instant: instant.t)
 VEHICLE_SIGNALS = {
-    "tilt": ("rad", "tilt of body z", lambda plant: plant.tilt),
-    "phi": ("rad", "roll", lambda plant: plant.phi),
-    "theta": ("rad", "pitch", lambda plant: plant.theta),
+    "tilt": SampledSignal("rad", "tilt of body z", lambda instant: instant.plant.tilt),
+    "phi": SampledSignal("rad", "roll", lambda instant: instant.plant.phi),
+    "theta": SampledSignal("rad", "pitch", lambda instant: instant.plant.theta),
 }
-"""Unit, meaning and value of each signal of a vehicle that has no channel, from what the plant reports."""
-
-
-def vehicle_signal(value: Callable[[Info], Scalar], instant: Instant) -> Scalar:
-    """Value of a vehicle's signal at a sample."""
-    return value(instant.plant)
-
-
-def time_of(instant: Instant) -> Scalar:
-    """Time of a sample [s]."""
-    return instant.t
+"""Signals of a vehicle that belong to no channel, from what the plant reports."""
 
 
 def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, SampledSignal]:
@@ -46,11 +35,8 @@ def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, Samp
     Args:
         loop_signals: Signals of the loop, by the names of their columns in a trajectory.
     """
-    signals = {**loop_signals, "t": SampledSignal("s", "time", time_of)}
-    for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
-        if name in loop_signals:
-            signals[name] = SampledSignal(unit, meaning, partial(vehicle_signal, value))
-    return signals
+    vehicle_signals = {name: signal for name, signal in VEHICLE_SIGNALS.items() if name in loop_signals}
+    return {**loop_signals, "t": TIME, **vehicle_signals}
 
 
 def formula_requirement(

@@ -56,10 +56,7 @@ class LawKind:
 
 
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the normal law (mean, standard deviation) truncated to [lo, hi], at levels u.
-
-    An interval above the mean is computed from the lower tail of the mirrored interval, which does not cancel.
-    """
+    """Quantile of a normal law truncated to [lo, hi]; an interval above the mean is mirrored, to avoid cancellation."""
     mean, std, low, high = a
     low_score = (low - mean) / std
     high_score = (high - mean) / std
@@ -75,7 +72,7 @@ def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 
 
 def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the triangular law on [lo, hi] with its peak at the mode, at levels u."""
+    """Quantile of the triangular law on [lo, hi] with its peak at the mode."""
     low, mode, high = a
     width = high - low
     rising = low + np.sqrt(u * width * (mode - low))
@@ -84,13 +81,13 @@ def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 
 
 def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the beta law with two shape parameters on [lo, hi], by default [0, 1], at levels u."""
+    """Quantile of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
     low, high = a[2:] or (0.0, 1.0)
     return low + (high - low) * scipy.special.betaincinv(a[0], a[1], u)
 
 
 def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the law in which each of the arguments is equally likely, at levels u."""
+    """Quantile of the law in which each of the arguments is equally likely."""
     return np.asarray(a)[np.minimum((u * len(a)).astype(int), len(a) - 1)]
 
 
@@ -285,12 +282,9 @@ class Law(UncertainValue):
         if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
         arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
-        old_location = self.median
-        new_location = median
         values = np.asarray(arguments, dtype=float)
-        if self.logarithmic:
-            old_location = math.log(old_location)
-            new_location = math.log(new_location)
+        old_location = math.log(self.median) if self.logarithmic else self.median
+        new_location = math.log(median) if self.logarithmic else median
         if self.kind == "loguniform":  # its arguments are values, those of a lognormal law are logarithms
             values = np.log(values)
         by_role = {"l": new_location + share * (values - old_location), "s": share * values, ".": values}
@@ -305,9 +299,7 @@ class Law(UncertainValue):
 
 @dataclass(frozen=True)
 class RangedLaw(Law):
-    """A law whose arguments may lie anywhere within ranges (a probability box).
-
-    The ``arguments`` are the middles of the ranges.
+    """A law whose arguments may lie anywhere within ranges (a probability box); ``arguments`` are their middles.
 
     Args:
         ranges: Lowest and highest value of each argument; equal for an argument that is a plain number.

@@ -206,13 +206,14 @@ def parse_measures(
 
 
 def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
-    """Kinds of metric that results report besides the required ones.
+    """Kinds of metric that results report besides the required ones: by default all, for several channels a few.
 
     Raises:
         ConfigError: ``metrics.names`` has an unknown kind.
     """
     if config.metrics.names is None:
-        return default_kinds(len(available.channels) > 1)
+        of_vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
+        return (*BRIEF, *of_vehicle) if len(available.channels) > 1 else tuple(METRICS)
     kinds = [kind_name(name) for name in config.metrics.names]
     for index, kind in enumerate(kinds):
         if kind not in available.kinds:
@@ -354,9 +355,3 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
     if samples_before_end(window, clock.sample_time, clock.steps) <= first_index:
         rule = f"no sample lies in the window from after = {window.after:g} s to until = {window.until:g} s"
         raise ConfigError(end_place, f"{rule}; T_s is {clock.sample_time:g} s")
-
-
-def default_kinds(has_several_channels: bool) -> tuple[str, ...]:
-    """Kinds of metric that are reported by default: all for one channel, a brief list for several."""
-    vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
-    return (*BRIEF, *vehicle) if has_several_channels else tuple(METRICS)

@@ -7,27 +7,46 @@ from pydantic import BaseModel
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.registry import Entry, Registry, Slot
+from dssc_jax.core.registry import Entry, Slot
+from dssc_jax.study.actuators import ActuatorTable
 from dssc_jax.study.fields import field_specs
+from dssc_jax.study.schema import (
+    EnvelopeTable,
+    LoopTable,
+    MetricsTable,
+    PlotTable,
+    RequirementTable,
+    SettledTable,
+    StudyTable,
+    TuneTable,
+    UnitsTable,
+)
+from dssc_jax.study.slots import REGISTRIES
 from dssc_jax.study.table_errors import UNKNOWN_NAME
+
+FIXED_TABLES: dict[str, type[BaseModel]] = {
+    "loop": LoopTable,
+    "loop.settled": SettledTable,
+    "units": UnitsTable,
+    "actuator": ActuatorTable,
+    "metrics": MetricsTable,
+    "requirement": RequirementTable,
+    "envelope": EnvelopeTable,
+    "plot": PlotTable,
+    "tune": TuneTable,
+}
+"""Tables whose fields do not depend on a kind, by their section."""
 
 TOP = "at the top of the file, above the first [section]"
 MOST_SECTIONS = 3
 
 
-def with_section(
-    error: ConfigError,
-    table: Mapping[str, object],
-    fixed: Mapping[str, type[BaseModel]],
-    registries: Mapping[str, Registry],
-) -> ConfigError:
+def with_section(error: ConfigError, table: Mapping[str, object]) -> ConfigError:
     """Name the right section in the error of an unknown name, if the name is valid in another section.
 
     Args:
         error: Any error of a study's table.
         table: Table of the study.
-        fixed: Fixed tables by their section; the section of the whole file is empty.
-        registries: Kinds of each slot.
 
     Returns:
         The new error; any other error as it is.
@@ -36,24 +55,23 @@ def with_section(
     if not error.rule.startswith(UNKNOWN_NAME):
         return error
     header = f"[{section}]"
-    places = [place for place in sections_of(name, table, fixed, registries) if place != header]
+    places = [place for place in sections_of(name, table) if place != header]
     if not places:
         return error
     return ConfigError(error.where, f"{UNKNOWN_NAME} here; '{name}' belongs {' or '.join(places[:MOST_SECTIONS])}")
 
 
-def sections_of(
-    name: str, table: Mapping[str, object], fixed: Mapping[str, type[BaseModel]], registries: Mapping[str, Registry]
-) -> list[str]:
+def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
     """Sections in which a study with these kinds may have a name, in words; without any, those of other kinds."""
-    places = [f"in [{place}]" if place else TOP for place, model in fixed.items() if name in model.model_fields]
-    for slot, registry in registries.items():
+    places = [TOP] if name in StudyTable.model_fields else []
+    places += [f"in [{place}]" for place, model in FIXED_TABLES.items() if name in model.model_fields]
+    for slot, registry in REGISTRIES.items():
         part = table.get(slot)
         kind = part.get("kind") if isinstance(part, Mapping) else None
         if isinstance(kind, str) and kind in registry:
             places += [f"in [{place}]" for place, field in places_in(registry[kind], slot, part) if field == name]
     if not places:
-        for slot, registry in registries.items():
+        for slot, registry in REGISTRIES.items():
             for kind, entry in registry.items():
                 if has_field(params_of(entry), name):
                     places.append(f'in [{slot}] of kind "{kind}"')

@@ -59,9 +59,9 @@ def with_units(component: Component, units: ChannelUnits) -> Component:
     return replace(component, numbers=tuple(numbers))
 
 
-def parse_whole(table: TomlTable, slot: str, registry: Registry | None = None) -> Component:
-    """Parse the table of a slot that the loop has once; ``registry`` replaces the kinds of the slot."""
-    return parse_component(table, REGISTRIES[slot] if registry is None else registry, slot).under(slot, slot)
+def parse_whole(table: TomlTable, slot: str) -> Component:
+    """Parse the table of a slot that the loop has once."""
+    return parse_component(table, REGISTRIES[slot], slot).under(slot, slot)
 
 
 def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
@@ -115,7 +115,7 @@ def parse_reference(
     slot = "reference"
     if len(channels) == 1:
         registry = reference_kinds(is_angle=channels[0] in angles)
-        return with_units(parse_whole(table, slot, registry), units[0])
+        return with_units(parse_component(table, registry, slot).under(slot, slot), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
     if joint.kind in REGISTRIES["trajectory"] and len(channels) != len(UAV.channels):
