@@ -53,6 +53,18 @@ def test_signals_that_jump_rest_or_meet_a_limit_have_none(seed):
     assert placeholder(outlier, True) == (-9999.0, 1)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_an_output_that_drops_to_zero_again_and_again(noise):
+    """Also where zero lies within the range of the other readings, and some of them are near it."""
+    values = np.sin(0.02 * ROWS) + noise * np.random.default_rng(1).normal(size=600)
+    assert placeholder(values, True) is None
+    values[20:600:34] = 0.0
+    assert placeholder(values, True) == (0.0, int(np.count_nonzero(values == 0.0)))
+    assert placeholder(values, False) is None
+    values = np.round(values, 3)
+    assert placeholder(values, True)[0] == 0.0
+
+
 def test_a_log_with_such_a_number_is_refused(tmp_path):
     values = noisy()
     values[::30] = -9999.0
@@ -60,6 +72,6 @@ def test_a_log_with_such_a_number_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(f"t,y,u_total\n{rows}\n")
     table = {"signals": {"y": {"column": "y", "scale": 0.01}}}
-    text = r"y: holds -9999 at 20 readings, far from all others: leave such cells empty"
+    text = r"y: holds -9999 at 20 readings, far from the others: leave such cells empty"
     with pytest.raises(ConfigError, match=text):
         read_log(path, table=table)

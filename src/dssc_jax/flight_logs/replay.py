@@ -282,7 +282,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         replays[name] = replay
         inputs = {label: values for label, values in signals.items() if label != "u_total"}
         held_counts |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
-        if "u_total" in signals:
+        if "u_total" not in signals:
+            not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
+        else:
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
             rate_text = rate_hint(log.columns[name], loop.sample_time)
