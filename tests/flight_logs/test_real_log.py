@@ -8,7 +8,9 @@ import pytest
 from dssc_jax.cli.main import guarded
 
 pytest.importorskip("pyulog")
-pytestmark = pytest.mark.filterwarnings("ignore::dssc_jax.flight_logs.ulog.LogWarning")  # of the estimator's jumps
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::dssc_jax.flight_logs.reading.ulog.LogWarning"
+)  # of the estimator's jumps
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "logs.md").read_text()

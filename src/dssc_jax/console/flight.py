@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.flight_logs.command_gaps import HELD
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
+from dssc_jax.flight_logs.fit.command_gaps import HELD
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 from dssc_jax.study import Study
 

@@ -3,10 +3,10 @@
 from functools import partial
 
 from dssc_jax.console.terminal import output, show_table
-from dssc_jax.flight_logs.clocks import ClockStep
-from dssc_jax.flight_logs.contents import FieldValues, LogContents
-from dssc_jax.flight_logs.resets import reset_list
-from dssc_jax.flight_logs.ulog_scan import LogTopic
+from dssc_jax.flight_logs.reading.clocks import ClockStep
+from dssc_jax.flight_logs.reading.contents import FieldValues, LogContents
+from dssc_jax.flight_logs.reading.resets import reset_list
+from dssc_jax.flight_logs.reading.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
 """What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.live import LiveStudy
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 

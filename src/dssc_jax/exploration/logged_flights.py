@@ -11,7 +11,7 @@ from dssc_jax.exploration.live import LiveRun
 from dssc_jax.exploration.page import PAGE_STYLE, markup
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.next_flight import PROBABILITY, NextFlight, next_flight
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED
 from dssc_jax.report import analysis_sections
 from dssc_jax.report.elements import table

@@ -35,7 +35,7 @@ from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page
 from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import interval_method
 

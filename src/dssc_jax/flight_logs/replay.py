@@ -19,14 +19,17 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_logs.angle_units import angle_hints
-from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.command_hints import command_hint, rate_hint
-from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
-from dssc_jax.flight_logs.coverage import few_samples_remedy, times_text
-from dssc_jax.flight_logs.integrals import integral_hints
-from dssc_jax.flight_logs.output_steps import is_reference
-from dssc_jax.flight_logs.reader import (
+from dssc_jax.flight_logs.hints.angle_units import angle_hints
+from dssc_jax.flight_logs.hints.attitudes import attitude_hints
+from dssc_jax.flight_logs.hints.command_hints import command_hint, rate_hint
+from dssc_jax.flight_logs.hints.conversions import LogHints, conversion_text, followed_conversion, rms
+from dssc_jax.flight_logs.hints.integrals import integral_hints
+from dssc_jax.flight_logs.hints.output_steps import is_reference
+from dssc_jax.flight_logs.hints.references import compared_references, median_values, study_references
+from dssc_jax.flight_logs.hints.reset_hints import reset_hints
+from dssc_jax.flight_logs.hints.starts import start_hints
+from dssc_jax.flight_logs.reading.coverage import few_samples_remedy, times_text
+from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
     channel_signals,
     forward_filled,
@@ -34,9 +37,6 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.references import compared_references, median_values, study_references
-from dssc_jax.flight_logs.reset_hints import reset_hints
-from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95

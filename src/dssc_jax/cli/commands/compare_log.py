@@ -14,12 +14,12 @@ from dssc_jax.console.terminal import output, progress_bar
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
-from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
-from dssc_jax.flight_logs.reader import FlightLog
-from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import replay_log
-from dssc_jax.flight_logs.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.study import Study
 
 

@@ -13,7 +13,7 @@ from dssc_jax.console.logs import show_log
 from dssc_jax.console.terminal import output
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.contents import log_contents, topic_table
+from dssc_jax.flight_logs.reading.contents import log_contents, topic_table
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study.recorded import TIME
 
