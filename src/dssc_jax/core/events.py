@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Sensor, Unmodelled, as_given
+from dssc_jax.core.contracts import Sensor, Unmodelled, unchanged_params
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3
@@ -72,7 +72,7 @@ class VehicleEvent(NamedTuple):
     params: type
     change: Callable[[Params, Condition, Scalar, int], Condition]
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class SensorEvent(NamedTuple):
@@ -81,7 +81,7 @@ class SensorEvent(NamedTuple):
     params: type
     wrap: Callable[[Sensor], Sensor]
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class CommandEvent(NamedTuple):
@@ -90,7 +90,7 @@ class CommandEvent(NamedTuple):
     params: type
     model: Unmodelled
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class Wrapped(NamedTuple):
