@@ -16,7 +16,7 @@ DOUBLE = np.dtype(float)
 
 
 def description_text(code: FlightCode) -> str:
-    """The descriptions of all controllers, at the end of the source, where only the build of a library compiles them."""
+    """The descriptions of all controllers, with which the source ends; only the build of a library compiles them."""
     return fill(
         "description.c",
         channels="\n".join(channel_text(code, controller) for controller in code.controllers),

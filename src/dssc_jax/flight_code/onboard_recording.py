@@ -62,7 +62,7 @@ def recording_lane(
             return (following, k + 1), rows
 
         start = initial_state(loop, params, key)
-        held = software.start(params.plant, measured_state(start.plant), None)  # without a wind, as in C
+        held = software.start(params.plant, measured_state(start.plant), None)  # as in C, which never settles
         start = as_arrays(start._replace(plant=software.holding(start.plant, held)))
         return jax.lax.scan(sample, (start, jnp.zeros((), jnp.int32)), length=samples)[1]
 
