@@ -106,6 +106,12 @@ class TrackingError(NamedTuple):
 
 
 def tracking_error(measurement: Measurement, reference: ReferencePoint, l0: Scalar) -> TrackingError:
-    """e and sigma of equations (9) and (10); l0 is the gain l_0 [1/s]."""
+    """Equations (9) and (10).
+
+    Args:
+        measurement: y and y'.
+        reference: y_m and y_m'.
+        l0: Error pole l_0 [1/s].
+    """
     e = measurement.y - reference.y
     return TrackingError(e, measurement.y_dot - reference.y_dot + l0 * e)

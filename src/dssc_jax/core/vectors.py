@@ -41,7 +41,7 @@ class Vec3(NamedTuple):
         return self.x * vector.x + self.y * vector.y + self.z * vector.z
 
     def cross(self, vector: "Vec3") -> "Vec3":
-        """Vector product; products with a component that is a constant 0 are left out of the program."""
+        """Vector product; products with a component that is known to be 0 before tracing are left out."""
         return Vec3(
             minor(self.y, vector.z, self.z, vector.y),
             minor(self.z, vector.x, self.x, vector.z),
@@ -57,12 +57,12 @@ class Vec3(NamedTuple):
         return self.scale(Vec3(1.0 / by.x, 1.0 / by.y, 1.0 / by.z))
 
     def norm(self) -> Scalar:
-        """Length; its gradient at the zero vector is 0 instead of NaN."""
+        """Length, with gradient 0 at the zero vector."""
         return root_abs(self.dot(self))
 
 
 def minor(a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
-    """The minor a b - c d; a product with a constant factor 0 is left out of the program."""
+    """The determinant a b - c d of two rows and columns, without products that are known to be 0."""
     return difference(times(a, b), times(c, d))
 
 
@@ -98,7 +98,7 @@ class Quaternion(NamedTuple):
         return Quaternion(self.w * inverse, self.x * inverse, self.y * inverse, self.z * inverse)
 
     def matrix(self) -> Mat3:
-        """The rotation matrix R from body to inertial frame; orthogonal for a unit quaternion."""
+        """The rotation matrix R, body to inertial; orthogonal for a unit quaternion."""
         w, x, y, z = self
         return Mat3(
             Vec3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -107,7 +107,11 @@ class Quaternion(NamedTuple):
         )
 
     def rate(self, body_rate: Vec3) -> "Quaternion":
-        """The time derivative q' = q (0, Omega)/2 for a body rate Omega [rad/s]."""
+        """q' = q (0, Omega)/2, the kinematics R' = R [Omega]_x.
+
+        Args:
+            body_rate: Omega, the angular velocity in body axes [rad/s].
+        """
         w, x, y, z = self
         p, q, r = body_rate
         return Quaternion(
@@ -119,7 +123,7 @@ class Quaternion(NamedTuple):
 
 
 def quaternion_from_euler(phi: Scalar, theta: Scalar, psi: Scalar) -> Quaternion:
-    """The rotation R_z(psi) R_y(theta) R_x(phi) from roll, pitch and yaw [rad]."""
+    """The rotation R_z(psi) R_y(theta) R_x(phi); angles in rad."""
     cr = jnp.cos(0.5 * phi)
     sr = jnp.sin(0.5 * phi)
     cp = jnp.cos(0.5 * theta)

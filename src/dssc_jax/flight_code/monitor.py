@@ -119,7 +119,9 @@ def initial_monitor(premises: Premises) -> MonitorState:
 
 
 def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
-    """Compare one sample of a flight with the bounds of a certificate.
+    """One sample.
+
+    It is compared with the bounds of the certificate.
 
     Args:
         premises: The bounds.
@@ -154,7 +156,7 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
 
 
 def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
-    """The tracking errors of a channel; 0 if a measurement or a reference is not finite."""
+    """The errors of a channel; 0 where a measurement or a reference is not finite."""
     known = is_finite(seen.y) & is_finite(seen.y_dot) & is_finite(seen.y_ref) & is_finite(seen.y_ref_dot)
     y = jnp.where(known, seen.y, 0.0)
     y_dot = jnp.where(known, seen.y_dot, 0.0)
@@ -167,10 +169,11 @@ def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
 
 
 def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, jax.Array]:
-    """Compare the start of the flight with its bounds, at the first sample at which all channels are known.
+    """Whether the start was compared, and whether it is outside: at the first sample that has every channel.
 
     Returns:
-        1 if the start has been compared by now, else 0; and whether it is out of bounds, which only this sample tells.
+        1 if the start of the flight has been compared with its bounds by now, else 0; and whether it is out of bounds,
+        which is true at no sample but the first that has every channel.
     """
     outside = []
     for channel, at in zip(premises.channels, deviations, strict=True):
@@ -194,7 +197,7 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
 def channel_flags(
     premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, at: Deviation
 ) -> tuple[ChannelMemory, list[jax.Array]]:
-    """Compare one channel with its bounds.
+    """The next memory of a channel, and its flags in the order of ``channel.flags()``.
 
     Args:
         premises: The bounds of the flight.
@@ -202,9 +205,6 @@ def channel_flags(
         memory: The state of the channel before the sample.
         sample: The signals of the channel.
         at: The tracking errors of the channel.
-
-    Returns:
-        The next state of the channel, and its flags in the order of ``channel.flags()``.
     """
     begun = jnp.greater(memory.gap, 0.0)
     flags = [at.known & jnp.greater(jnp.abs(at.e), channel.e)]
@@ -228,23 +228,32 @@ def channel_flags(
 
 
 def is_finite(number: Scalar) -> jax.Array:
-    """Whether a number is neither infinite nor NaN, by one comparison."""
+    """Whether a number is known: neither infinite nor NaN."""
     return jnp.less_equal(jnp.abs(number), float(jnp.finfo(jnp.result_type(float)).max))
 
 
 def exceeds(number: Scalar, bound: float) -> jax.Array:
-    """Whether the absolute value of a number is finite and above a bound."""
+    """Whether a known number is beyond a bound.
+
+    Known means finite; the bound is one of the absolute value.
+    """
     return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 
 
 def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Array:
-    """Whether a number is outside of an interval by more than its rounding error."""
+    """Whether a number is outside of an interval.
+
+    Args:
+        number: The number.
+        interval: Both ends.
+        rounding: Bound of the number's rounding error, by which the interval is widened.
+    """
     low, high = interval
     return jnp.less(number, low - rounding) | jnp.greater(number, high + rounding)
 
 
 def plane_norm(x: Scalar, y: Scalar) -> Scalar:
-    """The Euclidean norm of the vector (x, y)."""
+    """The norm of a vector of the plane."""
     return jnp.sqrt(x * x + y * y)
 
 

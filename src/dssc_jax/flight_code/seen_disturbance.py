@@ -69,12 +69,12 @@ class SeenFlags(NamedTuple):
 
 
 def roundings() -> float:
-    """Bound of the rounding error of a formula, relative to the sizes of the numbers in it (assumed)."""
+    """Allowance for the roundings of a formula, relative to the numbers in it."""
     return 8.0 * float(jnp.finfo(jnp.result_type(float)).eps)
 
 
 def averaging_time(premises: DisturbancePremises, dt: float) -> float:
-    """The time constant tau of the low-pass [s]; ``dt`` is T_s [s]."""
+    """The time constant tau [s] of the average."""
     return LAGS_AVERAGED * max(dt, premises.lag_order * premises.mu[1])
 
 
@@ -103,7 +103,7 @@ def see(
     command: Scalar,
     dt: float,
 ) -> tuple[SeenDisturbance, SeenFlags]:
-    """Enclose the mean disturbance since the last sample, and compare it with the bounds of the premises.
+    """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
 
     Its size is compared if this sample and the last were both measured; its slope also needs an average of earlier
     samples.
@@ -153,7 +153,7 @@ def see(
 def mean_disturbance(
     premises: DisturbancePremises, state: SeenDisturbance, y: Scalar, y_dot: Scalar, dt: float
 ) -> EnclosingInterval:
-    """The interval of the mean of d since the last sample, for all k_p and a_p in their intervals.
+    """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
 
     (A + a_p B)/k_p has its extremes where k_p and a_p are both at an end of their intervals. Arguments as of
     :func:`see`.
@@ -177,7 +177,7 @@ def mean_disturbance(
 def acting_command(
     premises: DisturbancePremises, state: SeenDisturbance, command: Scalar, dt: float
 ) -> tuple[tuple[EnclosingInterval, ...], tuple[EnclosingInterval, ...], EnclosingInterval]:
-    """Advance the delay and the lags by the sample that begins.
+    """Delayed commands, lags at the end of the sample that begins, and the mean of what acts until then.
 
     Args:
         premises: Intervals of delay and lags.
@@ -186,7 +186,7 @@ def acting_command(
         dt: T_s [s].
 
     Returns:
-        The delayed commands and the outputs of the lags at the end of the sample, and the mean of v over it.
+        The delayed commands, latest first; the output of each lag at the end of the sample; and the mean of v over it.
     """
     known = jnp.abs(command) < UNKNOWN
     newest = EnclosingInterval(jnp.where(known, command, -UNKNOWN), jnp.where(known, command, UNKNOWN))
@@ -208,13 +208,13 @@ def acting_command(
 
 
 def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval]) -> EnclosingInterval:
-    """The interval of v + the sum of r (x - v) over all parts, where v is in ``held``.
+    """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x.
 
-    The expression rises with v and with every x, so its ends are those of the intervals.
+    So the ends of the result follow from the ends of the intervals.
 
     Args:
-        held: Interval of v.
-        parts: The interval of x and the interval of its ratio r, for each part.
+        held: Interval of the input over the sample.
+        parts: Interval of x and interval of its ratio, for each part.
     """
     low = held.low
     high = held.high
@@ -240,7 +240,7 @@ class LagRatios(NamedTuple):
 
 
 def lag_ratios(premises: DisturbancePremises, dt: float) -> LagRatios:
-    """The intervals of the factors over all mu; the first two fall with h, the others rise to a single peak."""
+    """The intervals of the ratios; the first two fall with h, the others rise to a single peak."""
     ends = (dt / premises.mu[1], dt / premises.mu[0])
     decay = tuple(math.exp(-h) for h in ends)
     mean = tuple(-math.expm1(-h) / h for h in ends)
