@@ -192,14 +192,17 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
     with np.errstate(all="ignore"):
         box = Interval.of(*np.array(sides, float).reshape(-1, 2).T[:, None, :])
         lowest, greatest = values_at(function, corner_points(box))
-        low, high = math.inf, -math.inf
-        lows, highs = box.low, box.high
+        low = math.inf
+        high = -math.inf
+        lows = box.low
+        highs = box.high
         for remaining in reversed(range(ROUNDS)):
             enclosures = function(*intervals(lows, highs))
             shape = (len(lows),)
             outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in enclosures)
             inner = values_at(function, 0.5 * lows + 0.5 * highs)
-            lowest, greatest = min(lowest, inner[0]), max(greatest, inner[1])
+            lowest = min(lowest, inner[0])
+            greatest = max(greatest, inner[1])
             tolerance = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
             is_undecided = ~defined | (outer_low < lowest - tolerance) | (outer_high > greatest + tolerance)
             if not remaining or 2 * np.count_nonzero(is_undecided) > MOST_BOXES:
@@ -256,7 +259,8 @@ def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.n
     side = np.argmax((highs - lows) / np.where(widths > 0.0, widths, 1.0), axis=1)
     rows = np.arange(len(lows))
     middle = 0.5 * lows[rows, side] + 0.5 * highs[rows, side]
-    upper_lows, lower_highs = lows.copy(), highs.copy()
+    upper_lows = lows.copy()
+    lower_highs = highs.copy()
     upper_lows[rows, side] = middle
     lower_highs[rows, side] = middle
     return np.concatenate([lows, upper_lows]), np.concatenate([lower_highs, highs])

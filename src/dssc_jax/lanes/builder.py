@@ -102,7 +102,8 @@ class Builder:
             next_states: Its state after a turn.
             proceed: The condition for another turn.
         """
-        loop.next_states, loop.proceed = list(next_states), proceed
+        loop.next_states = list(next_states)
+        loop.proceed = proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [

@@ -82,7 +82,8 @@ def member_names(texts: Iterable[str]) -> list[str]:
     names: list[str] = []
     for text in texts:
         base = member_name(text)
-        name, count = base, 2
+        name = base
+        count = 2
         while name in names:
             name = f"{base.rstrip('_')}_{count}"
             count += 1

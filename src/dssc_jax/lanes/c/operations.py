@@ -200,7 +200,8 @@ class Notation:
         Raises:
             Unsupported: C has no exact form of it.
         """
-        operation, dtype = value.operation, value.dtype
+        operation = value.operation
+        dtype = value.dtype
         source = value.operands[0].dtype if value.operands else dtype
         if operation == "any":
             return operands[0]
@@ -231,7 +232,9 @@ class Notation:
 
     def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of floating-point numbers."""
-        operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
+        operation = value.operation
+        single = value.dtype.itemsize == 4
+        real = value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
             left_text = bracketed(*operands[0], surrounding=precedence)
@@ -252,14 +255,16 @@ class Notation:
 
     def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of integers as C's text, with the precedence of its outermost operator."""
-        operation, dtype = value.operation, value.dtype
+        operation = value.operation
+        dtype = value.dtype
         texts = [text for text, _ in operands]
         unsigned = f"uint{8 * dtype.itemsize}_t"
         helper_names = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
         if operation in helper_names and dtype.kind == "i":
             return f"{self.need(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
         if operation == "neg":
-            operation, texts = "sub", ["0", texts[0]]
+            operation = "sub"
+            texts = ["0", texts[0]]
         signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}
         if dtype.kind == "u":
             signs |= {"shr": ">>", "div": "/", "rem": "%"}

@@ -47,12 +47,15 @@ class CText:
         notation: Notation | None = None,
         prefix: str = "",
     ) -> None:
-        self.program, self.origins, self.inputs = program, origins, inputs
+        self.program = program
+        self.origins = origins
+        self.inputs = inputs
         self.constants = constants or {}
         self.notation = notation or Notation(real)
         self.tables: list[str] = []
         self.functions: dict[str, str] = {}
-        self._real, self._prefix = real, prefix
+        self._real = real
+        self._prefix = prefix
         self.lines: list[str] = []
         self._reserved_names = {*reserved_names}
         self._written: dict[int, tuple[str, int]] = {}
@@ -100,7 +103,8 @@ class CText:
             self._heading(origin)
             name = self._variable(origin.name or "part")
             self.line(f"const {c_type(value.dtype)} {name} = {text};")
-            text, precedence = name, ATOM
+            text = name
+            precedence = ATOM
         self._written[id(value)] = text, precedence
 
     def _heading(self, origin: Origin) -> None:
@@ -117,7 +121,8 @@ class CText:
         """A new name like the wanted one."""
         base = underscored(name) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
-        name, count = base, 1
+        name = base
+        count = 1
         while name in self._reserved_names or (count == 1 and (base == "part" or is_forbidden(base))):
             name = f"{base}_{count}"
             count += 1
@@ -193,7 +198,8 @@ class CText:
 
     def _subroutine(self, subroutine: Subroutine) -> None:
         """Write the function of a subroutine, once."""
-        name, program = subroutine.name, subroutine.program
+        name = subroutine.name
+        program = subroutine.program
         if name in self.functions:
             return
         self._reserved_names.add(name)
@@ -229,7 +235,8 @@ def comment(text: str) -> list[str]:
 
 def use_counts(program: Program) -> dict[int, int]:
     """How often each value is an operand of what is needed, or an output; more than once within a deeper block."""
-    alive, counts = reachable(program), dict.fromkeys((id(value) for value in program.outputs), 1)
+    alive = reachable(program)
+    counts = dict.fromkeys((id(value) for value in program.outputs), 1)
     for block in all_blocks(program.body):
         for node in block.nodes:
             if id(node) in alive:

@@ -62,7 +62,8 @@ def reduced_near(x: jax.Array) -> Reduced:
     bits = 8 * x.dtype.itemsize
     rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
     turns = rounded_sum - ROUNDER[bits]
-    angle, angle_error = x, jnp.zeros_like(x)
+    angle = x
+    angle_error = jnp.zeros_like(x)
     for part in HALF_PI[bits]:
         low = angle - turns * part
         angle_error = angle_error + (turns * part - (angle - low))
@@ -83,8 +84,12 @@ def word(number: int) -> jax.Array:
 def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
     """The upper word of the product of two words, the first below 2^53."""
     low = word(0xFFFFFFFF)
-    x_high, x_low, y_high, y_low = x >> word(32), x & low, y >> word(32), y & low
-    low_by_high, high_by_low = x_low * y_high, x_high * y_low
+    x_high = x >> word(32)
+    x_low = x & low
+    y_high = y >> word(32)
+    y_low = y & low
+    low_by_high = x_low * y_high
+    high_by_low = x_high * y_low
     middle = (x_low * y_low >> word(32)) + (low_by_high & low) + (high_by_low & low)
     return x_high * y_high + (low_by_high >> word(32)) + (high_by_low >> word(32)) + (middle >> word(32))
 
@@ -118,19 +123,23 @@ def reduced_far(x: jax.Array) -> Reduced:
     middle = low + high_product(mantissa, third)
     carry = (middle < low).astype(jnp.uint64)
     high = mantissa * first + high_product(mantissa, second) + carry
-    upper, lower = high << word(2) | middle >> word(62), middle << word(2)
+    upper = high << word(2) | middle >> word(62)
+    lower = middle << word(2)
     above_half = upper >> word(63)
     quarters = (high >> word(62)) + above_half
     flipped = word(0) - above_half  # all bits, where the fraction is nearer to 1
-    upper, lower = upper ^ flipped, lower ^ flipped
+    upper = upper ^ flipped
+    lower = lower ^ flipped
     return radians(x, quarters, above_half, upper, lower)
 
 
 def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> Reduced:
     """The angle of a fraction of a quarter turn, given by two words without sign, with the sign of x."""
     half = word(0xFFFFFFFF)
-    first, second = real(upper >> word(32), 2.0**-32), real(upper & half, 2.0**-64)
-    third, fourth = real(lower >> word(32), 2.0**-96), real(lower & half, 2.0**-128)
+    first = real(upper >> word(32), 2.0**-32)
+    second = real(upper & half, 2.0**-64)
+    third = real(lower >> word(32), 2.0**-96)
+    fourth = real(lower & half, 2.0**-128)
     sum_of_first = first + second
     tail = (second - (sum_of_first - first)) + (third + fourth)
     fraction = sum_of_first + tail
@@ -182,7 +191,8 @@ def cosine(reduced: Reduced) -> jax.Array:
 def tangent(reduced: Reduced) -> jax.Array:
     """The tangent, from sine and cosine of the remaining angle."""
     is_odd = reduced.quarters & 1 == 1
-    cosine_value, sine_value = cosine_of(reduced), sine_of(reduced)
+    cosine_value = cosine_of(reduced)
+    sine_value = sine_of(reduced)
     return jnp.where(is_odd, -cosine_value, sine_value) / jnp.where(is_odd, sine_value, cosine_value)
 
 

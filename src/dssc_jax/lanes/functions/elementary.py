@@ -132,7 +132,8 @@ def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     (largest, smaller), (smallest, larger) = SIDES[width(x)]
     scale = jnp.where(longer_side > largest, smaller, jnp.where(longer_side < smallest, larger, 1.0))
     is_diagonal = jnp.isinf(x) & jnp.isinf(y)
-    height, base = jnp.abs(y) * scale, x * scale
+    height = jnp.abs(y) * scale
+    base = x * scale
     magnitude = atan2(jnp.where(is_diagonal, 1.0, height), jnp.where(is_diagonal, jnp.sign(x), base))
     magnitude = jnp.where((x == 0.0) & (y == 0.0) & is_negative(x), math.pi, magnitude)
     return jnp.where(is_negative(y), -magnitude, magnitude)

@@ -57,7 +57,9 @@ def split_digits(x: jax.Array) -> TwoPartNumber:
 
 def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
     """The product of two numbers that are neither huge nor tiny."""
-    product, a, b = x * y, split_digits(x), split_digits(y)
+    product = x * y
+    a = split_digits(x)
+    b = split_digits(y)
     error = ((a.high * b.high - product) + a.high * b.low + a.low * b.high) + a.low * b.low
     return TwoPartNumber(product, error)
 
@@ -107,7 +109,8 @@ def power(x: jax.Array, y: jax.Array) -> jax.Array:
     y = y.astype(x.dtype)
     size = jnp.abs(x)
     is_ordinary = (size > 0.0) & (size < jnp.inf)
-    base, exponent = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64), y.astype(jnp.float64)
+    base = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64)
+    exponent = y.astype(jnp.float64)
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
     is_infinite = (size == 0.0) == (y < 0.0)
     value = jnp.where(is_ordinary, value, jnp.where(is_infinite, jnp.inf, 0.0))

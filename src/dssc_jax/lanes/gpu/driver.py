@@ -61,7 +61,8 @@ class Driver:
         for name, types in ARGUMENTS.items():
             getattr(library, name).argtypes = types
         self.call("cuInit", 0)
-        device, context = c_int(), c_void_p()
+        device = c_int()
+        context = c_void_p()
         self.call("cuDeviceGet", byref(device), 0)
         self.device = device.value
         name = ctypes.create_string_buffer(256)
@@ -104,7 +105,8 @@ class Driver:
         Raises:
             GpuError: The driver cannot translate it; the message holds what it says.
         """
-        module, function = c_void_p(), c_void_p()
+        module = c_void_p()
+        function = c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         options = (c_int * 2)(LOG, LOG_SIZE)
         values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)

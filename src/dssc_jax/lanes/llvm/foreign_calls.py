@@ -63,7 +63,8 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
 
 def move_lines(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
     """The lines that move one number of the present lane between its column of a buffer and the memory."""
-    kind, align = scalar_type(place.dtype), place.dtype.itemsize
+    kind = scalar_type(place.dtype)
+    align = place.dtype.itemsize
     buffer, start = column
     source, target = (f"%{name}e", f"%{name}m") if to_memory else (f"%{name}m", f"%{name}e")
     return [

@@ -91,7 +91,8 @@ class Instructions:
         is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
         if not (self.stored_constants and vector and self.width > 1 and is_number):
             return self.read(value, vector)
-        kind, bits = self.kind(value.dtype, True), literal(value.detail, value.dtype)
+        kind = self.kind(value.dtype, True)
+        bits = literal(value.detail, value.dtype)
         name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"
         self.declarations.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
         return self.emit(f"load {kind}, ptr {name}, align 64", "c")
@@ -102,7 +103,8 @@ class Instructions:
 
     def splat(self, dtype: np.dtype, name: str) -> str:
         """A vector whose elements are all a scalar."""
-        scalar, kind = scalar_type(dtype), self.kind(dtype, True)
+        scalar = scalar_type(dtype)
+        kind = self.kind(dtype, True)
         inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
         return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
 
@@ -149,7 +151,8 @@ class Instructions:
 
     def value(self, value: Value) -> str:
         """The instructions of one value; its register."""
-        operation, dtype = value.operation, value.dtype
+        operation = value.operation
+        dtype = value.dtype
         wide = self.is_vector(value)
         kind = self.kind(dtype, wide)
         if operation == "input":
@@ -181,7 +184,8 @@ class Instructions:
 
     def input(self, value: Value, wide: bool) -> str:
         """A number that the lanes are given."""
-        column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
+        column = self.column("inputs", value.detail)
+        dtype = stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
         loaded_register = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
         return self.from_memory(value.dtype, wide, loaded_register)
@@ -215,13 +219,16 @@ class Instructions:
     def rarely(self, value: Value, wide: bool) -> str:
         """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
         condition, usual_value, *arguments = value.operands
-        kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
+        kind = self.kind(value.dtype, wide)
+        mask = self.read(condition, wide)
         function = f"{value.detail.name}_{self.width if wide else 1}"
         self.subroutines[function] = value.detail, self.width if wide else 1
         arguments_text = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
         usual_register = self.read(usual_value, wide)
         is_taken = self.any_lane(mask) if wide else mask
-        rare_label, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
+        rare_label = self.fresh("rare")
+        end = self.fresh("end")
+        entry = self.current()
         self.lines.append(f"  br i1 {is_taken}, label %{rare_label}, label %{end}, !prof !0")
         self.begin(rare_label)
         rare_register = self.emit(f"call {kind} @{function}({arguments_text})")
@@ -282,7 +289,8 @@ class Instructions:
         The select returns its last operand if one is NaN. A constant, which is not, therefore comes first. As an
         integer, a NaN without sign is larger than every number.
         """
-        kind, mask = self.kind(value.dtype, wide), self.kind(BOOL, wide)
+        kind = self.kind(value.dtype, wide)
+        mask = self.kind(BOOL, wide)
         if operation == "max" and value.dtype.kind == "f" and is_unsigned(value):
             integer = np.dtype(f"i{value.dtype.itemsize}")
             bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
@@ -340,7 +348,8 @@ class Instructions:
         """An element of a constant table."""
         table, (index,) = value.detail, value.operands
         dtype = stored_type(value.dtype)
-        scalar, count = scalar_type(dtype), table.size
+        scalar = scalar_type(dtype)
+        count = table.size
         name = f"@t{len(self.tables)}"
         numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
         self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
@@ -351,7 +360,8 @@ class Instructions:
         if not wide:
             place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
             return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))
-        kind, mask = self.kind(dtype, True), self.kind(BOOL, True)
+        kind = self.kind(dtype, True)
+        mask = self.kind(BOOL, True)
         pointers = f"<{self.width} x ptr>"
         places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
         function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"

@@ -102,7 +102,9 @@ def code_name(text: str) -> str:
 @cache
 def translator() -> tuple[str, ...]:
     """The facts that decide the machine code of a module's text: LLVM, the processor, its features, the addresses."""
-    model, instructions, addresses = scheduling_model(), features().flatten(), str(has_near_constants())
+    model = scheduling_model()
+    instructions = features().flatten()
+    addresses = str(has_near_constants())
     return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), addresses
 
 
@@ -118,8 +120,10 @@ def assembly(text: str) -> str:
 
 def module_here(text: str) -> Any:
     """A module for this processor."""
-    module, machine = llvm.parse_assembly(text), target_machine()
-    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+    module = llvm.parse_assembly(text)
+    machine = target_machine()
+    module.triple = machine.triple
+    module.data_layout = str(machine.target_data)
     return module
 
 
@@ -143,7 +147,8 @@ class LoadedCode:
         self._engine = engine_of(llvm.parse_assembly(""))
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(self.code))
         self._engine.finalize_object()
-        pointer, count = ctypes.c_void_p, ctypes.c_int64
+        pointer = ctypes.c_void_p
+        count = ctypes.c_int64
         signature = ctypes.CFUNCTYPE(None, pointer, pointer, count, count)
         self._function = signature(self.address(ENTRY_POINT))
 
@@ -157,7 +162,8 @@ class LoadedCode:
         """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
-        lock, stop_event = threading.Lock(), threading.Event()
+        lock = threading.Lock()
+        stop_event = threading.Event()
 
         def work() -> float:  # holds the columns as long as it runs, whoever else lets go of them
             input_addresses = addresses(inputs)

@@ -42,7 +42,9 @@ class Emitter(Instructions):
 
     def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:
         super().__init__(width, STRICT if strict else FAST, stored_constants)
-        self.program, self.window, self.strict = program, window, strict
+        self.program = program
+        self.window = window
+        self.strict = strict
         self.alive = reachable(program)
         self.parts: dict[int, list[str]] = {}
         self.called_functions: dict[str, ForeignFunction] = {}
@@ -90,7 +92,8 @@ class Emitter(Instructions):
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
             subroutine_emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0)
-            subroutine_emitter.tables, subroutine_emitter.declarations = self.tables, self.declarations
+            subroutine_emitter.tables = self.tables
+            subroutine_emitter.declarations = self.declarations
             lines += subroutine_emitter.definition(name)
         for function in self.called_functions.values():
             lines += foreign_calls.definition(function, self.width)
@@ -116,7 +119,9 @@ class Emitter(Instructions):
 
     def loop(self, loop: CodeLoop) -> None:
         """Write a loop that tests at its end; uniform values are computed ahead where that is worthwhile."""
-        top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
+        top = self.fresh("loop")
+        end = self.fresh("end")
+        entry = self.label
         alive = [
             i
             for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
@@ -153,7 +158,8 @@ class Emitter(Instructions):
 
     def turns(self, loop: CodeLoop, plan: AheadPlan, alive: Sequence[int]) -> str:
         """Write several turns of a loop, with uniform values computed ahead; whether it goes on after the last."""
-        inner, out = self.fresh("turn"), self.fresh("out")
+        inner = self.fresh("turn")
+        out = self.fresh("out")
         ahead = Ahead(self, plan, self.window)
         ahead.write(loop)
         entry = self.label
@@ -163,7 +169,8 @@ class Emitter(Instructions):
         first = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
-        turn_value, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
+        turn_value = f"%{self.fresh('t')}"
+        next_turn = f"%{self.fresh('t')}"
         phi_line = len(self.lines)
         self.lines.append("")
         phi_lines = self.reserve_phis([loop.states[i] for i in varying])
@@ -261,7 +268,9 @@ class Emitter(Instructions):
 
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
         """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
-        side_label, end, entry = self.fresh("side"), self.fresh("end"), self.label
+        side_label = self.fresh("side")
+        end = self.fresh("end")
+        entry = self.label
         self.lines.append(f"  br i1 {is_taken}, label %{side_label}, label %{end}")
         self.begin(side_label)
         self.block(block)
@@ -283,7 +292,8 @@ class Emitter(Instructions):
 
     def write(self, column: str, element: str, value: Value, wide: bool) -> None:
         """Store a value, or one for each lane, at an element of a column."""
-        register, dtype = self.read(value, wide), value.dtype
+        register = self.read(value, wide)
+        dtype = value.dtype
         if dtype == BOOL:
             kind = self.kind(BOOL, wide)
             dtype = stored_type(BOOL)

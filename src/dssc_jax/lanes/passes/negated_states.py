@@ -30,7 +30,8 @@ def join_opposites(program: Program) -> None:
 def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
     """The pairs that hold before the first turn, and after a turn if all pairs held before it."""
     candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
-    holding, refuted = set(candidates), list[Pair]()
+    holding = set(candidates)
+    refuted = list[Pair]()
     dependent: dict[Pair, list[Pair]] = {}
     for pair, loop in candidates.items():
         _, value, negated = pair
@@ -95,7 +96,9 @@ def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
     for values, block, insertion_index in ((loop.states, loop.body, 0), (loop.results, surrounding_block, after_loop)):
         changed = [values[negative] for negative in negatives]
         for value, position in zip(changed, negatives.values(), strict=True):
-            value.operation, value.operands, value.detail = Operation.NEG, (values[position],), None
+            value.operation = Operation.NEG
+            value.operands = (values[position],)
+            value.detail = None
         block.nodes[insertion_index:insertion_index] = changed
     for values in (loop.initial_states, loop.states, loop.next_states, loop.results):
         values[:] = [value for position, value in enumerate(values) if position not in negatives]

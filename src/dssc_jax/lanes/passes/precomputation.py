@@ -61,7 +61,8 @@ def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
 
 def step(loop: CodeLoop, position: int) -> int:
     """The constant by which a state grows in every turn; 0 if it changes otherwise."""
-    state, next_value = loop.states[position], loop.next_states[position]
+    state = loop.states[position]
+    next_value = loop.next_states[position]
     if next_value.operation == "add" and next_value.dtype.kind in "iu":
         for state_operand, increment in (next_value.operands, next_value.operands[::-1]):
             if state_operand is state and increment.operation == "constant":
@@ -88,7 +89,10 @@ class Ahead(Instructions):
             declarations=lanes.declarations,
             subroutines=lanes.subroutines,
         )
-        self.lanes, self.plan, self.window, self.buffers = lanes, plan, window, dict[int, str]()
+        self.lanes = lanes
+        self.plan = plan
+        self.window = window
+        self.buffers = dict[int, str]()
 
     def fresh(self, prefix: str = "v") -> str:
         """A new name."""
@@ -124,7 +128,8 @@ class Ahead(Instructions):
             assert isinstance(value, Value)
             self.name(value, self.value(value))
         for value in self.plan.outputs:
-            register, dtype = self.names[id(value), True], stored_type(value.dtype)
+            register = self.names[id(value), True]
+            dtype = stored_type(value.dtype)
             if value.dtype == BOOL:
                 register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
             buffer = self.buffers[id(value)] = f"%{self.fresh('ahead')}"

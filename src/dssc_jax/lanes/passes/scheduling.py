@@ -33,11 +33,14 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
     for user in chain.from_iterable(users):
         missing_operands[user] += 1
 
-    is_placed, known_at = [False] * len(nodes), [0.0] * len(nodes)
+    is_placed = [False] * len(nodes)
+    known_at = [0.0] * len(nodes)
     free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # operands are placed; a heap by place
     waiting_heap: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
     ready_heap: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
-    order, first_unplaced, time = [], 0, 0.0
+    order = []
+    first_unplaced = 0
+    time = 0.0
     while len(order) < len(nodes):
         while is_placed[first_unplaced]:
             first_unplaced += 1

@@ -64,7 +64,8 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
 
 def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array repeated along new axes."""
-    shape, axes = params["shape"], params["broadcast_dimensions"]
+    shape = params["shape"]
+    axes = params["broadcast_dimensions"]
     if not shape:
         return operands[0]
     source = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
@@ -149,7 +150,8 @@ def split_array(build: Builder, operands: Sequence[Any], params: Parameters, equ
 
 def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array with a margin, and gaps between its elements."""
-    operand, margin = as_tensor(operands[0], build), operands[1]
+    operand = as_tensor(operands[0], build)
+    margin = operands[1]
     if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
         raise Unsupported("a negative margin")
     result = np.empty(array_type(equation.outvars[0]).shape, object)
@@ -164,7 +166,8 @@ def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: J
 
 def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """The index of each element along an axis."""
-    shape, axis = params["shape"], params["dimension"]
+    shape = params["shape"]
+    axis = params["dimension"]
     line = np.arange(shape[axis], dtype=params["dtype"])
     return np.broadcast_to(line.reshape([-1 if i == axis else 1 for i in range(len(shape))]), shape)
 
@@ -173,7 +176,8 @@ def reduction(operation: str) -> Callable[..., Any]:
     """A rule that combines the elements along some axes."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        axes, tensor = params["axes"], as_tensor(operands[0], build)
+        axes = params["axes"]
+        tensor = as_tensor(operands[0], build)
         remaining_axes = [axis for axis in range(tensor.ndim) if axis not in axes]
         remaining_shape = [tensor.shape[axis] for axis in remaining_axes]
         rows = np.transpose(tensor, [*remaining_axes, *axes]).reshape(*remaining_shape, -1)

@@ -50,7 +50,8 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
 
 def row(build: Builder, table: Any, at: Value) -> Any:
     """A row of an array at an index of the run."""
-    inner, count = table.shape[1:], int(np.prod(table.shape[1:]))
+    inner = table.shape[1:]
+    count = int(np.prod(table.shape[1:]))
     columns = table.reshape(table.shape[0], count)
     elements = np.empty(count, object)
     for column in range(count):
@@ -114,11 +115,13 @@ def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
 def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Windows of an array at indices of the run."""
     operand, indices = operands
-    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    numbers = params["dimension_numbers"]
+    sizes = params["slice_sizes"]
     fill = params["mode"].name == "FILL_OR_DROP"
     if not isinstance(operand, np.ndarray):
         operand = as_tensor(operand, build)
-    points, zero = [], build.constant(0, INDEX_TYPE)
+    points = []
+    zero = build.constant(0, INDEX_TYPE)
     for vector in index_rows(build, indices):
         starts = [zero] * operand.ndim
         for axis, start in zip(numbers.start_index_map, vector, strict=True):
@@ -200,7 +203,8 @@ def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parame
     operand, update, *starts = operands
     if isinstance(operand, Memory):
         return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
-    target, new = as_tensor(operand, build), as_tensor(update, build)
+    target = as_tensor(operand, build)
+    new = as_tensor(update, build)
     limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
     pairs = zip(starts, limits, strict=True)
     clipped_starts = [clipped(build, wide_index(build, start), limit) for start, limit in pairs]
@@ -213,7 +217,8 @@ def scatter(operation: str) -> Callable[..., Tensor]:
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
-        target, new = as_tensor(operand, build), as_tensor(updates, build)
+        target = as_tensor(operand, build)
+        new = as_tensor(updates, build)
         vectors = index_rows(build, indices)
         batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
         windows = np.transpose(new, [*batch, *numbers.update_window_dims])

@@ -58,7 +58,8 @@ def division(operation: str) -> ElementRule:
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
-        zero, unit = build.constant(0, dtype), build.constant(1, dtype)
+        zero = build.constant(0, dtype)
+        unit = build.constant(1, dtype)
         by_zero = build.add("eq", y, zero)
         signed = dtype.kind == "i"
         unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
@@ -82,7 +83,8 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        width, unsigned = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
+        width = 8 * dtype.itemsize
+        unsigned = np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
         x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
         limit = build.constant(width - 1, kind)
@@ -118,7 +120,8 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
     """
     index, *cases = operands
     if index.dtype == BOOL:
-        if_false, if_true = cases[0], cases[-1]
+        if_false = cases[0]
+        if_true = cases[-1]
         return build.add("select", index, if_true, if_false)
     selected = cases[-1]
     for number in reversed(range(len(cases) - 1)):
@@ -139,7 +142,8 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
     """x to a whole power, by squaring."""
     if exponent < 0:
         return build.add("div", build.constant(1, x.dtype), whole_power(build, x, -exponent))
-    result, square = None, x
+    result = None
+    square = x
     while exponent:
         if exponent & 1:
             result = square if result is None else build.add("mul", result, square)

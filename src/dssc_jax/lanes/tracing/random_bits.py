@@ -54,7 +54,8 @@ def threefry(build: Builder, key: Key, high: Value, low: Value) -> tuple[Value, 
     """A block of two words, enciphered with a key."""
     parity = build.add("xor", build.add("xor", key.high, key.low), build.constant(PARITY, WORD))
     schedule = key.high, key.low, parity
-    x, y = build.add("add", high, key.high), build.add("add", low, key.low)
+    x = build.add("add", high, key.high)
+    y = build.add("add", low, key.low)
     for group in range(5):
         for count in ROTATIONS[group % 2]:
             x = build.add("add", x, y)
@@ -111,7 +112,8 @@ def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
 def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Random words of 8, 16, 32 or 64 bits."""
     (key,), width, shape = operands, params["bit_width"], params["shape"]
-    dtype, words = np.dtype(f"u{width // 8}"), []
+    dtype = np.dtype(f"u{width // 8}")
+    words = []
     for high, low in counter_blocks(build, key, shape):
         if width == 64:
             upper = build.add("shl", build.add("convert", high, dtype=dtype), build.constant(32, dtype))

@@ -41,7 +41,8 @@ def refuse_recordings(operands: Sequence[Any]) -> None:
 
 def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
     """Build values of the given kinds from their scalars; the inverse of :func:`components`."""
-    remaining, values = list(scalars), []
+    remaining = list(scalars)
+    values = []
     for like in likes:
         if isinstance(like, Value):
             values.append(remaining.pop(0))

@@ -158,7 +158,8 @@ class Translator:
         function = self.function(translation.translate, types)
         if not isinstance(translation, RareRule):
             return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        condition, subroutine = self.function(translation.is_rare, types), self.subroutine(translation.rarely, types)
+        condition = self.function(translation.is_rare, types)
+        subroutine = self.subroutine(translation.rarely, types)
 
         def usual_or_rare(*scalars: Value) -> Value:
             usual_result = self.run(function, scalars)[0]
@@ -211,7 +212,8 @@ def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[
 
 def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """The maximum over all lanes of truth values, 0 or 1."""
-    build, results = translator.build, []
+    build = translator.build
+    results = []
     for operand in operands:
         if not isinstance(operand, Value):
             raise Unsupported("a maximum over the lanes of arrays")
@@ -222,10 +224,15 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
 
 def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop that ends when no lane goes on; a lane that ended before keeps its state."""
-    params, build = equation.params, translator.build
-    head, body = params["cond_jaxpr"], params["body_jaxpr"]
-    first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    head_constants, constants, initial_state = operands[:first], operands[first:second], operands[second:]
+    params = equation.params
+    build = translator.build
+    head = params["cond_jaxpr"]
+    body = params["body_jaxpr"]
+    first = params["cond_nconsts"]
+    second = params["cond_nconsts"] + params["body_nconsts"]
+    head_constants = operands[:first]
+    constants = operands[first:second]
+    initial_state = operands[second:]
     if translator.has_memory:
         initial_state = kept_in_memory(build, initial_state, body.jaxpr, second - first)
     flags = [is_varying(value) for value in (*operands[:second], *initial_state)]
@@ -257,11 +264,15 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
 
 def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop of known length over the rows of some arrays; what it stacks is recorded."""
-    params, build = equation.params, translator.build
-    length, body = params["length"], params["jaxpr"]
+    params = equation.params
+    build = translator.build
+    length = params["length"]
+    body = params["jaxpr"]
     first, state_count = parts_of_scan(equation)
     second = first + state_count
-    constants, initial_state, rows = operands[:first], operands[first:second], operands[second:]
+    constants = operands[:first]
+    initial_state = operands[first:second]
+    rows = operands[second:]
     if translator.has_memory:
         initial_state = kept_in_memory(build, initial_state, body.jaxpr, first)
     recorded_variables = equation.outvars[state_count:]
@@ -275,7 +286,8 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
     flags = translator.varying_results.of_scan(
         body.jaxpr, [is_varying(value) for value in (*constants, *initial_state, *rows)], first, second
     )
-    scalars, index = flatten(initial_state, build), np.dtype(np.int32)
+    scalars = flatten(initial_state, build)
+    index = np.dtype(np.int32)
     differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
@@ -294,7 +306,8 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
     """``lax.cond`` and ``lax.switch``: nested branches of two sides, of which each lane chooses for itself."""
     index, *remaining = operands
     refuse_recordings(remaining)
-    build, branches = translator.build, equation.params["branches"]
+    build = translator.build
+    branches = equation.params["branches"]
     condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
 
     def case(number: int) -> list[Any]:

@@ -64,7 +64,9 @@ class VaryingResults:
         self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
     ) -> tuple[list[int], int]:
         """The mask of each part of a while loop's state, and that of its condition."""
-        head_constants, constants, state = operands[:first], operands[first:second], list(operands[second:])
+        head_constants = operands[:first]
+        constants = operands[first:second]
+        state = list(operands[second:])
         while True:
             condition = self.of(head, [*head_constants, *state])[0]
             body_masks = self.of(body, [*constants, *state])
@@ -75,7 +77,9 @@ class VaryingResults:
 
     def of_scan(self, body: Jaxpr, operands: Sequence[int], first: int, second: int) -> list[int]:
         """The mask of each part of a scan's state."""
-        constants, state, rows = operands[:first], list(operands[first:second]), operands[second:]
+        constants = operands[:first]
+        state = list(operands[first:second])
+        rows = operands[second:]
         while True:
             body_masks = self.of(body, [*constants, *state, *rows])
             next_state = [old | new for old, new in zip(state, body_masks, strict=False)]
@@ -85,14 +89,16 @@ class VaryingResults:
 
     def _equation(self, equation: JaxprEqn, operands: list[int]) -> list[int]:
         """The masks of one equation's results."""
-        name, params = equation.primitive.name, equation.params
+        name = equation.primitive.name
+        params = equation.params
         count = len(equation.outvars)
         if name.startswith("pmax"):
             return [0] * count
         if name == FOREIGN_CALL:
             return [1] * count
         if name == "while":
-            first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+            first = params["cond_nconsts"]
+            second = params["cond_nconsts"] + params["body_nconsts"]
             return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
         if name == "scan":
             constants, state_count = parts_of_scan(equation)
