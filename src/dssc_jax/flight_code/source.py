@@ -137,10 +137,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     computation = list(function.lines)
     if controller.infos:
         function.line("if (telemetry != NULL) {")
-        function.indented(1)
+        function.indent(1)
         function.compute(function.outputs[count:])
         function.assign([f"telemetry->{info}" for info in controller.infos], function.outputs[count:])
-        function.indented(-1)
+        function.indent(-1)
         function.line("}")
     else:
         function.line("(void)telemetry;")

@@ -143,7 +143,7 @@ def c_literal(number: Any, dtype: np.dtype) -> str:
     return f"{text}{suffix}"
 
 
-def bracketed(text: str, precedence: int, surrounding: int) -> str:
+def with_brackets(text: str, precedence: int, surrounding: int) -> str:
     """An expression, in brackets if it binds less than required."""
     return text if precedence >= surrounding else f"({text})"
 
@@ -166,7 +166,7 @@ class Notation:
             for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
         ]
 
-    def need(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
+    def require_helper(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
         """The name of a function, whose definition is needed from now on.
 
         Args:
@@ -176,7 +176,7 @@ class Notation:
         """
         real = self.real if real is None else real
         if name in HELPERS_NEEDED:
-            self.need(HELPERS_NEEDED[name], integer, real)
+            self.require_helper(HELPERS_NEEDED[name], integer, real)
         single = real.itemsize == 4
         width = 8 * (integer.itemsize if integer is not None else real.itemsize)
         replacements = {
@@ -206,54 +206,54 @@ class Notation:
         if operation == "any":
             return operands[0]
         if operation == "select":
-            condition, first, second = (bracketed(*operand, surrounding=OR) for operand in operands)
+            condition, first, second = (with_brackets(*operand, surrounding=OR) for operand in operands)
             return f"{condition} ? {first} : {second}", TERNARY
         if operation == "rarely":
-            condition, usual_text = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
+            condition, usual_text = (with_brackets(*operand, surrounding=OR) for operand in operands[:2])
             arguments = ", ".join(text for text, _ in operands[2:])
             return f"{condition} ? {value.detail.name}({arguments}) : {usual_text}", TERNARY
         if operation == "convert":
-            return self.converted(value, source, operands[0])
+            return self.conversion(value, source, operands[0])
         if operation == "bitcast":
             return self.same_bits(source, dtype, operands[0])
         if dtype.kind == "f":
-            return self.floating(value, operands)
+            return self.float_operation(value, operands)
         if source == BOOL and operation in LOGIC:
             sign, precedence = LOGIC[operation]
-            first, second = (bracketed(*operand, surrounding=UNARY) for operand in operands)
+            first, second = (with_brackets(*operand, surrounding=UNARY) for operand in operands)
             return f"{first} {sign} {second}", precedence
         if dtype == BOOL:
             if operation not in SIGNS:
                 raise Unsupported(f"'{operation}' of truth values in C")
             sign, precedence = SIGNS[operation]
-            first, second = (bracketed(*operand, surrounding=SHIFT) for operand in operands)
+            first, second = (with_brackets(*operand, surrounding=SHIFT) for operand in operands)
             return f"{first} {sign} {second}", precedence
-        return self.integer(value, operands)
+        return self.integer_operation(value, operands)
 
-    def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    def float_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of floating-point numbers."""
         operation = value.operation
         single = value.dtype.itemsize == 4
         real = value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
-            left_text = bracketed(*operands[0], surrounding=precedence)
-            return f"{left_text} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
+            left_text = with_brackets(*operands[0], surrounding=precedence)
+            return f"{left_text} {sign} {with_brackets(*operands[1], surrounding=precedence + 1)}", precedence
         if operation == "neg":
-            return f"-{bracketed(*operands[0], surrounding=ATOM)}", UNARY
+            return f"-{with_brackets(*operands[0], surrounding=ATOM)}", UNARY
         if operation in ("max", "min"):
             first, second = operands
-            return f"{self.need(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
+            return f"{self.require_helper(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
         names = {"floor": "round_down", "ceil": "round_up", "round": "nearest", "trunc": "toward_zero"}
         if operation in names:
-            return f"{self.need(names[operation], real=real)}({operands[0][0]})", ATOM
+            return f"{self.require_helper(names[operation], real=real)}({operands[0][0]})", ATOM
         library = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
         if operation in library:
             arguments = ", ".join(text for text, _ in operands)
             return f"{library[operation]}{'f' if single else ''}({arguments})", ATOM
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
-    def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    def integer_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
         """An operation of integers as C's text, with the precedence of its outermost operator."""
         operation = value.operation
         dtype = value.dtype
@@ -261,7 +261,7 @@ class Notation:
         unsigned = f"uint{8 * dtype.itemsize}_t"
         helper_names = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
         if operation in helper_names and dtype.kind == "i":
-            return f"{self.need(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+            return f"{self.require_helper(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
         if operation == "neg":
             operation = "sub"
             texts = ["0", texts[0]]
@@ -270,29 +270,34 @@ class Notation:
             signs |= {"shr": ">>", "div": "/", "rem": "%"}
         if operation in signs and dtype.itemsize >= 4:
             text = f"({unsigned})({texts[0]}) {signs[operation]} ({unsigned})({texts[1]})"
-            return (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.need('signed', dtype)}({text})", ATOM)
+            return (
+                (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.require_helper('signed', dtype)}({text})", ATOM)
+            )
         if operation in ("max", "min"):
             sign = ">" if operation == "max" else "<"
             return f"({texts[0]}) {sign} ({texts[1]}) ? ({texts[0]}) : ({texts[1]})", TERNARY
         raise Unsupported(f"'{operation}' of {dtype} in C")
 
-    def converted(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+    def conversion(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
         """A number in another type."""
         dtype = value.dtype
         text, _ = operand
         if source.kind == "f" and dtype.kind in "iu":
             if dtype.kind == "u":
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
-            return f"{self.need('truncated', dtype, source)}({text})", ATOM
+            return f"{self.require_helper('truncated', dtype, source)}({text})", ATOM
         if source == BOOL:
             unit, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
-            return f"{bracketed(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
+            return f"{with_brackets(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
         wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
                                                                               and source.kind == "u"))  # fmt: skip
         if dtype.kind == "i" and wraps:  # C leaves it to the compiler
             unsigned = f"(uint{8 * dtype.itemsize}_t)"
-            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, surrounding=UNARY)})", ATOM
-        return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+            return (
+                f"{self.require_helper('signed', dtype)}({unsigned}{with_brackets(*operand, surrounding=UNARY)})",
+                ATOM,
+            )
+        return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
         """The bits of a value read as another type, as C's text with the precedence of its outermost operator.
@@ -308,16 +313,16 @@ class Notation:
         text, _ = operand
         match source.kind, dtype.kind:
             case "i", "f":
-                return f"{self.need('number_of', real=dtype)}({text})", ATOM
+                return f"{self.require_helper('number_of', real=dtype)}({text})", ATOM
             case "u", "f":
-                bits = f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
-                return f"{self.need('number_of', real=dtype)}({bits})", ATOM
+                bits = f"{self.require_helper('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
+                return f"{self.require_helper('number_of', real=dtype)}({bits})", ATOM
             case "f", "i":
-                return f"{self.need('bits_of', real=source)}({text})", ATOM
+                return f"{self.require_helper('bits_of', real=source)}({text})", ATOM
             case "f", "u":
-                return f"({c_type(dtype)}){self.need('bits_of', real=source)}({text})", UNARY
+                return f"({c_type(dtype)}){self.require_helper('bits_of', real=source)}({text})", UNARY
             case "u", "i":
-                return f"{self.need('signed', dtype)}({text})", ATOM
+                return f"{self.require_helper('signed', dtype)}({text})", ATOM
             case "i", "u":
-                return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+                return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
         raise Unsupported(f"the bits of {source} as {dtype} in C")

@@ -14,7 +14,7 @@ import numpy as np
 from dssc_jax.lanes.c.names import is_forbidden, underscored
 from dssc_jax.lanes.c.operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.lanes.passes.liveness import reachable
-from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, read_by
+from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, operands_of
 from dssc_jax.lanes.tracing.origins import Origin
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -69,7 +69,7 @@ class CText:
         """Write the statements that some outputs need and that are not written yet."""
         self._block(self.program.body, reachable(Program(self.program.inputs, self.program.body, list(outputs))))
 
-    def indented(self, steps: int) -> None:
+    def indent(self, steps: int) -> None:
         """Write what follows deeper, or less deep."""
         self._indent += steps
 
@@ -142,7 +142,7 @@ class CText:
         proceed = self._variable("again")
         self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
         self.line(f"while ({proceed}) {{")
-        self.indented(1)
+        self.indent(1)
         self._block(loop.body, alive)
         next_names = {i: self._variable("next") for i in live_positions}
         for i in live_positions:
@@ -151,7 +151,7 @@ class CText:
         self.line(f"{proceed} = {self.read(loop.proceed)};")
         for i in live_positions:
             self.line(f"{names[i]} = {next_names[i]};")
-        self.indented(-1)
+        self.indent(-1)
         self.line("}")
         self._written[id(loop)] = "", ATOM
 
@@ -166,11 +166,11 @@ class CText:
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if number:
                 self.line("} else {")
-            self.indented(1)
+            self.indent(1)
             self._block(block, alive)
             for i in live_positions:
                 self.line(f"{names[i]} = {self.read(values[i])};")
-            self.indented(-1)
+            self.indent(-1)
         self.line("}")
         self._written[id(branch)] = "", ATOM
 
@@ -240,6 +240,6 @@ def use_counts(program: Program) -> dict[int, int]:
     for block in all_blocks(program.body):
         for node in block.nodes:
             if id(node) in alive:
-                for operand in read_by(node):
+                for operand in operands_of(node):
                     counts[id(operand)] = counts.get(id(operand), 0) + (1 if operand.block is block else 2)
     return counts

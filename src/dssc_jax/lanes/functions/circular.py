@@ -43,7 +43,7 @@ HALF_PI_SPLIT = 1.5707963109016418, 1.5893254712295857e-8, 6.123233995736766e-17
 """pi/2: 26 bits, the 27 after them, and the next."""
 
 
-class Reduced(NamedTuple):
+class ReducedAngle(NamedTuple):
     """A number without its whole quarter turns.
 
     Args:
@@ -57,7 +57,7 @@ class Reduced(NamedTuple):
     angle_error: jax.Array
 
 
-def reduced_near(x: jax.Array) -> Reduced:
+def reduce_near(x: jax.Array) -> ReducedAngle:
     """The reduction of a number below :data:`MOST_QUARTERS`."""
     bits = 8 * x.dtype.itemsize
     rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
@@ -68,11 +68,11 @@ def reduced_near(x: jax.Array) -> Reduced:
         low = angle - turns * part
         angle_error = angle_error + (turns * part - (angle - low))
         angle = low
-    return Reduced(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
+    return ReducedAngle(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
 
 
 def is_far(x: jax.Array) -> jax.Array:
-    """Whether a number has too many quarter turns for :func:`reduced_near`."""
+    """Whether a number has too many quarter turns for :func:`reduce_near`."""
     return jnp.abs(x) >= (0.5 * math.pi) * MOST_QUARTERS[8 * x.dtype.itemsize]
 
 
@@ -99,12 +99,12 @@ def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Arr
     return high << shift | (low >> word(1)) >> (word(63) - shift)
 
 
-def real(x: jax.Array, scale: float) -> jax.Array:
+def word_as_number(x: jax.Array, scale: float) -> jax.Array:
     """A word below 2^32 as a number, times a power of two."""
     return x.astype(jnp.int64).astype(jnp.float64) * scale
 
 
-def reduced_far(x: jax.Array) -> Reduced:
+def reduce_far(x: jax.Array) -> ReducedAngle:
     """The reduction of a float64 number of any size, at least 2^-9; NaN for an infinite one.
 
     |x| = m 2^e with an integer m of 53 bits. Those bits of 2/pi whose product with it is a multiple of 4 are left out;
@@ -133,13 +133,13 @@ def reduced_far(x: jax.Array) -> Reduced:
     return radians(x, quarters, above_half, upper, lower)
 
 
-def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> Reduced:
+def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> ReducedAngle:
     """The angle of a fraction of a quarter turn, given by two words without sign, with the sign of x."""
     half = word(0xFFFFFFFF)
-    first = real(upper >> word(32), 2.0**-32)
-    second = real(upper & half, 2.0**-64)
-    third = real(lower >> word(32), 2.0**-96)
-    fourth = real(lower & half, 2.0**-128)
+    first = word_as_number(upper >> word(32), 2.0**-32)
+    second = word_as_number(upper & half, 2.0**-64)
+    third = word_as_number(lower >> word(32), 2.0**-96)
+    fourth = word_as_number(lower & half, 2.0**-128)
     sum_of_first = first + second
     tail = (second - (sum_of_first - first)) + (third + fourth)
     fraction = sum_of_first + tail
@@ -154,20 +154,20 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
     is_negated = (negative == word(1)) ^ (x < 0.0)
     quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
     not_a_number = x - x  # NaN of an infinite number
-    return Reduced(
+    return ReducedAngle(
         jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(is_negated, -angle, angle) + not_a_number,
         jnp.where(is_negated, -angle_error, angle_error),
     )  # fmt: skip
 
 
-def sine_of(reduced: Reduced) -> jax.Array:
+def sine_of(reduced: ReducedAngle) -> jax.Array:
     """The sine of the remaining angle; that of -0 is -0."""
     _, angle, angle_error = reduced
     z = angle * angle
     return angle - (angle_error - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * angle_error))
 
 
-def cosine_of(reduced: Reduced) -> jax.Array:
+def cosine_of(reduced: ReducedAngle) -> jax.Array:
     """The cosine of the remaining angle."""
     _, angle, angle_error = reduced
     z = angle * angle
@@ -176,19 +176,19 @@ def cosine_of(reduced: Reduced) -> jax.Array:
     return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * angle_error))
 
 
-def sine(reduced: Reduced) -> jax.Array:
+def sine(reduced: ReducedAngle) -> jax.Array:
     """The sine, from sine or cosine of the remaining angle."""
     value = jnp.where(reduced.quarters & 1 == 1, cosine_of(reduced), sine_of(reduced))
     return jnp.where(reduced.quarters & 2 == 2, -value, value)
 
 
-def cosine(reduced: Reduced) -> jax.Array:
+def cosine(reduced: ReducedAngle) -> jax.Array:
     """The cosine, from sine or cosine of the remaining angle."""
     value = jnp.where(reduced.quarters & 1 == 1, sine_of(reduced), cosine_of(reduced))
     return jnp.where((reduced.quarters + 1) & 2 == 2, -value, value)
 
 
-def tangent(reduced: Reduced) -> jax.Array:
+def tangent(reduced: ReducedAngle) -> jax.Array:
     """The tangent, from sine and cosine of the remaining angle."""
     is_odd = reduced.quarters & 1 == 1
     cosine_value = cosine_of(reduced)
@@ -198,29 +198,29 @@ def tangent(reduced: Reduced) -> jax.Array:
 
 def sin(x: jax.Array) -> jax.Array:
     """The sine up to :data:`MOST_QUARTERS`."""
-    return sine(reduced_near(x))
+    return sine(reduce_near(x))
 
 
 def cos(x: jax.Array) -> jax.Array:
     """The cosine up to :data:`MOST_QUARTERS`."""
-    return cosine(reduced_near(x))
+    return cosine(reduce_near(x))
 
 
 def tan(x: jax.Array) -> jax.Array:
     """The tangent up to :data:`MOST_QUARTERS`."""
-    return tangent(reduced_near(x))
+    return tangent(reduce_near(x))
 
 
 def far_sin(x: jax.Array) -> jax.Array:
     """The sine beyond."""
-    return sine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    return sine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_cos(x: jax.Array) -> jax.Array:
     """The cosine beyond."""
-    return cosine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    return cosine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_tan(x: jax.Array) -> jax.Array:
     """The tangent beyond."""
-    return tangent(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    return tangent(reduce_far(x.astype(jnp.float64))).astype(x.dtype)

@@ -19,7 +19,7 @@ from dssc_jax.lanes.functions import circular, exponentials
 from dssc_jax.lanes.functions.approximations import atan, atan2, polynomial
 from dssc_jax.lanes.functions.exponentials import is_negative, logarithm, mantissa, width
 from dssc_jax.lanes.functions.powers import power
-from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, absent, array_type, rule
+from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, array_type, no_value, rule
 
 INVERSE_ERROR = {
     64: (
@@ -157,9 +157,9 @@ class RareRule(TranslationRule):
     rarely: Callable[..., Any]
 
 
-def accurate(function: Callable[..., Any]) -> TranslationRule:
+def accuracy_rule(function: Callable[..., Any]) -> TranslationRule:
     """The rule of a function whose accuracy may be asked for; any but the default is refused."""
-    return rule(function, REAL, accuracy=absent)
+    return rule(function, REAL, accuracy=no_value)
 
 
 def real_base(equation: JaxprEqn) -> str | None:
@@ -169,21 +169,21 @@ def real_base(equation: JaxprEqn) -> str | None:
 
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
     """The rule of a function of an angle."""
-    return RareRule(usually, Specification(REAL, {"accuracy": absent}), circular.is_far, rarely)
+    return RareRule(usually, Specification(REAL, {"accuracy": no_value}), circular.is_far, rarely)
 
 
 ELEMENTARY: dict[str, TranslationRule] = {
     "sin": circular_rule(circular.sin, circular.far_sin),
     "cos": circular_rule(circular.cos, circular.far_cos),
     "tan": circular_rule(circular.tan, circular.far_tan),
-    "exp": accurate(exponentials.exp),
-    "exp2": accurate(exponentials.exp2),
-    "expm1": accurate(exponentials.expm1),
-    "log": accurate(exponentials.log),
-    "log2": accurate(exponentials.log2),
-    "log1p": accurate(exponentials.log1p),
-    "tanh": accurate(exponentials.tanh),
-    "logistic": accurate(exponentials.logistic),
+    "exp": accuracy_rule(exponentials.exp),
+    "exp2": accuracy_rule(exponentials.exp2),
+    "expm1": accuracy_rule(exponentials.expm1),
+    "log": accuracy_rule(exponentials.log),
+    "log2": accuracy_rule(exponentials.log2),
+    "log1p": accuracy_rule(exponentials.log1p),
+    "tanh": accuracy_rule(exponentials.tanh),
+    "logistic": accuracy_rule(exponentials.logistic),
     "sinh": rule(exponentials.sinh, REAL),
     "cosh": rule(exponentials.cosh, REAL),
     "asin": rule(asin, REAL),

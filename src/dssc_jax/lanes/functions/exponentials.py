@@ -50,7 +50,7 @@ def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
     return jax.lax.bitcast_convert_type((integer + bias) << digits, like.dtype)
 
 
-def less_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
+def exponential_minus_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
     """e^(r + correction) - 1 for |r| at most about ln 2 / 2, with a correction of about a rounding error."""
     return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + correction * (1.0 + r)))
 
@@ -68,7 +68,7 @@ def reduce_exponent(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 def exponential(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """A whole number n and e^r - 1 with x = n ln 2 + r."""
     n, r, correction = reduce_exponent(x)
-    return n, less_one(r, correction)
+    return n, exponential_minus_one(r, correction)
 
 
 def scaled_by_power(x: jax.Array, n: jax.Array) -> jax.Array:
@@ -91,7 +91,7 @@ def exp2(x: jax.Array) -> jax.Array:
     """2^x; infinity as in :func:`exp`."""
     bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
     n = jnp.round(bounded)
-    remainder = less_one((bounded - n) * math.log(2.0))
+    remainder = exponential_minus_one((bounded - n) * math.log(2.0))
     return jnp.where(x == jnp.inf, x, scaled_by_power(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
 
 

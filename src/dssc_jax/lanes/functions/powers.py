@@ -17,8 +17,8 @@ from dssc_jax.lanes.functions.approximations import polynomial
 from dssc_jax.lanes.functions.exponentials import (
     EXPONENTS,
     LN_2,
+    exponential_minus_one,
     is_negative,
-    less_one,
     normalised_mantissa,
     reduce_exponent,
     scaled_by_power,
@@ -100,7 +100,7 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
     n, r, correction = reduce_exponent(exponent.high)
     is_out_of_range = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
     correction = jnp.where(is_out_of_range, 0.0, correction + (exponent.low + limited * log.low))
-    remainder = less_one(r)
+    remainder = exponential_minus_one(r)
     return scaled_by_power(1.0 + (remainder + correction * (1.0 + remainder)), n)
 
 

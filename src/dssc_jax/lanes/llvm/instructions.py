@@ -62,7 +62,7 @@ class Instructions:
 
     # Names and types
 
-    def fresh(self, prefix: str = "v") -> str:
+    def new_name(self, prefix: str = "v") -> str:
         """A new name."""
         self.count += 1
         return f"{prefix}{self.count}"
@@ -74,7 +74,7 @@ class Instructions:
 
     def emit(self, text: str, prefix: str = "v") -> str:
         """An instruction; its result's name."""
-        name = f"%{self.fresh(prefix)}"
+        name = f"%{self.new_name(prefix)}"
         self.lines.append(f"  {name} = {text}")
         return name
 
@@ -201,7 +201,7 @@ class Instructions:
         slot: Slot = value.detail
         kind = self.kind(slot.dtype, True)
         if value.operation == "memory":
-            place = self.slots[id(slot)] = f"%{self.fresh('slot')}"
+            place = self.slots[id(slot)] = f"%{self.new_name('slot')}"
             self.allocated.append(f"  {place} = alloca [{slot.length} x {kind}], align 64")
             function = "llvm.memset.p0.i64"
             self.declarations.add(f"declare void @{function}(ptr, i8, i64, i1)")
@@ -226,8 +226,8 @@ class Instructions:
         arguments_text = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
         usual_register = self.read(usual_value, wide)
         is_taken = self.any_lane(mask) if wide else mask
-        rare_label = self.fresh("rare")
-        end = self.fresh("end")
+        rare_label = self.new_name("rare")
+        end = self.new_name("end")
         entry = self.current()
         self.lines.append(f"  br i1 {is_taken}, label %{rare_label}, label %{end}, !prof !0")
         self.begin(rare_label)

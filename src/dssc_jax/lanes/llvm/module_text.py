@@ -14,7 +14,7 @@ from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
-from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, ahead_plan
+from dssc_jax.lanes.passes.precomputation import TURNS, Precomputation, PrecomputationPlan, precomputation_plan
 from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
@@ -119,15 +119,15 @@ class Emitter(Instructions):
 
     def loop(self, loop: CodeLoop) -> None:
         """Write a loop that tests at its end; uniform values are computed ahead where that is worthwhile."""
-        top = self.fresh("loop")
-        end = self.fresh("end")
+        top = self.new_name("loop")
+        end = self.new_name("end")
         entry = self.label
         alive = [
             i
             for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
             if any(id(value) in self.alive for value in pair)
         ]
-        plan = ahead_plan(loop, self.alive) if self.width > 1 else None
+        plan = precomputation_plan(loop, self.alive) if self.width > 1 else None
         if loop.guard is None:
             self.lines.append(f"  br label %{top}")
         else:
@@ -156,11 +156,11 @@ class Emitter(Instructions):
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
-    def turns(self, loop: CodeLoop, plan: AheadPlan, alive: Sequence[int]) -> str:
+    def turns(self, loop: CodeLoop, plan: PrecomputationPlan, alive: Sequence[int]) -> str:
         """Write several turns of a loop, with uniform values computed ahead; whether it goes on after the last."""
-        inner = self.fresh("turn")
-        out = self.fresh("out")
-        ahead = Ahead(self, plan, self.window)
+        inner = self.new_name("turn")
+        out = self.new_name("out")
+        ahead = Precomputation(self, plan, self.window)
         ahead.write(loop)
         entry = self.label
         self.allocated += ahead.allocations()
@@ -169,8 +169,8 @@ class Emitter(Instructions):
         first = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
-        turn_value = f"%{self.fresh('t')}"
-        next_turn = f"%{self.fresh('t')}"
+        turn_value = f"%{self.new_name('t')}"
+        next_turn = f"%{self.new_name('t')}"
         phi_line = len(self.lines)
         self.lines.append("")
         phi_lines = self.reserve_phis([loop.states[i] for i in varying])
@@ -189,7 +189,7 @@ class Emitter(Instructions):
     def reserve_phis(self, states: Sequence[Value]) -> list[int]:
         """Name the states at the top of a loop, and reserve a line for the phi of each, which :meth:`fill` writes."""
         start = len(self.lines)
-        names = [f"%{self.fresh('x')}" for _ in states]
+        names = [f"%{self.new_name('x')}" for _ in states]
         self.lines += names
         for state, name in zip(states, names, strict=True):
             self.name(state, name)
@@ -247,7 +247,7 @@ class Emitter(Instructions):
 
     def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
         """Memory for the vectors of some numbers, reserved once."""
-        name = f"%{self.fresh('buffer')}"
+        name = f"%{self.new_name('buffer')}"
         size = foreign_calls.buffer_bytes(places, self.width)
         self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
         return name
@@ -268,8 +268,8 @@ class Emitter(Instructions):
 
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
         """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
-        side_label = self.fresh("side")
-        end = self.fresh("end")
+        side_label = self.new_name("side")
+        end = self.new_name("end")
         entry = self.label
         self.lines.append(f"  br i1 {is_taken}, label %{side_label}, label %{end}")
         self.begin(side_label)

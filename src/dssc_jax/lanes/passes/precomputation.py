@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
 from dssc_jax.lanes.passes.scheduling import schedule
-from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
+from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, operands_of
 
 TURNS = 8
 WORTHWHILE = 12  # uniform operations in a turn that are worth it
 
 
 @dataclass(frozen=True)
-class AheadPlan:
+class PrecomputationPlan:
     """The values of a loop to precompute.
 
     Args:
@@ -32,7 +32,7 @@ class AheadPlan:
     outputs: list[Value]
 
 
-def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
+def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan | None:
     """Select the values of a loop's body to precompute; None if that is impossible or not worthwhile.
 
     Args:
@@ -53,10 +53,10 @@ def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
     if not all(counters.values()):
         return None
     planned_ids = set(map(id, values))
-    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in read_by(node)}
+    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in operands_of(node)}
     read_ids |= {id(loop.proceed), *(id(loop.next_states[i]) for i in states)}
     candidates = [*(loop.states[i] for i in counters), *values]
-    return AheadPlan(counters, values, [value for value in candidates if id(value) in read_ids])
+    return PrecomputationPlan(counters, values, [value for value in candidates if id(value) in read_ids])
 
 
 def step(loop: CodeLoop, position: int) -> int:
@@ -70,7 +70,7 @@ def step(loop: CodeLoop, position: int) -> int:
     return 0
 
 
-class Ahead(Instructions):
+class Precomputation(Instructions):
     """Writes the uniform values of the next turns as vectors along time.
 
     Args:
@@ -79,7 +79,7 @@ class Ahead(Instructions):
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
-    def __init__(self, lanes: Instructions, plan: AheadPlan, window: int) -> None:
+    def __init__(self, lanes: Instructions, plan: PrecomputationPlan, window: int) -> None:
         super().__init__(
             TURNS,
             lanes.flags,
@@ -94,9 +94,9 @@ class Ahead(Instructions):
         self.window = window
         self.buffers = dict[int, str]()
 
-    def fresh(self, prefix: str = "v") -> str:
+    def new_name(self, prefix: str = "v") -> str:
         """A new name."""
-        return self.lanes.fresh(prefix)
+        return self.lanes.new_name(prefix)
 
     def begin(self, label: str) -> None:
         """Start a basic block of the lanes."""
@@ -132,7 +132,7 @@ class Ahead(Instructions):
             dtype = stored_type(value.dtype)
             if value.dtype == BOOL:
                 register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
-            buffer = self.buffers[id(value)] = f"%{self.fresh('ahead')}"
+            buffer = self.buffers[id(value)] = f"%{self.new_name('ahead')}"
             self.lines.append(f"  store {self.kind(dtype, True)} {register}, ptr {buffer}, align 64")
 
     def allocations(self) -> list[str]:

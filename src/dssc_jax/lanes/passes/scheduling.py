@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import chain
 
-from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, read_by
+from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, operands_of
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20, "foreign": 100}
 OTHER_CYCLES = 2
@@ -66,26 +66,26 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
 def users_of(nodes: Sequence[Node]) -> list[list[int]]:
     """For each node the positions of those that read it."""
     users: list[list[int]] = [[] for _ in nodes]
-    maker = {id(value): i for i, node in enumerate(nodes) for value in made_by(node)}
+    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}
     for i, node in enumerate(nodes):
-        for operand in {maker[id(value)] for value in read_within(node) if id(value) in maker}:
+        for operand in {maker[id(value)] for value in operands_within(node) if id(value) in maker}:
             users[operand].append(i)
     return users
 
 
-def made_by(node: Node) -> Sequence[Value]:
+def results_of(node: Node) -> Sequence[Value]:
     """The values that a node computes for its block."""
     if isinstance(node, CodeLoop | Branch):
         return node.results
     return (node,) if isinstance(node, Value) else ()
 
 
-def read_within(node: Node) -> Iterator[Value]:
+def operands_within(node: Node) -> Iterator[Value]:
     """The values that a node and its blocks read."""
-    yield from read_by(node)
+    yield from operands_of(node)
     for block in inner_blocks(node):
         for part in block.nodes:
-            yield from read_within(part)
+            yield from operands_within(part)
 
 
 def cycles(node: Node) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
-from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Program, Record, Slot, Value, read_by
+from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Program, Record, Slot, Value, operands_of
 
 SAME_TYPE = frozenset(ARITHMETIC) | {Operation.DIV, Operation.REM}
 """Operations whose operands and result have one type."""
@@ -46,7 +46,7 @@ def verify_block(block: CodeBlock, defined: set[int]) -> None:
             case Branch():
                 verify_branch(node, defined)
             case Record():
-                for value in read_by(node):
+                for value in operands_of(node):
                     require_defined(value, defined, "a record")
                 require(not node.position.varying, node.position, "a record's position must be uniform")
 
