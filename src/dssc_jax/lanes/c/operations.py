@@ -1,7 +1,7 @@
-"""C's notation of the single operations of a program, with the bits that strict machine code gives.
+"""C's expressions of the single operations of a program, with the bits of strict machine code.
 
-Integers are computed without sign, where C defines every overflow, and their bits are taken as signed again. Functions
-that C's library does not give exactly are written out, from sums of floating-point numbers and comparisons alone.
+Integers are computed as unsigned ones, for which C defines every overflow, and their bits are then taken as signed
+again. Functions that C's library does not compute exactly are written out, from sums and comparisons alone.
 """
 
 import math
@@ -74,7 +74,7 @@ HELPERS = {
     return same.number;
 }}""",
 }
-"""Functions of floating-point numbers that a program may need."""
+"""Definitions in C of functions of floating-point numbers that operations may need."""
 
 HELPERS_NEEDED = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
 
@@ -111,11 +111,11 @@ INTEGER_HELPERS = {
     return ({I})x;
 }}""",
 }
-"""Functions of integers of each width, by name and width."""
+"""Definitions in C of functions of integers that operations may need, for any width."""
 
 
 def c_type(dtype: np.dtype) -> str:
-    """C's type of a number."""
+    """C's type of a dtype."""
     if dtype == BOOL:
         return "bool"
     if dtype.kind == "f":
@@ -124,7 +124,7 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def c_literal(number: Any, dtype: np.dtype) -> str:
-    """C's notation of a number, which the compiler reads back to the same bits."""
+    """A number as a literal in C, which compilers read back to the same bits."""
     if dtype == BOOL:
         return "true" if number else "false"
     if dtype.kind in "iu":
@@ -144,15 +144,15 @@ def c_literal(number: Any, dtype: np.dtype) -> str:
 
 
 def with_brackets(text: str, precedence: int, surrounding: int) -> str:
-    """An expression, in brackets if it binds less than required."""
+    """An expression, in brackets if its precedence is below that of the surrounding operator."""
     return text if precedence >= surrounding else f"({text})"
 
 
 class Notation:
-    """Writes operations of numbers of one precision, and remembers the functions that they need.
+    """Writes operations in C, and collects the functions that they need.
 
     Args:
-        real: The type of the floating-point numbers.
+        real: Dtype of the program's floating-point numbers.
     """
 
     def __init__(self, real: np.dtype) -> None:
@@ -160,19 +160,19 @@ class Notation:
         self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
 
     def helpers(self) -> list[str]:
-        """Definitions of the functions that were needed, in an order that C accepts."""
+        """Definitions of the functions that the operations so far need, in an order that C accepts."""
         return [
             self._needed[key]
             for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
         ]
 
     def require_helper(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
-        """The name of a function, whose definition is needed from now on.
+        """Add a function to those that are needed, and return its name in C.
 
         Args:
-            name: Its name in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
-            integer: The type of the integers.
-            real: The type of the floating-point numbers; None: that of the program.
+            name: Key in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
+            integer: Dtype of the function's integers.
+            real: Dtype of the function's floating-point numbers; None: that of the program.
         """
         real = self.real if real is None else real
         if name in HELPERS_NEEDED:
@@ -191,11 +191,11 @@ class Notation:
         return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
 
     def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation as C's text, with the precedence of its outermost operator.
+        """C's expression of an operation, with the precedence of its outermost operator.
 
         Args:
-            value: The operation.
-            operands: The text of each operand with its precedence.
+            value: The result of the operation.
+            operands: C's expression of each operand, with its precedence.
 
         Raises:
             Unsupported: C has no exact form of it.
@@ -231,7 +231,7 @@ class Notation:
         return self.integer_operation(value, operands)
 
     def float_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation of floating-point numbers."""
+        """An operation of floating-point numbers; arguments and errors as for :meth:`expression`."""
         operation = value.operation
         single = value.dtype.itemsize == 4
         real = value.dtype
@@ -254,7 +254,7 @@ class Notation:
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
     def integer_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation of integers as C's text, with the precedence of its outermost operator."""
+        """An operation of integers; arguments and errors as for :meth:`expression`."""
         operation = value.operation
         dtype = value.dtype
         texts = [text for text, _ in operands]
@@ -279,7 +279,7 @@ class Notation:
         raise Unsupported(f"'{operation}' of {dtype} in C")
 
     def conversion(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
-        """A number in another type."""
+        """A conversion of a number from the dtype ``source``; errors as for :meth:`expression`."""
         dtype = value.dtype
         text, _ = operand
         if source.kind == "f" and dtype.kind in "iu":
@@ -300,15 +300,12 @@ class Notation:
         return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
-        """The bits of a value read as another type, as C's text with the precedence of its outermost operator.
+        """The bits of a number as a number of another dtype; errors as for :meth:`expression`.
 
         Args:
-            source: The type of the value.
-            dtype: The other type, of the same size.
-            operand: The value's text with its precedence.
-
-        Raises:
-            Unsupported: C has no exact form of it.
+            source: Dtype of the number.
+            dtype: The other dtype, of the same size.
+            operand: C's expression of the number, with its precedence.
         """
         text, _ = operand
         match source.kind, dtype.kind:

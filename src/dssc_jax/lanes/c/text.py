@@ -1,8 +1,8 @@
-"""C's text of a program, for people: one statement a line, with the names of the model.
+"""The text of a program in C, for people: one statement a line, with the names of the model.
 
-It is the second emitter of a trace beside :mod:`dssc_jax.lanes.llvm.module_text`. Both keep every operation and its
-operands, so a C compiler that neither contracts nor reorders gives the bits of strict machine code. What the model
-gives a name gets a statement of its own; so does what is needed twice, and what would make a line too long.
+It is the second emitter of programs beside :mod:`dssc_jax.lanes.llvm.module_text`. Both keep every operation and its
+operands, so a C compiler that neither contracts nor reorders gives the bits of strict machine code. A value gets a
+statement of its own if the model names it, if it is needed twice, or if its expression would make a line too long.
 """
 
 import re
@@ -19,21 +19,21 @@ from dssc_jax.lanes.tracing.origins import Origin
 from dssc_jax.lanes.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
-"""Characters of an expression on a line."""
+"""Largest number of characters of an expression on a line."""
 
 
 class CText:
-    """Writes the statements of a program.
+    """Writes the statements of a program in C.
 
     Args:
         program: The program.
-        origins: Where the model computes each value, by identity.
+        origins: Place in the model where each value is computed, by the value's ``id``.
         inputs: C's expression of each input.
-        real: The type of the floating-point numbers.
+        real: Dtype of the floating-point numbers.
         reserved_names: Names that no variable may have.
         constants: Names of constants of the file, by value.
-        notation: Where to remember the functions that operations need; None: a new one.
-        prefix: What the names of tables begin with.
+        notation: Collects the functions that operations need; None: a new one.
+        prefix: Prefix of the names of tables.
     """
 
     def __init__(
@@ -63,27 +63,28 @@ class CText:
         self._function = ""
         self._indent = 1
 
-    # What a function is made of
+    # Public methods
 
     def compute(self, outputs: Sequence[Value]) -> None:
-        """Write the statements that some outputs need and that are not written yet."""
+        """Write the statements that some outputs need, except those that are written already."""
         self._block(self.program.body, reachable(Program(self.program.inputs, self.program.body, list(outputs))))
 
     def indent(self, steps: int) -> None:
-        """Write what follows deeper, or less deep."""
+        """Indent the following lines by some more steps; by fewer if ``steps`` is negative."""
         self._indent += steps
 
     def line(self, text: str) -> None:
-        """Write a line."""
+        """Write a line at the present indentation; an empty text gives an empty line."""
         self.lines.append("    " * self._indent + text if text else "")
 
     def read(self, value: Value) -> str:
-        """The expression of a value."""
+        """C's expression of a value."""
         return self._expression(value)[0]
 
     # Blocks
 
     def _block(self, block: CodeBlock, alive: set[int]) -> None:
+        """Write the nodes of a block whose ``id`` is in ``alive``, except those that are written already."""
         for node in block.nodes:
             if id(node) not in alive or id(node) in self._written:
                 continue
@@ -95,7 +96,7 @@ class CText:
                 self._value(node)
 
     def _value(self, value: Value) -> None:
-        """Write a statement for a value that needs one; others stay part of the expressions that use them."""
+        """Write a statement for a value that needs one; others become parts of the expressions that use them."""
         origin = self.origins.get(id(value), Origin(""))
         text, precedence = self._operation(value)
         simple = precedence >= UNARY and len(text) < 30 and not origin.name and value.operation == "neg"
@@ -108,7 +109,7 @@ class CText:
         self._written[id(value)] = text, precedence
 
     def _heading(self, origin: Origin) -> None:
-        """A comment where another function of the model begins."""
+        """Write a comment with the model's function, where another one than before begins."""
         if origin.function and origin.function != self._function:
             self._function = origin.function
             name = origin.function.rpartition(".")[2]
@@ -118,7 +119,7 @@ class CText:
                 self.line(text)
 
     def _variable(self, name: str) -> str:
-        """A new name like the wanted one."""
+        """A new name of a variable, as near to a wanted one as possible."""
         base = underscored(name) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
         name = base
@@ -132,7 +133,7 @@ class CText:
     # Control
 
     def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
-        """A loop that tests at its end."""
+        """Write a loop that tests at its end."""
         pairs = zip(loop.states, loop.results, strict=True)
         live_positions = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
         names = {i: self._variable("state") for i in live_positions}
@@ -156,7 +157,7 @@ class CText:
         self._written[id(loop)] = "", ATOM
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """A branch as ``if`` and ``else``."""
+        """Write a branch as ``if`` and ``else``."""
         live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
         names = {i: self._variable("chosen") for i in live_positions}
         for i in live_positions:
@@ -177,7 +178,7 @@ class CText:
     # Expressions
 
     def _expression(self, value: Value) -> tuple[str, int]:
-        """The expression of a value and its precedence."""
+        """C's expression of a value, and its precedence."""
         if value.operation == "constant":
             if value.dtype.kind == "f" and (constant_name := self.constants.get(float(value.detail))) is not None:
                 return constant_name, ATOM
@@ -188,7 +189,7 @@ class CText:
         return self._written[id(value)]
 
     def _operation(self, value: Value) -> tuple[str, int]:
-        """The expression of an operation."""
+        """C's expression of an operation of written operands, and its precedence."""
         operands = [self._expression(operand) for operand in value.operands]
         if value.operation == "lookup":
             return self._lookup(value, operands[0][0]), ATOM
@@ -214,7 +215,7 @@ class CText:
         self.tables += text.tables
 
     def _lookup(self, value: Value, index: str) -> str:
-        """An element of a constant table; an index beyond its end gives the last."""
+        """C's expression of an element of a constant table; an index beyond its end gives the last element."""
         table, (position,) = value.detail, value.operands
         if position.dtype.itemsize != 4:
             raise Unsupported(f"a table with an index of type {position.dtype} in C")
@@ -226,7 +227,7 @@ class CText:
 
 
 def comment(text: str) -> list[str]:
-    """The lines of a comment."""
+    """The lines of a comment in C; characters beyond ASCII become ?."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
     lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
     return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
@@ -234,7 +235,10 @@ def comment(text: str) -> list[str]:
 
 
 def use_counts(program: Program) -> dict[int, int]:
-    """How often each value is an operand of what is needed, or an output; more than once within a deeper block."""
+    """Number of uses of each value, by its ``id``, among the nodes that an output needs.
+
+    An output counts as one use; a use in an inner block, which may run more than once, as two.
+    """
     alive = reachable(program)
     counts = dict.fromkeys((id(value) for value in program.outputs), 1)
     for block in all_blocks(program.body):

@@ -1,8 +1,8 @@
-"""Uniform values of a time loop, computed ahead: several turns at a time, in a vector along time.
+"""Precomputation of the uniform values of a time loop, for several turns at once, in a vector along time.
 
-All lanes share the time and what follows from it alone, such as the sine of a reference. Once a turn, as scalars, such
-values would cost as much as all lanes of a vector. If the uniform state of a loop only counts, a vector can hold the
-values of the next :data:`TURNS` turns. They are stored, and each turn reads its own.
+All lanes share the time and what follows from it alone, such as the sine of a reference. As scalars in every turn, such
+values would cost as much as those of a whole vector of lanes. If the uniform states of a loop only count, a vector can
+hold the values of the next :data:`TURNS` turns. They are stored in a buffer, from which each turn reads its own.
 """
 
 from collections.abc import Set
@@ -14,7 +14,7 @@ from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, operands_of
 
 TURNS = 8
-WORTHWHILE = 12  # uniform operations in a turn that are worth it
+WORTHWHILE = 12  # uniform operations in a turn from which on precomputation saves time
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class PrecomputationPlan:
     """The values of a loop to precompute.
 
     Args:
-        counters: Positions of the uniform states, and by how much each grows in a turn.
+        counters: Growth of each uniform state in a turn, by the state's position.
         values: The uniform values of the body, in order.
-        outputs: The counters and values that a turn reads.
+        outputs: The counters and values that a turn reads, and that are therefore stored.
     """
 
     counters: dict[int, int]
@@ -37,7 +37,7 @@ def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan |
 
     Args:
         loop: The loop.
-        alive: Identities of the values that are needed.
+        alive: Ids of the values that the program's results depend on.
     """
     body_nodes = [node for block in all_blocks(loop.body) for node in block.nodes]
     nodes = [node for node in body_nodes if id(node) in alive]
@@ -60,7 +60,7 @@ def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan |
 
 
 def step(loop: CodeLoop, position: int) -> int:
-    """The constant by which a state grows in every turn; 0 if it changes otherwise."""
+    """The constant whole number by which a state of a loop grows in every turn; 0 if it does anything else."""
     state = loop.states[position]
     next_value = loop.next_states[position]
     if next_value.operation == "add" and next_value.dtype.kind in "iu":
@@ -71,11 +71,11 @@ def step(loop: CodeLoop, position: int) -> int:
 
 
 class Precomputation(Instructions):
-    """Writes the uniform values of the next turns as vectors along time.
+    """Writes the instructions that precompute uniform values, as vectors along time.
 
     Args:
-        lanes: Where the instructions of the lanes are written; both go to the same lines.
-        plan: What to compute.
+        lanes: The instructions of the lanes, to which these are added.
+        plan: The values.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
@@ -95,11 +95,11 @@ class Precomputation(Instructions):
         self.buffers = dict[int, str]()
 
     def new_name(self, prefix: str = "v") -> str:
-        """A new name."""
+        """A new name among those of the lanes."""
         return self.lanes.new_name(prefix)
 
     def begin(self, label: str) -> None:
-        """Start a basic block of the lanes."""
+        """Begin a basic block of the lanes."""
         self.lanes.begin(label)
 
     def current(self) -> str:
@@ -107,17 +107,17 @@ class Precomputation(Instructions):
         return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
-        """Every value is computed as a vector."""
+        """Whether a value is a vector along time: every one is, except constants."""
         return value.operation != "constant"
 
     def read(self, value: Value, vector: bool) -> str:
-        """A value as an operand; one that is known before the loop is repeated."""
+        """The register or literal of a value; a value from before the loop is repeated in a vector."""
         if value.operation != "constant" and (id(value), True) not in self.names:
             self.names[id(value), True] = self.splat(value.dtype, self.lanes.read(value, False))
         return super().read(value, vector)
 
     def write(self, loop: CodeLoop) -> None:
-        """Compute the values of the next turns from the counters at the first, and store them."""
+        """Write the computation of the values of the next turns from the present counters, and their storing."""
         for position, growth in self.plan.counters.items():
             state = loop.states[position]
             scalar = scalar_type(state.dtype)
@@ -136,12 +136,12 @@ class Precomputation(Instructions):
             self.lines.append(f"  store {self.kind(dtype, True)} {register}, ptr {buffer}, align 64")
 
     def allocations(self) -> list[str]:
-        """Memory for what is stored, to be reserved once."""
+        """The instructions that reserve the buffers, for the start of the function."""
         pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.plan.outputs)
         return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
 
     def load(self, turn: str) -> None:
-        """Read the values of one turn as scalars of the lanes."""
+        """Write the reading of one turn's values as scalars; ``turn`` is the register with the turn's number."""
         for value in self.plan.outputs:
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)

@@ -1,9 +1,9 @@
-"""The order of a block's nodes: what the others wait for comes first.
+"""List scheduling: the order of a block's nodes in which a processor waits least.
 
 A processor looks for work among its next few hundred instructions only. In the order of the trace these often wait for
-each other, such as one stage of Runge-Kutta's method for the one before. List scheduling puts them in the order in
-which a machine would begin them that begins three in a cycle: a node comes as soon as its operands are known, and among
-several the one with the most cycles to the end of the block. The window limits how far a node comes before one that
+each other, as each stage of Runge-Kutta's method waits for the one before. List scheduling simulates a machine that
+begins three operations in a cycle: a node comes as soon as its operands are known, and among several such nodes the one
+with the longest chain to the end of the block comes first. The window limits how far a node may come before one that
 precedes it in the trace. The wider it is, the more values are alive at a time, and registers are few.
 """
 
@@ -15,15 +15,15 @@ from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, 
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20, "foreign": 100}
 OTHER_CYCLES = 2
-AT_A_TIME = 3  # operations that begin in a cycle
+AT_A_TIME = 3  # operations that begin in one cycle
 
 
 def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
     """Order the nodes of a block for emission.
 
     Args:
-        nodes: Nodes in an order in which operands precede what reads them.
-        window: How many places beyond the first node that is not yet placed to look.
+        nodes: Nodes, each after the nodes whose values it reads.
+        window: Number of places after the first unplaced node among which the next node is chosen.
     """
     users = users_of(nodes)
     remaining = [0] * len(nodes)
@@ -35,9 +35,10 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
 
     is_placed = [False] * len(nodes)
     known_at = [0.0] * len(nodes)
-    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # operands are placed; a heap by place
-    waiting_heap: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
-    ready_heap: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
+    # nodes move from heap to heap: all operands are placed; within the window, too; and the operands are known, too
+    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # by place
+    waiting_heap: list[tuple[float, int, int]] = []  # by the time at which the operands are known
+    ready_heap: list[tuple[int, int]] = []  # by the remaining cycles, most first
     order = []
     first_unplaced = 0
     time = 0.0
@@ -64,7 +65,7 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
 
 
 def users_of(nodes: Sequence[Node]) -> list[list[int]]:
-    """For each node the positions of those that read it."""
+    """For each node, the positions of the nodes that read its values."""
     users: list[list[int]] = [[] for _ in nodes]
     maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}
     for i, node in enumerate(nodes):
@@ -89,5 +90,5 @@ def operands_within(node: Node) -> Iterator[Value]:
 
 
 def cycles(node: Node) -> int:
-    """Until the values of a node are known; loops and branches are not modelled."""
+    """Latency of a node in cycles; that of loops and branches is not modelled, and 0."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0
