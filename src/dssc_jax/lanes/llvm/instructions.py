@@ -125,13 +125,7 @@ class Instructions:
             self.names[id(value), True] = self.splat(value.dtype, name)
 
     def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
-        """Write a call of one of LLVM's functions; return the register of its result.
-
-        Args:
-            function: Name of the function.
-            result: Type of the result.
-            arguments: Type and register of each argument.
-        """
+        """Write a call of one of LLVM's functions; arguments are types with registers. Return the result's register."""
         kinds = ", ".join(kind for kind, _ in arguments)
         self.declarations.add(f"declare {result} @{function}({kinds})")
         return self.emit(f"call {result} @{function}({', '.join(' '.join(pair) for pair in arguments)})")

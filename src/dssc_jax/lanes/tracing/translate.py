@@ -14,11 +14,11 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.functions.elementary import ELEMENTARY, RareRule
 from dssc_jax.lanes.interface import AXIS
-from dssc_jax.lanes.program import BOOL, Program, Recording, Subroutine, Value
+from dssc_jax.lanes.program import Program, Recording, Subroutine, Value
 from dssc_jax.lanes.tracing import indexing, random_bits
 from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, elementwise
 from dssc_jax.lanes.tracing.foreign_calls import FOREIGN_RULES
-from dssc_jax.lanes.tracing.memory import Memory, move_to_memory
+from dssc_jax.lanes.tracing.loops import LOOPS
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.tracing.specification import (
@@ -26,12 +26,13 @@ from dssc_jax.lanes.tracing.specification import (
     WHOLE,
     TranslationRule,
     any_value,
+    array_type,
     no_value,
     require_type,
     rule,
 )
-from dssc_jax.lanes.tracing.states import assemble, components, flatten, is_varying, refuse_recordings
-from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
+from dssc_jax.lanes.tracing.states import refuse_recordings
+from dssc_jax.lanes.tracing.varying import VaryingResults, is_key
 from dssc_jax.lanes.unsupported import Unsupported
 
 
@@ -63,11 +64,6 @@ def traced_program(translator: "Translator", lane: Callable[..., Any], *argument
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
     outputs = translator.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
-
-
-def type_of(atom: Any) -> Any:
-    """Shape and dtype of a variable or literal of a trace."""
-    return atom.aval
 
 
 def output(value: Any) -> Value | Recording:
@@ -109,7 +105,7 @@ class Translator:
         scope.update(zip(jaxpr.invars, operands, strict=True))
 
         def read(atom: Any) -> Any:
-            return self.constant(atom.val, type_of(atom).dtype) if isinstance(atom, Literal) else scope[atom]
+            return self.constant(atom.val, array_type(atom).dtype) if isinstance(atom, Literal) else scope[atom]
 
         for equation in jaxpr.eqns:
             try:
@@ -172,7 +168,7 @@ class Translator:
     def element(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """Apply a rule of an elementwise operation to each element."""
         refuse_recordings(operands)
-        dtype = np.dtype(type_of(equation.outvars[0]).dtype)
+        dtype = np.dtype(array_type(equation.outvars[0]).dtype)
 
         def scalar(*scalars: Value) -> Value:
             return translation.translate(self.build, scalars, equation.params, dtype)
@@ -182,7 +178,7 @@ class Translator:
     def elementary(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """Apply a rule of an elementary function, which is itself traced, to each element."""
         refuse_recordings(operands)
-        types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
+        types = [np.dtype(array_type(atom).dtype) for atom in equation.invars]
         function = self.function(translation.translate, types)
         if not isinstance(translation, RareRule):
             return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
@@ -234,7 +230,7 @@ def called_program(translator: Translator, equation: JaxprEqn, operands: list[An
 
 def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """Inline an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
-    shapes = [jax.ShapeDtypeStruct(type_of(atom).shape, type_of(atom).dtype) for atom in equation.invars]
+    shapes = [array_type(atom) for atom in equation.invars]
     return translator.run(jax.make_jaxpr(equation.params["_prim"].expand)(*shapes), operands)
 
 
@@ -250,133 +246,10 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
     return results
 
 
-def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.while_loop``: a loop that ends when no lane goes on; a lane that has ended keeps its state."""
-    params = equation.params
-    build = translator.build
-    head = params["cond_jaxpr"]
-    body = params["body_jaxpr"]
-    first = params["cond_nconsts"]
-    second = params["cond_nconsts"] + params["body_nconsts"]
-    head_constants = operands[:first]
-    constants = operands[first:second]
-    initial_state = operands[second:]
-    if translator.has_memory:
-        initial_state = move_to_memory(build, initial_state, body.jaxpr, second - first)
-    flags = [is_varying(value) for value in (*operands[:second], *initial_state)]
-    varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
-    if lanes_differ and any(isinstance(value, Memory) for value in initial_state):
-        raise Unsupported("an array in memory in a loop that lanes leave at different times")
-    enter = translator.run(head, [*head_constants, *initial_state])[0]
-    scalars = flatten(initial_state, build)
-    differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
-    guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
-    carried = list(scalars)
-    if lanes_differ:  # the last state tells whether the lane still runs
-        carried.append(enter)
-        differs.append(True)
-    loop = build.loop(carried, differs, guard)
-    states = loop.states[: len(scalars)]
-    next_state = translator.run(body, [*constants, *assemble(initial_state, states)])
-    next_scalars = flatten(next_state, build)
-    proceed = translator.run(head, [*head_constants, *next_state])[0]
-    if lanes_differ:
-        is_running = loop.states[-1]
-        pairs = zip(next_scalars, states, strict=True)
-        next_scalars = [build.add("select", is_running, new, old) for new, old in pairs]
-        proceed = build.add("and", is_running, proceed)
-        next_scalars.append(proceed)
-        proceed = build.add("any", proceed)
-    return assemble(initial_state, build.end_loop(loop, next_scalars, proceed)[: len(scalars)])
-
-
-def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.scan``: a loop of constant length over the rows of some arrays; the outputs that it stacks are recorded."""
-    params = equation.params
-    build = translator.build
-    length = params["length"]
-    body = params["jaxpr"]
-    first, state_count = parts_of_scan(equation)
-    second = first + state_count
-    constants = operands[:first]
-    initial_state = operands[first:second]
-    rows = operands[second:]
-    if translator.has_memory:
-        initial_state = move_to_memory(build, initial_state, body.jaxpr, first)
-    recorded_variables = equation.outvars[state_count:]
-    if recorded_variables and (length == 0 or params["reverse"]):
-        raise Unsupported("a loop that records nothing, or backwards")
-    if length == 0:
-        return initial_state
-    recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in recorded_variables]
-    if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in recorded_variables):
-        raise Unsupported("a loop that records arrays")
-    flags = translator.varying_results.of_scan(
-        body.jaxpr, [is_varying(value) for value in (*constants, *initial_state, *rows)], first, second
-    )
-    scalars = flatten(initial_state, build)
-    index = np.dtype(np.int32)
-    differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
-    loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
-    turn, *states = loop.states
-    at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
-    slices = [indexing.row(build, table, at) for table in rows]
-    results = translator.run(body, [*constants, *assemble(initial_state, states), *slices])
-    for recording, value in zip(recordings, results[state_count:], strict=True):
-        build.record(recording, turn, *components(value, build))
-    next_turn = build.add("add", turn, build.constant(1, index))
-    proceed = build.add("lt", next_turn, build.constant(length, index))
-    loop_results = build.end_loop(loop, [next_turn, *flatten(results[:state_count], build)], proceed)
-    return [*assemble(initial_state, loop_results[1:]), *recordings]
-
-
-def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.cond`` and ``lax.switch``: nested branches of two sides; each lane takes one side."""
-    index, *remaining = operands
-    refuse_recordings(remaining)
-    build = translator.build
-    branches = equation.params["branches"]
-    condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
-
-    def case(number: int) -> list[Any]:
-        if number == len(branches) - 1:
-            return translator.run(branches[number], remaining)
-        if condition is not None:  # a truth value that JAX has made a number
-            predicate = build.add("xor", condition, build.constant(True, BOOL))
-        else:
-            predicate = build.add("le", index, build.constant(number, index.dtype))
-        kinds: list[list[Any]] = []
-
-        def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
-            def scalars() -> list[Value]:
-                kinds.append(results())
-                return flatten(kinds[-1], build)
-
-            return scalars
-
-        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: case(number + 1))
-        scalars = build.branch(predicate, sides)
-        return assemble(kinds[0], scalars)
-
-    return case(0)
-
-
 def this_axis(axes: Any, equation: JaxprEqn) -> bool:
     """The condition of a reduction's axes: the axis over the lanes alone."""
     return tuple(axes) == (AXIS,)
 
-
-LOOPS = {
-    "while": rule(
-        while_rule, None, cond_jaxpr=any_value, body_jaxpr=any_value, cond_nconsts=any_value, body_nconsts=any_value
-    ),
-    "scan": rule(
-        scan_rule, None, jaxpr=any_value, length=any_value, reverse=any_value, unroll=any_value, num_consts=any_value,
-        num_carry=any_value, ft_in=any_value, ft_out=any_value,
-    ),
-    "cond": rule(cond, None, branches=any_value),
-}  # fmt: skip
-"""Rules of loops and branches, which translate by the translator itself."""
 
 OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=no_value)}
 """Reductions over the lanes that run together."""
