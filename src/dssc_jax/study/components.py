@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.chains import Element
-from dssc_jax.core.contracts import Plant, Preset, as_given
+from dssc_jax.core.contracts import Plant, Preset, unchanged_params
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity
@@ -255,7 +255,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
             getattr(model, "defaults", None),
             choices,
         )
-        return Component(kind, model, getattr(model, "prepare", as_given)(params), numbers)
+        return Component(kind, model, getattr(model, "prepare", unchanged_params)(params), numbers)
 
 
 def parse_params(
