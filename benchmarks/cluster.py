@@ -20,7 +20,7 @@ from dssc_jax.results.schema import variables
 from dssc_jax.results.store import Store
 from dssc_jax.runs.cluster import connected
 from dssc_jax.runs.run import run_manifest
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 
 PAGE = Path(__file__).parents[1] / "docs" / "cluster.md"
 MARK = "<!-- measured: everything below is written by benchmarks/cluster.py -->"
@@ -94,7 +94,7 @@ def main() -> None:
     options = argparse.ArgumentParser()
     options.add_argument("--blocks", type=int, default=6)
     chosen = options.parse_args()
-    study = dj.Study.load(find("mu_robustness")).without_sweep().override({"draws": chosen.blocks * BLOCK})
+    study = dj.Study.load(find_study("mu_robustness")).without_sweep().override({"draws": chosen.blocks * BLOCK})
     folder = Path(tempfile.mkdtemp())
     try:
         found = blocks(study, folder / "r")

@@ -10,7 +10,7 @@ from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
 from dssc_jax.statistics import FixedCount, Replicated
-from dssc_jax.statistics.stratified import allocation, stratified_interval
+from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 
 REPLICATES = 8
 Trial = Callable[[int], np.ndarray | str]
@@ -101,7 +101,7 @@ def counts(true: tuple[float, ...], expected: tuple[float, ...], width: float) -
     """The interval from strata whose shares of failures are known; the draws are planned for expected shares."""
     weights = np.array(WEIGHTS)
     shares = np.array(true)
-    draws = allocation(weights, np.array(expected), width, 10**6)
+    draws = allocate_draws(weights, np.array(expected), width, 10**6)
 
     def trial(seed: int) -> np.ndarray:
         rng = np.random.default_rng(seed)

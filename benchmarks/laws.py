@@ -21,7 +21,7 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.statistics.law_changes import Shift, Widening
-from dssc_jax.statistics.partition import known_part
+from dssc_jax.statistics.partition import part_information
 from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
 from dssc_jax.study.laws import Law, RangedLaw
 
@@ -93,7 +93,7 @@ def removed(number: int) -> Statement:
     """The share of the variance that knowing the part of one number removes."""
 
     def statement(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
-        known = known_part(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
+        known = part_information(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
         if known is None:
             return None
         shares = part_probabilities(p, number, known.parts)
@@ -108,7 +108,7 @@ def changes(number: int) -> Statement:
     """The probability that knowing the part of one number changes the decision."""
 
     def statement(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
-        known = known_part(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
+        known = part_information(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
         if known is None:
             return None
         truth = float(np.mean(part_probabilities(p, number, known.parts) > limit))

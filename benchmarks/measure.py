@@ -19,7 +19,7 @@ import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.console.environment import machine
 from dssc_jax.engine.batching import Engine, Layout, execute
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 
 DOCS = Path(__file__).parents[1] / "docs"
 FIGURES = DOCS / "figures"
@@ -27,8 +27,8 @@ SAMPLE_TIMES = (1e-5, 1e-4, 2.5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
 MEMORY = """
 import sys
 import dssc_jax as dj
-from dssc_jax.study.library import find
-study = dj.Study.load(find("mu_robustness")).without_sweep().override({"draws": int(sys.argv[1])})
+from dssc_jax.study.library import find_study
+study = dj.Study.load(find_study("mu_robustness")).without_sweep().override({"draws": int(sys.argv[1])})
 result = dj.run(study)
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is inherited on exec
 print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])
@@ -38,7 +38,7 @@ print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])
 def case_2() -> dj.Study:
     """Section V-B, Case 2, x axis: the main study without its uncertainty and lag."""
     return (
-        dj.Study.load(find("mu_robustness"))
+        dj.Study.load(find_study("mu_robustness"))
         .without_sweep()
         .override(
             {
@@ -93,7 +93,7 @@ def studies() -> dict[str, dj.Result]:
     """The shipped sweeps, with their figures."""
     results = {}
     for name in ("mu_robustness", "residual_scaling"):
-        results[name] = dj.run(dj.Study.load(find(name)))
+        results[name] = dj.run(dj.Study.load(find_study(name)))
         plotting.write(plotting.sweep(results[name]), FIGURES / f"{name}.png")
     return results
 
@@ -110,7 +110,7 @@ def rates(repeats: int = 5) -> dict[int, float]:
     """Draw samples a second of the main study by precision, medians of interleaved runs without compilation."""
     engines = {}
     for precision in (64, 32):
-        study = dj.Study.load(find("mu_robustness")).without_sweep()
+        study = dj.Study.load(find_study("mu_robustness")).without_sweep()
         engines[precision] = Engine(study.override({"draws": 16384, "loop.precision": precision}), 16384)
     blocks = {precision: Layout.of(engine.study).blocks() for precision, engine in engines.items()}
     seconds: dict[int, list[float]] = {precision: [] for precision in engines}

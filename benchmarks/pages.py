@@ -18,7 +18,7 @@ from dssc_jax.console.kinds import HEADS, KIND_COLUMNS, registries, rows_of
 from dssc_jax.results.fields import field_meanings
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.schema import StudyTable
 
@@ -98,7 +98,7 @@ def study_file() -> str:
         rows.append((f"`{name}`", f"`{law.signature}`", law.rule[0], "yes" if law.log_density else "no"))
     lines += table(("law", "arguments", "rule", "may be ranges"), rows)
     lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
-    metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in KNOWN.items()]
+    metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in PACKAGE_METRICS.items()]
     lines += ["## Metrics", "", *table(("metric", "unit", "meaning"), metrics)]
     for slot, registry in registries().items():
         lines += [f"## [{HEADS.get(slot, slot)}]", ""]

@@ -6,14 +6,15 @@ import numpy as np
 
 from dssc_jax.closed_loop.formulas import formula_metric
 from dssc_jax.closed_loop.metrics import Instant, Sample, Span
+from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.study.formulas import FormulaParser, FormulaSignal
+from dssc_jax.study.formulas import FormulaParser
 
 BLANK = Sample(0, 0.0, *[0.0] * 7, info=())
 NAMED = {
-    "e": FormulaSignal("1", "e", lambda instant: instant.channels[0].e),
-    "u": FormulaSignal("1", "u", lambda instant: instant.channels[0].u),
+    "e": SampledSignal("1", "e", lambda instant: instant.channels[0].e),
+    "u": SampledSignal("1", "u", lambda instant: instant.channels[0].u),
 }
 
 

@@ -17,7 +17,7 @@ from dssc_jax.flight_code.controller import sampled_controllers
 from dssc_jax.flight_code.recording import recorded_draws
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.reach import proved_up_to
-from dssc_jax.study.tables import changed
+from dssc_jax.study.tables import with_changes
 
 NAMED: dict[str, Any] = {
     "name": "named",
@@ -48,7 +48,9 @@ DSSC = {
 
 def named(**changes: object) -> dj.Study:
     """The study with other values; a dot in a name is written __."""
-    return dj.Study.from_table(changed(NAMED, {name.replace("__", "."): value for name, value in changes.items()}, ""))
+    return dj.Study.from_table(
+        with_changes(NAMED, {name.replace("__", "."): value for name, value in changes.items()}, "")
+    )
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import dssc_jax as dj
 from dssc_jax.closed_loop.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.results.schema import variables
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 
 OWN = """
 import jax.numpy as jnp
@@ -179,5 +179,5 @@ def test_the_page_has_every_metric_with_its_unit():
     metrics, heading, _ = page.partition("\n## Margins\n")
     assert heading
     rows = re.findall(r"^\| `(\w+)` \|.*\| (\S.*) \|$", metrics, re.MULTILINE)
-    assert dict(rows) == {name: metric.unit for name, metric in KNOWN.items()}
-    assert [name for name, _ in rows] == list(KNOWN)
+    assert dict(rows) == {name: metric.unit for name, metric in PACKAGE_METRICS.items()}
+    assert [name for name, _ in rows] == list(PACKAGE_METRICS)

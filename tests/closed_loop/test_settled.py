@@ -5,7 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.closed_loop.metrics import Scope
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 
 RULE = {"error": 0.02, "hold": 0.5, "after": 1.0}
 LOOP = {
@@ -101,7 +101,7 @@ def test_bad_rules_are_told(rule, error):
 def test_every_metric_of_a_settled_draw_is_that_of_a_run_that_ends_there(study):
     """Also those that count the samples of their window."""
     judged_elsewhere = {"settling_time_percent"}  # it is refused
-    names = sorted(name for name, metric in KNOWN.items() if metric.scope is Scope.CHANNEL)
+    names = sorted(name for name, metric in PACKAGE_METRICS.items() if metric.scope is Scope.CHANNEL)
     names = [name for name in names if name not in judged_elsewhere]
     several = study.override({"metrics": {"names": names}, "requirement": [], "draws": 1, "plant.k_p": 1.0})
     several = several.override({"plant.initial": [1.0, 0.0]})

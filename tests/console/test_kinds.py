@@ -6,7 +6,7 @@ import pytest
 
 from dssc_jax.cli.main import guarded
 from dssc_jax.console.kinds import HEADS, kinds, registries, rows_of
-from dssc_jax.study.components import field_specs
+from dssc_jax.study.fields import field_specs
 
 EVERY = [(slot, kind) for slot, registry in registries().items() for kind in registry]
 

@@ -6,7 +6,7 @@ import dssc_jax as dj
 from dssc_jax.console.kinds import registries, rows_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.units import ANGLE, POSITION, UNNAMED_UNITS, ChannelUnits, parse_unit
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 
 MOTOR = ChannelUnits("rad/s", "V", "shaft speed", "armature voltage")
 PLANT = """
@@ -92,7 +92,7 @@ def test_exponents_without_their_sign_are_told():
 
 def test_every_unit_of_the_package_is_one():
     """Each field and metric that names y or u keeps a unit without them, for every plant."""
-    units = {metric.unit for metric in KNOWN.values()}
+    units = {metric.unit for metric in PACKAGE_METRICS.values()}
     for registry in registries().values():
         units |= {row[1] for entry in registry.values() for row in rows_of(entry)}
     named = {unit for unit in units if UNNAMED_UNITS.of(unit) != POSITION.of(unit)}

@@ -10,7 +10,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.report.diagram import LINE_LENGTH, NAMES, diagram, words
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 from tests.conftest import CASE_2, UNCERTAIN
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -33,14 +33,16 @@ def test_only_what_is_present():
 
 
 def test_a_vehicle_has_wind_and_channels():
-    study = dj.Study.load(find("uav_robustness"))
+    study = dj.Study.load(find_study("uav_robustness"))
     assert titles(study) == ALWAYS | {"nominal control", "sensor", "wind"}
     assert "x, y, z, psi" in str(diagram(study))
     assert "dryden" in words(study)
 
 
 def test_a_sensor_of_one_channel_alone_is_there():
-    study = dj.Study.load(find("uav_robustness")).override({"sensor": {"psi": {"kind": "noisy"}, "kind": "ideal"}})
+    study = dj.Study.load(find_study("uav_robustness")).override(
+        {"sensor": {"psi": {"kind": "noisy"}, "kind": "ideal"}}
+    )
     assert "sensor" in titles(study)
 
 
@@ -55,7 +57,7 @@ CHANNEL_PARTS = {
 @pytest.mark.parametrize("slot", CHANNEL_PARTS)
 def test_the_common_kind_of_a_slot_may_be_absent(slot):
     """A study takes a slot whose channels each have a kind, and no table for all of them has one."""
-    study = dj.Study.load(find("uav_robustness")).without_sweep()
+    study = dj.Study.load(find_study("uav_robustness")).without_sweep()
     part = CHANNEL_PARTS[slot]
     by_channel = dj.Study.from_table({**study.table, slot: dict.fromkeys(study.loop.channels, part)})
     common = dj.Study.from_table({**study.table, slot: part})
@@ -91,7 +93,7 @@ def test_the_studies_of_the_documentation_have_a_diagram(page):
 
 
 def test_uncertain_and_swept_numbers_are_marked():
-    drawn = str(diagram(dj.Study.load(find("mu_robustness"))))
+    drawn = str(diagram(dj.Study.load(find_study("mu_robustness"))))
     assert "~ k_p  ~ a_p" in drawn
     assert "⇄ tau_av" in drawn
     assert "~ 3 uncertain or swept" in str(diagram(dj.Study.from_table(UNCERTAIN)))
@@ -126,7 +128,7 @@ def test_blocks_do_not_overlap(disturbed, lagging, nominal):
 
 @pytest.mark.parametrize("name", ["mu_robustness", "paper_field_test", "uav_robustness", "residual_scaling"])
 def test_it_stays_within_its_frame(name):
-    drawn = str(diagram(dj.Study.load(find(name))))
+    drawn = str(diagram(dj.Study.load(find_study(name))))
     left, top, width, height = map(float, re.search(r'viewBox="([^"]*)" width', drawn)[1].split())
     for x, y, right, lower in blocks(drawn):
         assert left <= x < right <= left + width

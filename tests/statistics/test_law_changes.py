@@ -49,7 +49,7 @@ def test_mean_slopes_are_derivatives(change, scores):
 def test_changed_scores_have_the_changed_law(change):
     scores = stats.multivariate_normal(np.zeros(3), CORRELATION).rvs(200_000, random_state=2)
     law = changed_law(change, AMOUNTS)
-    changed = change.changed(AMOUNTS, scores)
+    changed = change.apply(AMOUNTS, scores)
     np.testing.assert_allclose(changed.mean(axis=0), law.mean, atol=0.02)
     np.testing.assert_allclose(np.cov(changed.T), law.cov, atol=0.03)
 
@@ -86,8 +86,8 @@ def test_corners_bound_all_shifts():
     change = Shift(PRECISION)
     free = np.array([True, False, True])
     for amounts in rng.uniform(-0.5, 0.5, (500, 3)) * free:
-        assert change.log_second_moment(amounts) <= change.corner(0.5, free) + 1e-12
-    assert Shift(np.eye(3)).corner(0.5, free) == pytest.approx(2 * 0.25)
-    assert Widening(np.eye(3)).corner(0.1, free) == pytest.approx(
+        assert change.log_second_moment(amounts) <= change.second_moment_bound(0.5, free) + 1e-12
+    assert Shift(np.eye(3)).second_moment_bound(0.5, free) == pytest.approx(2 * 0.25)
+    assert Widening(np.eye(3)).second_moment_bound(0.1, free) == pytest.approx(
         Widening(np.eye(2)).log_second_moment(np.full(2, 0.1))
     )

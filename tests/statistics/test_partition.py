@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dssc_jax.statistics.partition import known_part, removed_share
+from dssc_jax.statistics.partition import part_information, removed_share
 
 PART = np.array([2.0, 1.0, 0.0]) / np.sqrt(5.0)
 
@@ -31,7 +31,7 @@ def test_intervals_cover(p, number):
     covered = np.zeros(2)
     for seed in range(300):
         scores, failed = draws(p, 2000, seed)
-        found = known_part(stats.norm.cdf(scores[:, number]), failed, 2.0 * p)
+        found = part_information(stats.norm.cdf(scores[:, number]), failed, 2.0 * p)
         assert found is not None
         covered[0] += found.removed_interval[0] <= removed <= found.removed_interval[1]
         covered[1] += found.changes_interval[0] <= changes <= found.changes_interval[1]
@@ -42,7 +42,7 @@ def test_the_removed_share_is_without_bias():
     estimates = []
     for seed in range(300):
         scores, failed = draws(0.1, 2000, seed)
-        found = known_part(stats.norm.cdf(scores[:, 0]), failed, 0.2)
+        found = part_information(stats.norm.cdf(scores[:, 0]), failed, 0.2)
         assert found is not None
         estimates.append(found.removed)
     truth, _ = truths(0.1, 0, 10, 0.2)
@@ -62,14 +62,14 @@ def test_pinned_values():
 def test_a_failing_study_may_pass_in_parts():
     """The decision is that too many fail; knowing the number may show that few do."""
     levels = (np.arange(1000) + 0.5) / 1000
-    found = known_part(levels, levels > 0.5, 0.1)
+    found = part_information(levels, levels > 0.5, 0.1)
     assert found is not None
     assert found.changes == pytest.approx(0.5)
     assert found.changes_interval == pytest.approx((0.5, 0.5))
 
 
 def test_few_failures_say_nothing():
-    assert known_part(np.linspace(0.01, 0.99, 100), np.arange(100) < 9, 0.1) is None
-    few = known_part(np.linspace(0.01, 0.99, 100), np.arange(100) < 15, 0.1)
+    assert part_information(np.linspace(0.01, 0.99, 100), np.arange(100) < 9, 0.1) is None
+    few = part_information(np.linspace(0.01, 0.99, 100), np.arange(100) < 15, 0.1)
     assert few is not None
     assert few.parts == 3

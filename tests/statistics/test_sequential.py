@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from dssc_jax.statistics import AcceptReject, DataDriven, Look, UntilWidth, clopper_pearson, multistage_interval
-from dssc_jax.statistics.sequential import looks
+from dssc_jax.statistics.sequential import look_draws
 
 
 def stop(rule, plan, failed):
@@ -23,11 +23,11 @@ def stop(rule, plan, failed):
 
 
 def test_looks_are_geometric_and_end_at_the_most():
-    found = looks(10_000, 1.5)
+    found = look_draws(10_000, 1.5)
     assert found[0] == 100
     assert found[-1] == 10_000
     assert all(1.4 < b / a < 1.6 for a, b in pairwise(found[:-1]))
-    assert looks(40, 1.5) == [40]
+    assert look_draws(40, 1.5) == [40]
 
 
 @pytest.mark.parametrize("failures", [0, 3, 50, 99, 100])

@@ -110,7 +110,7 @@ def test_a_change_that_leaves_few_effective_draws_is_refused():
     assert "effective draws" in found.reason
     assert found.bound == found.explored
     assert found.explored == pytest.approx(np.sqrt(np.log(1000 / LEAST_EFFECTIVE) / 3.0), rel=1e-5)
-    assert not draws.trusted(found.explored + 1e-3)
+    assert not draws.is_trusted(found.explored + 1e-3)
 
 
 def test_bounds_with_confidence_cover():

@@ -4,7 +4,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import merge_tables
 
 AXIS = {
     "name": "axis",
@@ -79,17 +79,17 @@ def test_an_index_beyond_the_default_list_is_refused():
 
 def test_an_index_beyond_a_list_in_an_inherited_table_is_named_with_its_whole_path():
     common = {"model": {"kind": "stated", "a": [1.0, 2.0]}}
-    assert merged(common, {"model": {"a": {"1": 3.0}}}) == {"model": {"kind": "stated", "a": [1.0, 3.0]}}
+    assert merge_tables(common, {"model": {"a": {"1": 3.0}}}) == {"model": {"kind": "stated", "a": [1.0, 3.0]}}
     with pytest.raises(ConfigError) as caught:
-        merged(common, {"model": {"a": {"7": 3.0}}})
+        merge_tables(common, {"model": {"a": {"7": 3.0}}})
     assert str(caught.value) == "model.a: has 2 entries, whose indices are 0 to 1; got '7'"
 
 
 def test_an_entry_of_another_kind_replaces_a_table_in_a_list():
     common = {"parts": [{"kind": "lag", "mu": 0.1}]}
-    assert merged(common, {"parts": {"0": {"mu": 0.2}}}) == {"parts": [{"kind": "lag", "mu": 0.2}]}
+    assert merge_tables(common, {"parts": {"0": {"mu": 0.2}}}) == {"parts": [{"kind": "lag", "mu": 0.2}]}
     delay = {"kind": "delay", "samples": 1.0}
-    assert merged(common, {"parts": {"0": delay}}) == {"parts": [delay]}
+    assert merge_tables(common, {"parts": {"0": delay}}) == {"parts": [delay]}
 
 
 def test_an_entry_of_an_empty_list_is_refused_with_the_remedy():

@@ -14,8 +14,8 @@ from dssc_jax.cli.warnings import warn_of_units
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.engine.sampling import draw
-from dssc_jax.study.described import Described, describe
-from dssc_jax.study.tables import changed
+from dssc_jax.study.described import Described, describe_study
+from dssc_jax.study.tables import with_changes
 from tests.conftest import UNCERTAIN
 from tests.mutations import places
 
@@ -61,7 +61,7 @@ def written_out(study: dj.Study) -> dj.Study:
     changes: dict[str, Any] = {"parameters": {}, "loop.sample_time": 1e-5, "controller.k_i": 2000.0 / 12.0}
     changes |= {name: {"uniform": [1.0, 1e12]} for name in BY_HAND}
     return dj.Study.from_table(
-        changed(study.table | {"requirement": [{"metric": "error_max", "max": 1.0}]}, changes, "")
+        with_changes(study.table | {"requirement": [{"metric": "error_max", "max": 1.0}]}, changes, "")
     )
 
 
@@ -94,10 +94,12 @@ def test_derived_numbers_are_those_of_numpy(study):
 
 def test_a_sweep_over_a_parameter_is_that_written_out_by_hand_bit_for_bit():
     r = [0.5, 0.7, 1.3, 4.0]
-    table = changed(FILTER, {"parameters.L": 1e-5, "parameters.C": 1e-4, "draws": 1}, "")
-    named = dj.Study.from_table(changed(table, {"sweep.parameters.R": r}, ""))
+    table = with_changes(FILTER, {"parameters.L": 1e-5, "parameters.C": 1e-4, "draws": 1}, "")
+    named = dj.Study.from_table(with_changes(table, {"sweep.parameters.R": r}, ""))
     rates = sorted(1.0 / (value * 1e-4) for value in r)
-    plain = dj.Study.from_table(changed(table, {"plant.denominator.1": 1.0, "sweep.plant.denominator.1": rates}, ""))
+    plain = dj.Study.from_table(
+        with_changes(table, {"plant.denominator.1": 1.0, "sweep.plant.denominator.1": rates}, "")
+    )
     by_name, by_number = (dj.run(study).dataset for study in (named, plain))
     for metric in ("error_max", "error_rms", "command_tv", "settling_time"):
         np.testing.assert_array_equal(by_name[metric].values[::-1], by_number[metric].values)
@@ -234,7 +236,7 @@ BAD = {
 def test_what_is_wrong_is_told_in_one_line(case):
     changes, message = BAD[case]
     with pytest.raises(ConfigError) as error:
-        dj.Study.from_table(changed(FILTER, changes, "filter.toml"), "filter.toml")
+        dj.Study.from_table(with_changes(FILTER, changes, "filter.toml"), "filter.toml")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
     assert str(error.value).startswith("filter.toml: ")
@@ -243,7 +245,7 @@ def test_what_is_wrong_is_told_in_one_line(case):
 def test_a_long_chain_of_parameters_takes_no_time():
     chain = {"x0": 1.0} | {f"x{i}": f"=x{i - 1} + x{i - 1}" for i in range(1, 60)}
     study = dj.Study.from_table(
-        changed(FILTER, {"parameters.x": 0.0}, "")
+        with_changes(FILTER, {"parameters.x": 0.0}, "")
         | {"parameters": FILTER["parameters"] | chain, "plant": FILTER["plant"] | {"numerator": ["=x59*R"]}}
     )
     assert study.derived(dict.fromkeys(study.laws, 1.0))["plant.numerator.0"] == 2.0**59
@@ -286,7 +288,7 @@ def test_a_lane_takes_parameters_and_no_number_that_follows(study):
 
 
 def test_a_description_keeps_expressions(study):
-    content = describe(study, None, "")
+    content = describe_study(study, None, "")
     assert content["numbers"]["plant.denominator.2"]["value"] == "=w0**2"
     read = Described.of(study.table, "folder", {}, content)
     assert read.laws == study.laws
@@ -333,7 +335,7 @@ def test_an_expression_in_any_place_is_a_number_or_is_refused(seed):
 
 @pytest.mark.parametrize("precision", [32, 64])
 def test_the_precision_is_the_study_s(precision):
-    study = dj.Study.from_table(changed(FILTER, {"loop.precision": precision, "draws": 4}, ""))
+    study = dj.Study.from_table(with_changes(FILTER, {"loop.precision": precision, "draws": 4}, ""))
     result = dj.run(study)
     assert result.dataset["error_rms"].dtype == f"float{precision}"
     exact = dj.run(study.override({"loop.precision": 64})).dataset["error_rms"]

@@ -308,3 +308,15 @@ def test_a_metric_of_a_channel_that_its_controller_does_not_report_says_what_it_
         ConfigError, match="'sampling_ratio_x' needs integral_gain, tau_m, which this loop does not have"
     ):
         dj.Study.from_table(wrong)
+
+
+@pytest.mark.parametrize("output_meaning", ["speed", "state of charge"])
+def test_the_whole_state_is_measured_whatever_outputs_mean(output_meaning):
+    """An output whose meaning begins with the word state was measured as a state."""
+    units = {"output": "m/s", "command": "N", "output_meaning": output_meaning}
+    outputs = {"travel": {"c": [1.0, 0.0, 0.0, 0.0], "unit": "m", "meaning": "state of the spring"}}
+    plant = car().table["plant"] | {"outputs": outputs}
+    study = car(
+        plant=plant, units=units, sensor={"measures": "state"}, metrics={"names": ["error_rms"]}, requirement=[]
+    )
+    assert [signal.name for signal in study.loop.measures] == ["x1", "x2", "x3", "x4"]

@@ -10,7 +10,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.laws import Law
-from dssc_jax.study.library import available_studies, find
+from dssc_jax.study.library import available_studies, find_study
 from dssc_jax.study.tables import set_dotted
 from tests.conftest import CASE_2, UNCERTAIN
 
@@ -325,7 +325,9 @@ def test_own_plant_and_controller_by_dotted_name(tmp_path, monkeypatch):
 
 
 def test_a_number_that_channels_share_is_one_number_with_a_place_in_each():
-    study = dj.Study.load(find("uav_robustness")).override({"controller.x.l0": 2.5})  # the study itself has z and psi
+    study = dj.Study.load(find_study("uav_robustness")).override(
+        {"controller.x.l0": 2.5}
+    )  # the study itself has z and psi
     everywhere, own = study.numbers["controller.l0"], study.numbers["controller.x.l0"]
     assert everywhere.paths == tuple(f"controller.{i}.l0" for i in (1, 2, 3))
     assert own.paths == ("controller.0.l0",)
@@ -351,7 +353,7 @@ def test_uncertain_table_is_valid():
 
 def test_override_leaves_the_tables_that_it_is_given():
     functions = {"kind": "constant", "k_o": 5.0, "tau_av": 0.05, "tau_m": 0.5}
-    study = dj.Study.load(find("mu_robustness"))
+    study = dj.Study.load(find_study("mu_robustness"))
     changes = {"controller.functions": functions, "controller.functions.tau_m": 0.02}
     assert study.override(changes).leaves()["controller.functions.tau_m"] == 0.02
     assert functions["tau_m"] == 0.5
@@ -360,5 +362,5 @@ def test_override_leaves_the_tables_that_it_is_given():
 def test_a_folder_of_a_study_s_name_hides_no_study(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "motor").mkdir()
-    assert find("motor") == available_studies()["motor"]
-    assert find("./motor/") == Path("motor")  # a path is taken as it is
+    assert find_study("motor") == available_studies()["motor"]
+    assert find_study("./motor/") == Path("motor")  # a path is taken as it is

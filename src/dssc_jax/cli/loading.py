@@ -15,12 +15,12 @@ from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result, load_result
 from dssc_jax.study import Study, read_toml
-from dssc_jax.study.code import describe_modules, folders_of
+from dssc_jax.study.code import describe_modules, module_folders
 from dssc_jax.study.importing import allow_imports
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 from dssc_jax.study.native import load_native, native_files
 from dssc_jax.study.study import with_files
-from dssc_jax.study.tables import changed
+from dssc_jax.study.tables import with_changes
 
 
 def study_of(options: StudyOptions) -> Study:
@@ -46,10 +46,10 @@ def load_study(name: str, changes: Mapping[str, object], local: bool, native: bo
         local: Let its ``module:object`` names also import from its folder.
         native: Load the shared objects that it names, after showing which.
     """
-    path = find(name)
+    path = find_study(name)
     if local:
         allow_imports(path.parent)
-    changed_table = changed(read_toml(path), changes, str(path))  # both name the file in their errors
+    changed_table = with_changes(read_toml(path), changes, str(path))  # both name the file in their errors
     try:
         table = with_files(changed_table, path.parent)
     except ConfigError as error:
@@ -110,7 +110,7 @@ def show_trusted(manifest: Manifest, local: bool) -> None:
     It may then come from the folder of the study file, or from the folders of the modules that the run used.
     """
     if local:
-        for folder in (Path(str(manifest.get("source", ""))).parent, *folders_of(manifest.get("code"))):
+        for folder in (Path(str(manifest.get("source", ""))).parent, *module_folders(manifest.get("code"))):
             allow_imports(folder)
     show_code("result", manifest["study"], manifest.get("code"))
 

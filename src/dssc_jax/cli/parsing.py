@@ -5,7 +5,7 @@ import tomllib
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.study.separators import separated
+from dssc_jax.study.separators import separator_hint
 
 TomlValue = str | int | float | bool | list["TomlValue"] | dict[str, "TomlValue"]
 
@@ -26,7 +26,7 @@ def parse_assignment(text: str, option: str) -> tuple[str, str]:
     """Parse name and value of ``NAME=VALUE``."""
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
-        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separated(text, 1)}")
+        raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separator_hint(text, 1)}")
     return name, value
 
 
@@ -82,7 +82,7 @@ def parse_over(text: str) -> tuple[str, dict[str, list[float]]]:
         low, high, count, *scale = value.split(":")
         numbers = [float(low), float(high), int(count)]
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'{separated(text, 3)}") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI:COUNT[:log], got '{text}'{separator_hint(text, 3)}") from None
     if scale not in ([], ["log"]):
         raise ConfigError("--over", f"only ':log' may follow COUNT, got '{text}'")
     return name, {"logspace" if scale else "linspace": numbers}
@@ -105,7 +105,7 @@ def parse_walk(text: str) -> Walked:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
     except ValueError:
-        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'{separated(text, 2)}") from None
+        raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'{separator_hint(text, 2)}") from None
     return Walked(name, (start, end))
 
 

@@ -13,7 +13,7 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core import files
 from dssc_jax.engine import kernels
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 
 
 class Environment(TypedDict):
@@ -41,7 +41,7 @@ def machine() -> str:
 
 def environment() -> Environment:
     """Versions, devices, compiler and registries."""
-    metrics = {name: metric_description(metric) for name, metric in KNOWN.items()}
+    metrics = {name: metric_description(metric) for name, metric in PACKAGE_METRICS.items()}
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},

@@ -12,10 +12,10 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.units import POSITION, UNNAMED_UNITS
 from dssc_jax.study.build import REGISTRIES
-from dssc_jax.study.components import FieldSpec, field_specs
-from dssc_jax.study.importing import imported
+from dssc_jax.study.fields import FieldSpec, field_specs
+from dssc_jax.study.importing import import_object
 from dssc_jax.study.laws import LAWS
-from dssc_jax.study.measuring import KNOWN
+from dssc_jax.study.measuring import PACKAGE_METRICS
 from dssc_jax.study.sections import params_of
 
 FieldRow: TypeAlias = tuple[str, str, str, str, str]
@@ -61,8 +61,8 @@ def parts(params: type, place: str) -> dict[str, Registry]:
             by_slot[f"{place}.{name}"] = spec.mark.registry
             for entry in spec.mark.registry.values():
                 by_slot |= parts(params_of(entry), f"{place}.{name}")
-        elif spec.nested:
-            by_slot |= parts(spec.core, f"{place}.{name}")
+        elif spec.is_nested:
+            by_slot |= parts(spec.hint, f"{place}.{name}")
     return by_slot
 
 
@@ -78,7 +78,7 @@ def description_of(entry: Entry) -> KindDescription:
     """The description of a kind."""
     return {
         "summary": entry.summary,
-        "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.derived],
+        "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.is_derived],
         "options": options_of(entry),
         "about": columns_by_field(rows_of(entry)),
     }
@@ -112,29 +112,29 @@ def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[F
     """Rows of a parameter type; ``preset`` is an instance whose values are the defaults."""
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
     for name, spec in field_specs(params).items():
-        if spec.derived:
+        if spec.is_derived:
             continue
         default = defaults.get(name, REQUIRED)
         if isinstance(spec.mark, Slot):
             meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
             yield f"{prefix}{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
-        elif spec.named is not None:
+        elif spec.named_type is not None:
             if isinstance(spec.mark, Quantity):
                 yield f"{prefix}{name}.NAME", *field_columns(spec), "absent"
             else:
                 yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
-                yield from fields(spec.named, f"{prefix}{name}.NAME.", None)
-        elif spec.listed is not None:
+                yield from fields(spec.named_type, f"{prefix}{name}.NAME.", None)
+        elif spec.item_type is not None:
             members = default if isinstance(default, tuple) and default else (None,)
             count = "none" if members == (None,) else f"{len(members)} tables"
             yield f"{prefix}{name}", "", "a list of tables, each with the entries below", "", count
             for index, member in enumerate(members):
-                yield from fields(spec.listed, f"{prefix}{name}.{index}.", member)
-        elif spec.nested:
+                yield from fields(spec.item_type, f"{prefix}{name}.{index}.", member)
+        elif spec.is_nested:
             inner = None if default in (None, REQUIRED) else default
             if default is None:
                 yield f"{prefix}{name}", "", "a table; absent: none of it", "", "absent"
-            yield from fields(spec.core, f"{prefix}{name}.", inner)
+            yield from fields(spec.hint, f"{prefix}{name}.", inner)
         else:
             yield f"{prefix}{name}", *field_columns(spec), text_of(default)
 
@@ -151,10 +151,10 @@ def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
             *([] if spec.mark.law else ["no law"]),
         ]
         return spec.mark.unit, meaning, ", ".join(limits)
-    if spec.text:
+    if spec.is_text:
         return "", "text", ""
-    if isinstance(spec.core, type) and issubclass(spec.core, Enum):
-        return "", "option", " | ".join(member.value for member in spec.core)
+    if isinstance(spec.hint, type) and issubclass(spec.hint, Enum):
+        return "", "option", " | ".join(member.value for member in spec.hint)
     return "", "option", "true | false"
 
 
@@ -199,11 +199,11 @@ def entries_named(name: str) -> dict[str, Entry]:
         ConfigError: there is none, and neither a law, a metric nor a field.
     """
     if ":" in name:
-        return {"your own": entry_of(imported(name, name), name)}
+        return {"your own": entry_of(import_object(name, name), name)}
     by_table = registries()
     entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
-    if not entries and name not in LAWS and name not in KNOWN and not fields_named(name):
-        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
+    if not entries and name not in LAWS and name not in PACKAGE_METRICS and not fields_named(name):
+        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | PACKAGE_METRICS.keys()
         for registry in by_table.values():
             for entry in registry.values():
                 valid |= {row[0] for row in rows_of(entry) if "." not in row[0]}
@@ -235,8 +235,8 @@ def described_name(name: str) -> dict[str, Any]:
         description["fields"] = fields_by_kind
     if name in LAWS:
         description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
-    if name in KNOWN:
-        description["metric"] = metric_description(KNOWN[name])
+    if name in PACKAGE_METRICS:
+        description["metric"] = metric_description(PACKAGE_METRICS[name])
     return description
 
 
@@ -254,8 +254,8 @@ def show_kind(name: str) -> None:
     if name in LAWS:
         law = LAWS[name]
         output().print(f"law {name} = {law.signature}: {law.rule[0]}", markup=False)
-    if name in KNOWN:
-        metric = KNOWN[name]
+    if name in PACKAGE_METRICS:
+        metric = PACKAGE_METRICS[name]
         output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
     for slot, entry in entries.items():
         show_rows(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', rows_of(entry))

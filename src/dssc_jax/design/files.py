@@ -14,7 +14,7 @@ from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
 from dssc_jax.study.components import as_table, parse_params
 from dssc_jax.study.schema import STRICT, finite_number
-from dssc_jax.study.table_errors import explain
+from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
@@ -138,7 +138,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
     try:
         goal_table = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
     except ValidationError as error:
-        raise explain(error, GoalTable.model_fields).within_path("goal") from None
+        raise first_error(error, GoalTable.model_fields).within_path("goal") from None
     criterion = goal_table.criterion or default_criterion(bounds)
     if criterion not in list(Criterion):
         raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {nearest(criterion, list(Criterion))}")

@@ -13,7 +13,7 @@ from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.lanes.c.names import member_names
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.study import Study
-from dssc_jax.study.laws import Uncertain
+from dssc_jax.study.laws import UncertainValue
 
 
 class Parameter(NamedTuple):
@@ -53,15 +53,15 @@ def loop_parameters(
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:
         dotted_path = keystr(path, simple=True, separator=".")
-        if not selects(dotted_path) or not isinstance(leaf, float | Uncertain):
+        if not selects(dotted_path) or not isinstance(leaf, float | UncertainValue):
             continue
         number = study.numbers.get(names.get(dotted_path, ""))
         if number is not None and not number.quantity.law:
             continue
         key = dotted_path if number is None else number.name
         quantity = declared_quantity(study.template, dotted_path, units) if number is None else number.quantity
-        uncertain = isinstance(leaf, Uncertain)
-        value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
+        uncertain = isinstance(leaf, UncertainValue)
+        value = float(leaf.median) if isinstance(leaf, UncertainValue) else leaf
         parameters[key] = Parameter(key, name(key), quantity, value, uncertain)
     c_names = member_names(parameter.name for parameter in parameters.values())
     return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))

@@ -15,7 +15,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import digest_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unseal, write_json, write_sealed
-from dssc_jax.study import Study, hash_of, received
+from dssc_jax.study import Study, hash_of, stored_study
 from dssc_jax.study.tables import require_shallow
 
 NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
@@ -195,4 +195,4 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
-    return Stored(received(description, description["source"], trust_code), dataset, description["settings"])
+    return Stored(stored_study(description, description["source"], trust_code), dataset, description["settings"])

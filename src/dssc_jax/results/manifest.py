@@ -13,8 +13,8 @@ from dssc_jax.results import lock
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import Look
 from dssc_jax.study import Described, Study, hash_of
-from dssc_jax.study.code import recorded
-from dssc_jax.study.described import describe
+from dssc_jax.study.code import code_digests
+from dssc_jax.study.described import describe_study
 from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
@@ -267,11 +267,11 @@ def code_entries(study: Study) -> Manifest:
     """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
-    code = recorded(study.table)
+    code = code_digests(study.table)
     if not code:
         return {}
     certified, reason = theorem_mark(study) or (None, "")
-    return {"code": code, "described": describe(study, certified, reason)}
+    return {"code": code, "described": describe_study(study, certified, reason)}
 
 
 def machinery_differences(old: Manifest, new: Manifest) -> list[str]:

@@ -127,10 +127,14 @@ class StatedAmounts:
             errors.append(StatedError(name, radius, BALLS[name].interval(interval, radius), None))
         if self.shift is not None:
             weighted = draws.weighted(Shift, confidence).interval_within(self.shift)
-            errors.append(StatedError("mean_shift", self.shift, bounds.shifted(free, self.shift), weighted))
+            errors.append(
+                StatedError("mean_shift", self.shift, bounds.interval_after_shift(free, self.shift), weighted)
+            )
         if self.widening is not None:
             weighted = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
-            errors.append(StatedError("widening", self.widening, bounds.widened(free, self.widening), weighted))
+            errors.append(
+                StatedError("widening", self.widening, bounds.interval_after_widening(free, self.widening), weighted)
+            )
         return errors
 
 

@@ -29,7 +29,7 @@ from dssc_jax.results.manifest import (
     write_manifest,
 )
 from dssc_jax.results.schema import copy_block, in_memory
-from dssc_jax.study import Study, hash_of, received
+from dssc_jax.study import Study, hash_of, stored_study
 
 
 class Store:
@@ -216,7 +216,7 @@ def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset,
         ConfigError: It is not a results folder, it is damaged, or its run did not finish.
     """
     manifest = read_manifest(folder)
-    study = received(manifest, str(folder / MANIFEST), trust_code)
+    study = stored_study(manifest, str(folder / MANIFEST), trust_code)
     return study, read_dataset(folder, study, manifest), manifest
 
 

@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Outcome
 from dssc_jax.results.fields import MERGED
 from dssc_jax.results.schema import outcome_codes
 from dssc_jax.statistics import Method, Replicated
-from dssc_jax.statistics.order import at_rank, quantile_ranks, ranked, upper_quantile
+from dssc_jax.statistics.order import at_rank, quantile_ranks, sorted_draws, upper_quantile
 from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -53,7 +53,7 @@ class Statements(NamedTuple):
 
         A draw without a value counts as ``missing``.
         """
-        sorted_values = ranked(values, missing)
+        sorted_values = sorted_draws(values, missing)
         columns = {}
         for level in QUANTILES:
             columns[f"q{100 * level:g}"] = upper_quantile(sorted_values, level)

@@ -23,7 +23,7 @@ from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
 from dssc_jax.runs.design_choice import chosen_design
 from dssc_jax.study import Study, takes_file
-from dssc_jax.study.correlation import gaussian
+from dssc_jax.study.correlation import normal_correlation
 
 if TYPE_CHECKING:
     from dssc_jax.runs.cluster import Cluster
@@ -59,7 +59,9 @@ def sampling_entry(study: Study) -> dict[str, object]:
     return {
         "kind": config.sampling,
         "replicates": None if config.independent else config.replicates,
-        "correlation": {pair: {"rank": rank, "normal": gaussian(rank)} for pair, rank in config.correlation.items()},
+        "correlation": {
+            pair: {"rank": rank, "normal": normal_correlation(rank)} for pair, rank in config.correlation.items()
+        },
     }
 
 

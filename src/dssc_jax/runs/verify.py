@@ -13,7 +13,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import machinery_differences
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
-from dssc_jax.study.code import recorded
+from dssc_jax.study.code import code_digests
 
 LANES = 16
 MOST_LANES = 16384
@@ -106,7 +106,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
         worst=worst,
         verdict=comparison.verdict,
         undecided=int(np.count_nonzero(~comparison.decided)),
-        otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
+        otherwise=machinery_differences(result.manifest, computing() | {"code": code_digests(result.study.table)}),
         single_precision=single_precision(result, lanes, plain_results)
         if result.study.config.loop.precision == 32
         else None,

@@ -14,44 +14,51 @@ from dssc_jax.statistics.normal_moves import (
 
 @dataclass(frozen=True)
 class AnyFailures:
-    """Bounds that need the interval of the failure probability, but no draws.
+    """Bounds of the failure probability under changed laws, from its interval alone.
+
+    They hold for any set of failing draws, so that no draws are needed. In each method ``free`` tells which laws change
+    (bool, shape (laws,)). A shift moves each mean by at most so many standard deviations, up or down; a widening
+    multiplies each width by a factor from 1 to a relative width.
 
     Args:
-        precision: The inverse of the scores' correlation matrix, shape (laws, laws).
-        interval: Interval of the failure probability.
+        precision: Inverse of the scores' correlation matrix, shape (laws, laws).
+        interval: Lower and upper limit of the failure probability under the assumed laws.
     """
 
     precision: np.ndarray
     interval: tuple[float, float]
 
-    def distance(self, free: np.ndarray) -> float:
-        """Largest Euclidean length, in independent scores, of a shift of these means by one standard deviation each.
+    def unit_shift_length(self, free: np.ndarray) -> float:
+        """Largest Euclidean length, in independent scores, of a shift by one standard deviation.
 
         Exact without correlations, and an upper bound with them.
         """
         return float(np.sqrt(np.abs(self.precision[np.ix_(free, free)]).sum()))
 
-    def uncorrelated(self, free: np.ndarray) -> bool:
-        """Whether none of these laws is correlated with another."""
-        return not np.any(self.precision[free] - np.diag(np.diag(self.precision))[free])
+    def is_uncorrelated(self, free: np.ndarray) -> bool:
+        """Whether no changed law is correlated with any other law."""
+        off_diagonal = self.precision - np.diag(np.diag(self.precision))
+        return not np.any(off_diagonal[free])
 
     def largest_shift(self, free: np.ndarray, limit: float) -> float:
-        """The shift of these means up to which at most the limit fails."""
-        return largest_distance(self.interval[1], limit) / self.distance(free)
+        """Largest shift [standard deviations] under which the failure probability cannot exceed the limit."""
+        return largest_distance(self.interval[1], limit) / self.unit_shift_length(free)
 
     def largest_widening(self, free: np.ndarray, limit: float) -> float | None:
-        """The relative width of these laws up to which at most the limit fails; None if the laws are correlated."""
-        return largest_width(self.interval[1], limit, int(free.sum())) if self.uncorrelated(free) else None
+        """Largest relative width at which the failure probability cannot exceed the limit; None if correlated."""
+        if not self.is_uncorrelated(free):
+            return None
+        return largest_width(self.interval[1], limit, int(free.sum()))
 
-    def shifted(self, free: np.ndarray, shift: float) -> tuple[float, float]:
-        """The interval of the failure probability if these means may be wrong by a shift."""
-        distance = shift * self.distance(free)
+    def interval_after_shift(self, free: np.ndarray, shift: float) -> tuple[float, float]:
+        """Interval of the failure probability after any shift of at most this size [standard deviations]."""
+        distance = shift * self.unit_shift_length(free)
         low, high = self.interval
         return worst_when_moved(low, -distance), worst_when_moved(high, distance)
 
-    def widened(self, free: np.ndarray, width: float) -> tuple[float, float] | None:
-        """The interval of the failure probability up to this relative width of these laws; None if correlated."""
-        if not self.uncorrelated(free):
+    def interval_after_widening(self, free: np.ndarray, width: float) -> tuple[float, float] | None:
+        """Interval of the failure probability after any widening up to this relative width; None if correlated."""
+        if not self.is_uncorrelated(free):
             return None
         low, high = self.interval
         numbers = int(free.sum())

@@ -1,12 +1,13 @@
-"""Sets for the next of several exchangeable flights, and a test of the study that describes them, without any law.
+"""Conformal prediction of the next flight, and a test of a study against several flights; no law is assumed.
 
-Each flight has a number that is computed in a way fixed before the flights. If n + 1 flights are exchangeable, the rank
-of the last number among all is uniform, so that it is not above the k-th smallest of the others with a probability of
-at least k/(n + 1) (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World (2005), chapter 2).
+Each flight yields one number, by a formula that was fixed before the flights. If n + 1 flights are exchangeable, the
+rank of the last number among all is uniform. So it is at most the k-th smallest of the others with a probability of at
+least k/(n + 1) (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World (2005), chapter 2).
 
-If the flights have the law of m draws, the share of the law beyond the k-th largest draw has a beta law with parameters
-k and m + 1 - k, and the number of flights beyond is beta-binomial (S. S. Wilks, Annals of Mathematical Statistics 12
-(1941) 91-96). This holds for any continuous law; ties make the test more cautious.
+The test counts the flights whose number lies beyond a line, the k-th largest number of m draws. If the flights have
+the law of the draws, the share of that law beyond the line has a beta law with parameters k and m + 1 - k, and the
+number of flights beyond it is beta-binomial (S. S. Wilks, Annals of Mathematical Statistics 12 (1941) 91-96). This
+holds for any continuous law; ties make the test more cautious.
 """
 
 import math
@@ -18,20 +19,23 @@ from scipy import special
 
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
-BEYOND = 0.05
-"""Share of the draws beyond the line that flights are compared with."""
+TAIL_SHARE = 0.05
+"""Share of the draws beyond the line."""
 ROUNDING = 1e-9
-"""Subtracted before rounding up, so that 0.9 * 10 counts as 9."""
+"""Allowance for rounding errors, so that 0.9 * 10 counts as 9."""
 MOST_FLIGHTS = 600
-FEWEST_DRAWS = math.ceil(1.0 / BEYOND) - 1
+FEWEST_DRAWS = math.ceil(1.0 / TAIL_SHARE) - 1
 
 
 def conformal_rank(flights: int, probability: float) -> int | None:
-    """The rank k of the number that the next flight's does not exceed with this probability; None: too few flights.
+    """Rank k whose number, the k-th smallest of n, bounds that of the next flight with a probability.
 
     Args:
-        flights: n, number of flights.
-        probability: In (0, 1).
+        flights: Number n of flights so far.
+        probability: Least probability that the next number is at most the k-th smallest, in (0, 1).
+
+    Returns:
+        k, from 1 to n; None if n flights are too few.
 
     Example:
         >>> conformal_rank(19, 0.95), conformal_rank(18, 0.95)
@@ -42,12 +46,12 @@ def conformal_rank(flights: int, probability: float) -> int | None:
 
 
 def least_flights(probability: float) -> int:
-    """The fewest flights n of which the largest number bounds the next one's with this probability.
+    """Fewest flights whose largest number bounds that of the next flight with a probability.
 
-    The largest does so with a probability of n/(n + 1), so n is at least p/(1 - p).
+    The largest of n numbers does so with the probability n/(n + 1), so n must be at least p/(1 - p).
 
     Args:
-        probability: p, in (0, 1).
+        probability: Probability p, in (0, 1).
 
     Example:
         >>> least_flights(0.9)
@@ -57,19 +61,19 @@ def least_flights(probability: float) -> int:
 
 
 def line_rank(draws: int) -> int:
-    """The rank, from the largest on, of the draw beyond which :data:`BEYOND` of the draws lie at most."""
-    return math.floor(BEYOND * (draws + 1) + 1e-9)
+    """Rank k of the line: on average at most :data:`TAIL_SHARE` of the law lies beyond the k-th largest draw."""
+    return math.floor(TAIL_SHARE * (draws + 1) + ROUNDING)
 
 
 def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
-    """p-value of the test that the flights have the draws' law.
+    """P-value of the hypothesis that the flights have the law of the draws.
 
-    It is the probability that at least ``beyond`` of such flights exceed the draws' line. The line is the
-    :func:`line_rank`-th largest number of the draws.
+    It is the probability that at least so many flights lie beyond the line, the :func:`line_rank`-th largest number of
+    the draws.
 
     Args:
-        beyond: Flights beyond the line.
-        flights: Number of flights.
+        beyond: Number of flights beyond the line.
+        flights: Number of all flights.
         draws: Number of draws, at least :data:`FEWEST_DRAWS`.
 
     Raises:
@@ -78,16 +82,16 @@ def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
     rank = line_rank(draws)
     if rank < 1:
         raise ValueError(f"needs at least {FEWEST_DRAWS} draws, got {draws}")
-    return float(beyond_masses(flights, np.arange(beyond, flights + 1), draws).sum())
+    return float(count_probabilities(flights, np.arange(beyond, flights + 1), draws).sum())
 
 
-def beyond_masses(flights: ArrayLike, beyond: np.ndarray, draws: int) -> np.ndarray:
-    """The beta-binomial probability that of n flights x are beyond the draws' line; 0 for more than n of them.
+def count_probabilities(flights: ArrayLike, beyond: np.ndarray, draws: int) -> np.ndarray:
+    """Beta-binomial probability that exactly x of n flights lie beyond the line; 0 where x > n.
 
     Args:
-        flights: n.
-        beyond: x, shape (...); broadcasts with ``flights``.
-        draws: Number of draws.
+        flights: Number n of flights, any shape.
+        beyond: Number x of flights beyond the line, broadcastable.
+        draws: Number of draws that give the line.
     """
     rank = line_rank(draws)
     within = np.maximum(np.subtract(flights, beyond), 0)
@@ -102,17 +106,20 @@ def beyond_masses(flights: ArrayLike, beyond: np.ndarray, draws: int) -> np.ndar
 
 @lru_cache(maxsize=8)
 def beyond_tails(draws: int) -> np.ndarray:
-    """Probability that at least x of n flights are beyond the draws' line, for n = 1 .. and x = 0 ..; shape (n, x)."""
+    """Table of the probability that at least x of n flights lie beyond the line, shape (n, x).
+
+    The rows are n = 1 .. :data:`MOST_FLIGHTS`, the columns x = 0 .. :data:`MOST_FLIGHTS` + 1.
+    """
     flights = np.arange(1, MOST_FLIGHTS + 1)[:, None]
-    masses = beyond_masses(flights, np.arange(MOST_FLIGHTS + 2)[None], draws)
-    return np.cumsum(masses[:, ::-1], axis=1)[:, ::-1]
+    probabilities = count_probabilities(flights, np.arange(MOST_FLIGHTS + 2)[None], draws)
+    return np.cumsum(probabilities[:, ::-1], axis=1)[:, ::-1]
 
 
 def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) -> int | None:
-    """The fewest flights that refute the study, with this probability, if a share of all flights is beyond the line.
+    """Fewest flights whose test likely refutes the study, if too many flights lie beyond the line.
 
     Args:
-        share: Share of all flights that is beyond the line.
+        share: True share of all flights beyond the line.
         draws: Number of draws that give the line.
         confidence: Confidence of the test, and probability that it refutes.
 
@@ -122,26 +129,26 @@ def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) 
     flights = np.arange(1, MOST_FLIGHTS + 1)
     critical = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1)
     power = np.where(critical <= flights, special.bdtrc(critical - 1.0, flights, share), 0.0)
-    return fewest(power >= confidence)
+    return first_flights(power >= confidence)
 
 
 def flights_to_confirm(share: float, draws: int, confidence: float = CONFIDENCE) -> int | None:
-    """The fewest flights that show that less than a share is beyond the line, likely if the study is right.
+    """Fewest flights that likely bound the share of flights beyond the line, if the study is right.
 
     Args:
-        share: The share, above :data:`BEYOND`.
+        share: Upper bound to show, above :data:`TAIL_SHARE`.
         draws: Number of draws that give the line.
-        confidence: Confidence of the interval, and probability that it ends below the share.
+        confidence: Confidence of the interval of that share, and probability that it ends below the bound.
 
     Returns:
         None if :data:`MOST_FLIGHTS` do not suffice.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)
-    likely = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1) - 1  # no more with the confidence
-    high = clopper_pearson(np.minimum(likely, flights), flights, confidence)[:, 1]
-    return fewest(high <= share)
+    most_likely = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1) - 1
+    high = clopper_pearson(np.minimum(most_likely, flights), flights, confidence)[:, 1]
+    return first_flights(high <= share)
 
 
-def fewest(holds: np.ndarray) -> int | None:
-    """The smallest number of flights for which a condition holds; None if none does."""
-    return int(np.argmax(holds)) + 1 if holds.any() else None
+def first_flights(condition: np.ndarray) -> int | None:
+    """Smallest number n of flights whose condition, at index n - 1, is true; None if none is."""
+    return int(np.argmax(condition)) + 1 if condition.any() else None

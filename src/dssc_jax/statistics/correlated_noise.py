@@ -1,14 +1,15 @@
-"""Noise that is correlated in time, observed at any times: its likelihood, and least squares with it.
+"""Likelihood of noise that is correlated in time and observed at any times, and least squares under such noise.
 
-Noise of unit variance is white but for a share c of its variance, whose correlation over a lag tau is that of a
-first-order or of a second-order system driven by white noise, or which is the integral of a first-order one:
+Noise of unit variance is the sum of white noise and a correlated part with the share c of the variance. The correlated
+part is the output of a first-order or second-order system driven by white noise, or the integral of the former. Its
+correlation over a lag tau, or its equation, is
 
     exp(-tau/T)                                                                        first order
     exp(-zeta w) (cos(nu w) + zeta sin(nu w)/nu), w = tau/T, nu^2 = 1 - zeta^2         second order
     p' = v/T, T v' = -v + white noise, p = v = 0 before the first reading              drift
 
 All are Markov in their states, whose joint precision matrix over n times is banded. Likelihood and normal equations
-therefore take O(n) operations. At equal gaps the first order without a white part is an autoregression of order 1.
+therefore take O(n) operations.
 
 References:
     B. C. Kelly and others, "Flexible and scalable methods for quantifying stochastic variability", Astrophysical J. 788
@@ -23,40 +24,40 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-SHORT = 0.3  # share of a time constant: below, a quadrature, which does not cancel, gives a gap's process noise
+SHORT = 0.3  # gap in time constants below which the closed forms cancel; a quadrature or a series replaces them
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
-EQUAL_GAPS = 1e-9  # relative difference of gaps that are the same but for rounding
-RANK = 1e-10  # share of the largest eigenvalue: below, a combination of numbers does not show
+EQUAL_GAPS = 1e-9  # relative difference below which gaps count as equal
+RANK = 1e-10  # share of the largest eigenvalue below which a direction counts as undetermined
 
 
 class FirstOrder(NamedTuple):
-    """Correlation exp(-tau/T).
+    """Noise whose correlated part is the output of a first-order system: correlation exp(-tau/T).
 
     Args:
-        share: Share c of the variance that is correlated, 0 to below 1.
-        time: T [s].
+        share: Share c of the variance in the correlated part, in [0, 1).
+        time: Time constant T [s].
     """
 
     share: float
     time: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition of the state over gaps [s], and the variance that the gap adds; shape (n, 1, 1) each."""
+        """Transition matrices of the state over gaps [s], and the variances they add; shape (n, 1, 1) each."""
         w = (gaps / self.time)[:, None, None]
         return np.exp(-w), -np.expm1(-2.0 * w)
 
     def correlation(self, lags: np.ndarray) -> np.ndarray:
-        """Correlation of the correlated part over lags [s], of their shape."""
+        """Autocorrelation of the correlated part at lags [s], any shape."""
         return np.exp(-np.abs(lags) / self.time)
 
 
 class SecondOrder(NamedTuple):
-    """Correlation of a second-order system's output; the state is the output and T times its derivative.
+    """Noise whose correlated part is the output of a second-order system; its state is (output, T times its rate).
 
     Args:
-        share: Share c of the variance that is correlated, 0 to below 1.
-        time: T, one over the natural frequency [s].
-        damping: zeta, above 0 and below 1.
+        share: Share c of the variance in the correlated part, in [0, 1).
+        time: Reciprocal T of the natural frequency [s].
+        damping: Damping ratio zeta, in (0, 1).
     """
 
     share: float
@@ -64,7 +65,7 @@ class SecondOrder(NamedTuple):
     damping: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition of the state over gaps [s], and the covariance that the gap adds; shape (n, 2, 2) each."""
+        """Transition matrices of the state over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
         w = gaps / self.time
         transition = self.transition_over(w)
         covariance = np.eye(2) - transition @ transition.transpose(0, 2, 1)
@@ -77,32 +78,33 @@ class SecondOrder(NamedTuple):
         return transition, covariance
 
     def transition_over(self, w: np.ndarray) -> np.ndarray:
-        """Transition of the state over w time constants, shape (n, 2, 2)."""
+        """Transition matrices of the state over w time constants T, shape (n,) to (n, 2, 2)."""
         cosine, sine = self.oscillation(w)
         rows = [[cosine + self.damping * sine, sine], [-sine, cosine - self.damping * sine]]
         return np.array(rows).transpose(2, 0, 1)
 
     def oscillation(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu."""
+        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, shape (n,) each."""
         nu = math.sqrt((1.0 - self.damping) * (1.0 + self.damping))
         decay = np.exp(-self.damping * w)
         return decay * np.cos(nu * w), decay * w * np.sinc(nu * w / np.pi)
 
     def correlation(self, lags: np.ndarray) -> np.ndarray:
-        """Correlation of the correlated part over lags [s], of their shape."""
+        """Autocorrelation of the correlated part at lags [s], any shape."""
         cosine, sine = self.oscillation(np.abs(lags) / self.time)
         return cosine + self.damping * sine
 
 
 class Drift(NamedTuple):
-    """The integral of first-order noise, which starts at 0: what noise within a velocity loop makes of the position.
+    """Noise whose correlated part is the integral of first-order noise, which starts at 0.
 
-    Its variance grows with time; the mean over the span is 1. For a short T it is a random walk.
+    Noise inside a velocity loop drives the position like this. The variance grows with time, and its mean over the span
+    is 1. For a short T the drift is a random walk.
 
     Args:
-        share: Share c of the variance that drifts, 0 to below 1.
-        time: T, at most the span [s].
-        span: From the beginning to the last reading [s].
+        share: Share c of the variance in the drift, in [0, 1).
+        time: Time constant T of the first-order noise, at most the span [s].
+        span: Time from the start of the drift to the last reading [s].
     """
 
     share: float
@@ -110,15 +112,15 @@ class Drift(NamedTuple):
     span: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition of (p, v) over gaps [s], and the covariance that the gap adds; shape (n, 2, 2) each."""
+        """Transition matrices of the state (p, v) over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
         w = gaps / self.time
         decay = np.exp(-w)
         transition = np.zeros((len(w), 2, 2))
         transition[:, 0, 0] = 1.0
         transition[:, 0, 1] = -np.expm1(-w)
         transition[:, 1, 1] = decay
-        # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
-        position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
+        # v is driven by white noise of intensity 2: integrals of 2 (1 - exp(-s))^2 and so on over 0 < s < w
+        position = drift_variance(w)
         position_speed = np.expm1(-w) ** 2
         speed = -np.expm1(-2.0 * w)
         covariance = np.stack([np.stack([position, position_speed], -1), np.stack([position_speed, speed], -1)], -1)
@@ -128,24 +130,24 @@ class Drift(NamedTuple):
 
     @property
     def mean_square(self) -> float:
-        """The variance of the integral of v/T, averaged over the span; v has variance 1."""
+        """Mean over the span of the variance of p before it is scaled, where v has the variance 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
 
     def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
-        """Covariance of the correlated part at two times from the beginning [s], of their broadcast shape."""
-        early = np.minimum(first, second) / self.time
-        decay = np.exp(-early)
-        at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
+        """Covariance of the drift between two times since its start [s], of their broadcast shape."""
+        earlier = np.minimum(first, second) / self.time
         relaxation = -np.expm1(-np.abs(first - second) / self.time)
-        return (at + np.expm1(-early) ** 2 * relaxation) / self.mean_square
+        return (drift_variance(earlier) + np.expm1(-earlier) ** 2 * relaxation) / self.mean_square
 
 
-def small_drift(w: np.ndarray) -> np.ndarray:
-    """2 w - 3 + 4 exp(-w) - exp(-2 w) by its series, for small w."""
+def drift_variance(w: np.ndarray) -> np.ndarray:
+    """Variance 2 w - 3 + 4 exp(-w) - exp(-2 w) of an unscaled drift after w time constants; a series for small w."""
+    decay = np.exp(-w)
     coefficients = [2.0 / 3.0, -1.0 / 2.0, 7.0 / 30.0, -1.0 / 12.0, 31.0 / 1260.0, -1.0 / 160.0]
-    return w**3 * np.polynomial.polynomial.polyval(w, coefficients)
+    series = w**3 * np.polynomial.polynomial.polyval(w, coefficients)
+    return np.where(w < SHORT, series, 2.0 * w - 3.0 + 4.0 * decay - decay**2)
 
 
 WHITE = FirstOrder(0.0, 1.0)
@@ -153,29 +155,30 @@ Noise = FirstOrder | SecondOrder | Drift
 
 
 def correlation_time(noise: Noise) -> float:
-    """The smallest lag at which the correlated part's correlation is 1/e [s]; 0 for white noise.
+    """Smallest lag at which the autocorrelation of the correlated part falls to 1/e [s]; 0 for white noise.
 
-    Of a drift it is that with its last value.
+    A drift is not stationary: its lag counts back from the last reading.
     """
     if noise.share == 0.0:
         return 0.0
     if isinstance(noise, Drift):
-        ago = np.linspace(0.0, noise.span, 2001)[:-1]
-        times = noise.span - ago
+        lags = np.linspace(0.0, noise.span, 2001)[:-1]
+        times = noise.span - lags
         sizes = np.sqrt(noise.covariance(times, times) * noise.covariance(noise.span, noise.span))
-        return float(ago[np.argmax(noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes)])
+        has_decayed = noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes
+        return float(lags[np.argmax(has_decayed)])
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
     has_decayed = noise.correlation(lags) <= math.exp(-1.0)
     return float(lags[np.argmax(has_decayed)])
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
-    """Number of independent samples that determine the noise's variance as precisely as the samples at ``times``.
+    """Effective sample size: independent samples that would give the noise's variance as precisely as these n.
 
     Args:
-        noise: The noise.
+        noise: Noise of unit variance.
         times: Times of observation [s], shape (n,).
-        limit: Largest number of observations to use, evenly chosen; all others count in proportion.
+        limit: Largest number of columns of the covariance matrix to compute; evenly spaced ones stand for all.
     """
     if noise.share == 0.0 or len(times) < 2:
         return float(len(times))
@@ -193,15 +196,19 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     return float((variance + white).sum() * (sampled_variance + white).sum() / squares)
 
 
-def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Joint precision matrix of the states at the times, for noise of unit variance.
+def precision_matrix(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Precision matrix of the states of the correlated part at all times together, for a variance of 1.
 
     A drift starts at 0 one median gap before the first time.
 
+    Args:
+        noise: The noise; its share does not matter.
+        times: Times of observation, rising [s], shape (n,).
+
     Returns:
-        - The lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
-        - The logarithm of its determinant.
-        - p, the length of a state.
+        - Lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
+        - Logarithm of its determinant.
+        - Length p of a state.
     """
     gaps = np.diff(times)
     median_gap = np.array([np.median(gaps)])
@@ -223,11 +230,11 @@ def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
 
 
 def lower_bands(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Lower bands, as SciPy stores them, of a symmetric block-tridiagonal matrix; shape (2 p, n p).
+    """Lower bands of a symmetric block-tridiagonal matrix, as SciPy stores them, shape (2 p, n p).
 
     Args:
-        diagonal: The blocks on the diagonal, shape (n, p, p).
-        below: The blocks below it, shape (n - 1, p, p); (1, p, p) if all are the same.
+        diagonal: Blocks on the diagonal, shape (n, p, p).
+        below: Blocks below the diagonal, shape (n - 1, p, p); (1, p, p) if all are equal.
     """
     count, size, _ = diagonal.shape
     bands = np.zeros((2 * size, count, size))
@@ -240,21 +247,21 @@ def lower_bands(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, float]:
-    """Columns' products, weighted by the inverse of the noise's covariance S of unit variance.
+    """Products C' S^-1 C of columns C, weighted by the covariance S of the noise.
 
     Args:
-        noise: The noise.
+        noise: Noise of unit variance.
         times: Times of observation, rising [s], shape (n,).
-        columns: Shape (n, m).
+        columns: Matrix C, shape (n, m).
 
     Returns:
-        columns' S^-1 columns, shape (m, m), and log det S.
+        The products, shape (m, m), and log det S.
     """
     plain = columns.T @ columns
     if noise.share == 0.0:
         return plain, 0.0
     white = 1.0 - noise.share
-    bands, log_det_precision, size = precision(noise, times)
+    bands, log_det_precision, size = precision_matrix(noise, times)
     bands *= white / noise.share
     bands[0, ::size] += 1.0
     factor = cholesky_banded(bands, lower=True, check_finite=False)
@@ -266,14 +273,15 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
 
 
 class NoiseFit(NamedTuple):
-    """How well a noise explains a channel's residual, and what that tells of the fitted numbers.
+    """Generalised least squares of a channel's residual under one kind of noise.
 
     Args:
-        log_likelihood: Logarithm of the restricted likelihood: the fitted numbers and the noise's variance are
-            integrated out.
-        variance: Variance of the noise.
+        log_likelihood: Logarithm of the restricted likelihood, in which the p fitted numbers and the variance of the
+            noise are integrated out.
+        variance: Estimated variance of the noise.
         information: Information matrix of the fitted numbers, shape (p, p).
-        gradient: Information matrix times the best change of the fitted numbers, shape (p,).
+        gradient: Right-hand side of the normal equations: the information matrix times the best change of the fitted
+            numbers, shape (p,).
     """
 
     log_likelihood: float
@@ -283,17 +291,17 @@ class NoiseFit(NamedTuple):
 
 
 def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> NoiseFit:
-    """The restricted likelihood of a residual's noise, and the least squares with it.
+    """Restricted likelihood of a residual under a noise, and the normal equations of its least squares.
 
-    The numbers and the noise's variance are integrated out, with a flat law of the numbers and of the variance's
-    logarithm. A combination of the numbers on which the residual does not depend is left out. The variance is its
-    posterior mean.
+    The fitted numbers and the variance of the noise are integrated out, with flat priors of the numbers and of the
+    logarithm of the variance. Directions in which the residual does not depend on the numbers are left out. The
+    variance is its posterior mean.
 
     Args:
-        noise: The noise; its variance is estimated.
+        noise: Correlation of the noise; its variance is estimated.
         times: Times of observation, rising [s], shape (n,).
-        columns: The residual, and the slopes of the prediction by each of p numbers, shape (n, 1 + p).
-        floor: Least variance.
+        columns: Residual, and derivatives of the prediction by each of p numbers, shape (n, 1 + p).
+        floor: Lower limit of the variance.
     """
     products, log_det = weighted_products(noise, times, columns)
     information = products[1:, 1:]

@@ -1,4 +1,4 @@
-"""The worst failure probability over all laws within a distance of the assumed one, and the distance a limit allows.
+"""Worst failure probability over all laws within a divergence of the assumed law, and the divergence a limit allows.
 
 Let P be the assumed law of a draw, Q the true one, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
 grows when a draw is reduced to "fails or not": D(Ber(q), Ber(p)) <= D(Q, P). A law whose density relative to P is q/p
@@ -29,18 +29,18 @@ HALVINGS = 80  # halvings of [p, 1]: the last digit of any probability above 1e-
 
 @dataclass(frozen=True)
 class DivergenceBall(ABC):
-    """All laws within a divergence of the assumed one."""
+    """The laws within a radius of the assumed law, measured by a divergence."""
 
     title: ClassVar[str]
     """Name of the divergence in words."""
 
     @abstractmethod
     def divergence(self, q: float, p: float) -> float:
-        """D(Ber(q), Ber(p)): the least divergence of a law with failure probability q from one with p."""
+        """Least divergence D(Ber(q), Ber(p)) of a law with failure probability q from one with p."""
 
     @abstractmethod
     def worst(self, p: float, radius: float) -> float:
-        """The largest failure probability of a law within the radius.
+        """Largest failure probability of any law within the radius.
 
         Args:
             p: Failure probability of the assumed law, in [0, 1].
@@ -51,23 +51,31 @@ class DivergenceBall(ABC):
         """
 
     def best(self, p: float, radius: float) -> float:
-        """The smallest failure probability of a law within the radius; arguments as of :meth:`worst`."""
+        """Smallest failure probability of any law within the radius; arguments as of :meth:`worst`."""
         return 1.0 - self.worst(1.0 - p, radius)
 
     def interval(self, interval: tuple[float, float], radius: float) -> tuple[float, float]:
-        """An interval of the true failure probability, from one of the assumed law's with the same confidence."""
+        """Interval of the failure probability of any law within the radius.
+
+        Args:
+            interval: Confidence interval of the failure probability of the assumed law.
+            radius: Largest divergence, >= 0.
+
+        Returns:
+            Lower and upper limit, with the confidence of ``interval``.
+        """
         low, high = interval
         return self.best(low, radius), self.worst(high, radius)
 
     def largest_radius(self, p: float, limit: float) -> float:
-        """The radius within which no law has a failure probability above the limit.
+        """Largest radius within which no law has a failure probability above the limit.
 
         Args:
             p: Failure probability of the assumed law, in [0, 1]; its upper limit gives a lower limit of the radius.
             limit: Largest failure probability allowed, in (0, 1).
 
         Returns:
-            0 if p is at the limit or above; infinity if p is 0 and every law within any radius agrees with it.
+            0 if p is at the limit or above. Infinity if p is 0 and remains 0 under every law within a finite radius.
 
         Raises:
             ValueError: An argument is out of range.
@@ -83,16 +91,16 @@ class DivergenceBall(ABC):
 
 
 class TotalVariation(DivergenceBall):
-    """Total variation: the largest difference between the probabilities that the two laws give to one set."""
+    """Total variation: the largest difference between the probabilities of an event under the two laws."""
 
     title = "total variation"
 
     def divergence(self, q: float, p: float) -> float:
-        """|q - p|."""
+        """Total variation |q - p| between the outcomes, fails or not."""
         return abs(q - p)
 
     def worst(self, p: float, radius: float) -> float:
-        """min(1, p + r)."""
+        """Largest failure probability min(1, p + r) within the radius r."""
         require_ball(p, radius)
         return min(1.0, p + radius)
 
@@ -103,11 +111,11 @@ class KullbackLeibler(DivergenceBall):
     title = "Kullback-Leibler divergence"
 
     def divergence(self, q: float, p: float) -> float:
-        """q ln(q/p) + (1-q) ln((1-q)/(1-p))."""
+        """Divergence q ln(q/p) + (1-q) ln((1-q)/(1-p)) between the outcomes, fails or not [nat]."""
         return float(special.rel_entr(q, p) + special.rel_entr(1.0 - q, 1.0 - p))
 
     def worst(self, p: float, radius: float) -> float:
-        """The root q >= p of the divergence at the radius."""
+        """Largest failure probability q within the radius, where the divergence equals the radius; by bisection."""
         require_ball(p, radius)
         if p in (0.0, 1.0) or radius == 0.0:
             return p
@@ -123,13 +131,13 @@ class ChiSquare(DivergenceBall):
     title = "chi-square divergence"
 
     def divergence(self, q: float, p: float) -> float:
-        """(q - p)^2 / (p (1 - p))."""
+        """Divergence (q - p)^2 / (p (1 - p)) between the outcomes, fails or not."""
         if q == p:
             return 0.0
         return (q - p) ** 2 / (p * (1.0 - p)) if 0.0 < p < 1.0 else math.inf
 
     def worst(self, p: float, radius: float) -> float:
-        """min(1, p + sqrt(r p (1 - p)))."""
+        """Largest failure probability min(1, p + sqrt(r p (1 - p))) within the radius r."""
         require_ball(p, radius)
         return min(1.0, p + math.sqrt(radius * p * (1.0 - p)))
 
@@ -139,14 +147,14 @@ BALLS: dict[str, DivergenceBall] = {
     "kl": KullbackLeibler(),
     "chi_square": ChiSquare(),
 }
-"""The divergences by the names that commands use."""
+"""Each divergence by its name in commands and results."""
 
 
 def require_probability(**probabilities: float) -> None:
-    """Require that each lies in [0, 1].
+    """Require that each probability lies in [0, 1].
 
     Raises:
-        ValueError: one does not.
+        ValueError: One does not.
     """
     for name, value in probabilities.items():
         if not 0.0 <= value <= 1.0:
@@ -157,7 +165,7 @@ def require_ball(p: float, radius: float) -> None:
     """Require a probability in [0, 1] and a radius >= 0.
 
     Raises:
-        ValueError: one is out of range.
+        ValueError: One is out of range.
     """
     require_probability(p=p)
     if not radius >= 0.0:

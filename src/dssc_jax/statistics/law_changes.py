@@ -1,7 +1,7 @@
-"""Changes of the scores' law, and the density of the changed law relative to that of the draws.
+"""Changes of the law of the scores, and the density of the changed law relative to the law of the draws.
 
-The score of a number is the standard normal quantile at the level of its value. Together the scores of the draws have
-the law N(0, R), with the correlations R of the Gaussian copula. A change has one amount for each number.
+The score of a number is the standard normal quantile at the level of its value. Together the scores of a draw have the
+law N(0, R), with the correlation matrix R of the Gaussian copula. A change has one amount for each number.
 """
 
 import math
@@ -17,29 +17,29 @@ class Change(ABC):
     """A family of changed laws of the scores.
 
     Args:
-        precision: The inverse of the correlation matrix R, shape (numbers, numbers).
+        precision: Inverse of the correlation matrix R, shape (numbers, numbers).
     """
 
     precision: np.ndarray
 
     name: ClassVar[str]
-    """Name of the change in answers."""
+    """Name of the family in answers."""
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """The size as answers state it: a shift in standard deviations, or a relative width."""
+        """Size in the unit of answers: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:
-        """The range of each number's amount in a change of at most this size."""
+        """Least and greatest amount of each number in a change of at most this size."""
 
     @abstractmethod
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of the changed density relative to that of the draws.
+        """Logarithm of each draw's importance weight: its changed density relative to the unchanged one.
 
         Args:
-            amounts: One for each number, shape (numbers,).
-            scores: Shape (n, numbers).
+            amounts: Amount of the change of each number, shape (numbers,).
+            scores: Scores of the draws, shape (n, numbers).
 
         Returns:
             Shape (n,).
@@ -47,11 +47,11 @@ class Change(ABC):
 
     @abstractmethod
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """Mean of the derivatives of :meth:`log_weights` with respect to the amounts.
+        """Weighted mean over the draws of the gradient of :meth:`log_weights` in the amounts.
 
         Args:
-            amounts: Shape (numbers,).
-            scores: Shape (n, numbers).
+            amounts: Amount of the change of each number, shape (numbers,).
+            scores: Scores of the draws, shape (n, numbers).
             shares: Share of each draw in the mean, with the sum 1, shape (n,).
 
         Returns:
@@ -60,85 +60,85 @@ class Change(ABC):
 
     @abstractmethod
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """Logarithm of the mean of the squared weights over the draws' law; infinite where that mean is."""
+        """Logarithm of the mean squared weight under the unchanged law; infinite if that mean is infinite."""
 
     @abstractmethod
-    def corner(self, size: float, free: np.ndarray) -> float:
-        """The largest :meth:`log_second_moment` of a change of at most this size of the free numbers, or more.
+    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
+        """Upper bound of :meth:`log_second_moment` over all changes of at most this size.
 
         Args:
-            size: The size.
-            free: Which numbers are changed, shape (numbers,).
+            size: Largest amount.
+            free: Which numbers change, bool of shape (numbers,).
         """
 
     @abstractmethod
-    def changed(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Scores of the changed law from those of the draws' law, shape (n, numbers)."""
+    def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
+        """Map scores of the unchanged law to scores of the changed law, both of shape (n, numbers)."""
 
 
 @dataclass(frozen=True)
 class Shift(Change):
-    """Every mean is shifted: the law is N(d, R), with the amounts d in standard deviations.
+    """Shifted means: the law N(d, R), with the amounts d in standard deviations.
 
-    ln w(c) = c' R^-1 d - d' R^-1 d / 2.
+    The weight w of scores c has the logarithm c' R^-1 d - d' R^-1 d / 2.
     """
 
     name = "mean_shift"
 
     def amount(self, size: float) -> float:
-        """The size, in standard deviations."""
+        """Largest shift of a mean, in standard deviations."""
         return size
 
     def limits(self, size: float) -> tuple[float, float]:
-        """Up or down."""
+        """A mean may move up or down by the size."""
         return -size, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Logarithm of each draw's importance weight, shape (n,)."""
         weighted_amounts = self.precision @ amounts
         return scores @ weighted_amounts - 0.5 * amounts @ weighted_amounts
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Weighted mean of the gradient R^-1 (c - d) in the amounts, shape (numbers,)."""
         return (shares @ scores - amounts) @ self.precision
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """The logarithm d' R^-1 d."""
+        """The value d' R^-1 d."""
         return float(amounts @ self.precision @ amounts)
 
-    def corner(self, size: float, free: np.ndarray) -> float:
-        """The sum over all |R^-1| of the free numbers, times the squared size: exact without correlations."""
+    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
+        """Squared size times the sum of all |R^-1| of the free numbers; attained without correlations."""
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 
-    def changed(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+    def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
+        """Add the amounts to the scores."""
         return scores + amounts
 
 
 @dataclass(frozen=True)
 class Widening(Change):
-    """Every width is multiplied: the law is N(0, D R D) with D = diag(exp(amounts)).
+    """Multiplied widths: the law N(0, D R D) with D = diag(exp(amounts)).
 
-    With y = D^-1 c: ln w(c) = -sum(amounts) - (y' R^-1 y - c' R^-1 c) / 2.
+    The weight w of scores c has the logarithm -sum(amounts) - (y' R^-1 y - c' R^-1 c) / 2, where y = D^-1 c.
     """
 
     name = "widening"
 
     def amount(self, size: float) -> float:
-        """The relative width exp(size)."""
+        """Largest relative width exp(size)."""
         return math.exp(size)
 
     def limits(self, size: float) -> tuple[float, float]:
-        """Wider, never narrower."""
+        """A law may become wider, never narrower."""
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Logarithm of each draw's importance weight, shape (n,)."""
         shrunk = scores * np.exp(-amounts)
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+        """Weighted mean of the gradient in the amounts, diag(y) R^-1 y - 1 with y = D^-1 c, shape (numbers,)."""
         shrunk = scores * np.exp(-amounts)
         moments = (shrunk * shares[:, None]).T @ shrunk
         return np.sum(self.precision * moments, axis=1) - 1.0
@@ -149,19 +149,17 @@ class Widening(Change):
         moment_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
         if np.linalg.eigvalsh(moment_precision)[0] <= 0.0:
             return np.inf
-        return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(moment_precision)[1] - self._log_determinant()))
+        log_determinant_ratio = np.linalg.slogdet(moment_precision)[1] - np.linalg.slogdet(self.precision)[1]
+        return float(-2.0 * amounts.sum() - 0.5 * log_determinant_ratio)
 
-    def corner(self, size: float, free: np.ndarray) -> float:
-        """The logarithm for the same widening of all free numbers."""
+    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
+        """The value at the largest widening of all free numbers."""
         return self.log_second_moment(size * free)
 
-    def changed(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """See :class:`Change`."""
+    def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
+        """Multiply the scores by the relative widths exp(amounts)."""
         return scores * np.exp(amounts)
 
     def _squares(self, scores: np.ndarray) -> np.ndarray:
-        """c' R^-1 c of each row."""
+        """Quadratic form c' R^-1 c of each row c, shape (n,)."""
         return np.einsum("ni,ni->n", scores @ self.precision, scores)
-
-    def _log_determinant(self) -> float:
-        return float(np.linalg.slogdet(self.precision)[1])

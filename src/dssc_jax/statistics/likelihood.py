@@ -1,8 +1,8 @@
-"""How likely a draw is, from its standard normal scores.
+"""Likelihood of a draw, from its standard normal scores.
 
-The score of a value is the standard normal quantile at the value's level, so scores have the standard normal law
-whatever the laws of the numbers; those of correlated numbers are made independent. The draws within distance k of the
-median draw are the region of highest density of the scores, hence their smallest region with its probability.
+The score of a value is the standard normal quantile at the level of the value in its law. So scores have the standard
+normal law, whatever the laws of the numbers; those of correlated numbers are made independent. The draws within a
+distance k of the median draw form the smallest region of the scores with its probability.
 """
 
 from typing import NamedTuple
@@ -12,10 +12,10 @@ from scipy import special
 
 
 class Likelihood(NamedTuple):
-    """How likely a draw is.
+    """Likelihood of a draw, by the distance of its scores from the most likely draw.
 
     Args:
-        distance: Distance k of its independent standard normal scores from their mode; a draw lies "at k sigma".
+        distance: Euclidean norm k of the independent standard normal scores; the draw lies "at k sigma".
         numbers: Number of uncertain numbers.
     """
 
@@ -24,20 +24,20 @@ class Likelihood(NamedTuple):
 
     @property
     def log_density(self) -> float:
-        """Logarithm of the scores' density, relative to that at the mode: -k^2/2."""
+        """Logarithm -k^2/2 of the density of the scores, relative to the density at the mode."""
         return -0.5 * self.distance**2
 
     @property
     def mass(self) -> float:
-        """Probability that a draw lies at most this far from the mode."""
+        """Probability that another draw lies at most as far from the mode."""
         return float(mass_within(self.distance, self.numbers))
 
 
 def mass_within(distance: np.ndarray | float, numbers: int) -> np.ndarray:
-    """Probability that independent standard normal scores lie within a distance of 0: the law chi^2 at its square."""
+    """Probability that independent standard normal scores have a norm of at most a distance (chi-square law)."""
     return special.gammainc(0.5 * numbers, 0.5 * np.square(distance))
 
 
 def distance_of_mass(mass: float, numbers: int) -> float:
-    """The distance within which independent standard normal scores lie with probability ``mass``."""
+    """Distance that the norm of independent standard normal scores does not exceed with probability ``mass``."""
     return float(np.sqrt(2.0 * special.gammaincinv(0.5 * numbers, mass)))

@@ -1,12 +1,12 @@
-"""The worst failure probability when the scores of the draws are moved or widened, whatever set of draws fails.
+"""Worst probability of a set of scores when their normal law is moved or widened, over all sets of one probability.
 
-The scores of a draw have the standard normal law. Let the true law of the scores be N(d, I), at distance s = |d|. Of
-all sets of probability p, the one whose probability grows most is the half space in direction d (Neyman and Pearson):
-it grows to Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with k >= 1, the set that grows most is the
-outside of a ball. These bounds hold whatever set of draws fails and are attained by these sets.
+The scores of a draw have the standard normal law, and the set is that of the failing draws. Let the true law of the
+scores be N(d, I), at the distance s = |d|. Of all sets of probability p, the half space in direction d gains most
+(Neyman and Pearson): its probability becomes Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with
+k >= 1, the outside of a ball gains most. So the bounds hold for any set, and these sets attain them.
 
-A law with a smaller distance, or with widths between 1 and k, is what noise leaves of the law with the distance s or
-the width k, so that its worst case is smaller.
+A smaller distance, or widths between 1 and k, cannot be worse. The same rescaling with added noise turns N(0, I) into
+itself and the law with s or k into the milder one, and no processing makes two laws easier to tell apart.
 
 References:
     J. Neyman, E. S. Pearson, Philosophical Transactions A 231 (1933) 289-337.
@@ -22,22 +22,22 @@ from dssc_jax.statistics.divergence_balls import require_probability
 
 
 def worst_when_moved(p: float, distance: float) -> float:
-    """Phi(Phi^-1(p) + s): the largest probability of a set of probability p once the scores are moved by s.
+    """Largest probability Phi(Phi^-1(p) + s) of a set once the mean of the scores is moved by s.
 
     Args:
-        p: Probability of the set, in [0, 1].
-        distance: s, the Euclidean length of the move; negative: the smallest probability.
+        p: Probability of the set before the move, in [0, 1].
+        distance: Euclidean length s of the move; if negative, the result is the smallest probability for the length -s.
     """
     require_probability(p=p)
     return float(special.ndtr(special.ndtri(p) + distance))
 
 
 def largest_distance(p: float, limit: float) -> float:
-    """The distance up to which no set of probability p can become more probable than the limit.
+    """Largest distance of a move under which a set of probability p cannot exceed a limit.
 
     Args:
-        p: Probability of the set, in [0, 1].
-        limit: In (0, 1).
+        p: Probability of the set before the move, in [0, 1].
+        limit: Largest probability allowed, in (0, 1).
 
     Returns:
         0 if p is above the limit; infinity if p is 0.
@@ -51,12 +51,12 @@ def largest_distance(p: float, limit: float) -> float:
 
 
 def worst_when_widened(p: float, width: float, numbers: int) -> float:
-    """The largest probability of a set of probability p once the widths of all scores are multiplied.
+    """Largest probability of a set once the width of each score is multiplied by at most k.
 
     Args:
-        p: Probability of the set, in [0, 1].
-        width: k >= 1, the largest relative width of each score.
-        numbers: n >= 1, number of scores that are widened.
+        p: Probability of the set before the widening, in [0, 1].
+        width: Largest relative width k, >= 1.
+        numbers: Number n of widened scores, >= 1.
 
     Raises:
         ValueError: The width is below 1.
@@ -69,7 +69,12 @@ def worst_when_widened(p: float, width: float, numbers: int) -> float:
 
 
 def largest_width(p: float, limit: float, numbers: int) -> float:
-    """The relative width of all scores up to which no set of probability p becomes more probable than the limit.
+    """Largest relative width of the scores at which a set of probability p cannot exceed a limit.
+
+    Args:
+        p: Probability of the set before the widening, in [0, 1].
+        limit: Largest probability allowed, in (0, 1).
+        numbers: Number n of widened scores, >= 1.
 
     Returns:
         1 if p is above the limit; infinity if p is 0.

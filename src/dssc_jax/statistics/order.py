@@ -11,7 +11,10 @@ from dssc_jax.statistics.proportions import CONFIDENCE, require_share
 
 
 def binomial_quantile(level: float, draws: int, probability: float) -> int:
-    """The smallest k at which the distribution function of Bin(draws, probability) reaches ``level``."""
+    """Smallest k at which the distribution function of Bin(draws, probability) reaches ``level``.
+
+    SciPy's inverse may be off by one through rounding, so the result is corrected by the distribution function itself.
+    """
     k = max(0, int(np.ceil(special.bdtrik(level, draws, probability))))
     while k > 0 and special.bdtr(k - 1, draws, probability) >= level:
         k -= 1
@@ -20,68 +23,73 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
     return k
 
 
-def first(holds: Callable[[int], bool], start: int = 1) -> int:
-    """The smallest integer, at least ``start``, for which a condition holds; it must hold for all larger ones."""
-    if holds(start):
+def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
+    """Smallest integer from ``start`` on that meets a condition; all larger ones must meet it too.
+
+    Steps that double find an integer that meets the condition, and bisection finds the first one.
+    """
+    if condition(start):
         return start
     step = 1
-    while not holds(start + step):
+    while not condition(start + step):
         step *= 2
-    failing = start + step // 2
-    holding = start + step
-    while holding - failing > 1:
-        middle = (failing + holding) // 2
-        if holds(middle):
-            holding = middle
+    low = start + step // 2
+    high = start + step
+    while high - low > 1:
+        middle = (low + high) // 2
+        if condition(middle):
+            high = middle
         else:
-            failing = middle
-    return holding
+            low = middle
+    return high
 
 
-def ranked(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
-    """Values in ascending order along the last axis; a draw without a value (NaN) counts as ``missing``."""
+def sorted_draws(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
+    """Values in ascending order along the last axis (of the draws); ``missing`` replaces NaN."""
     return np.sort(np.where(np.isnan(values), missing, values))
 
 
 def at_rank(sorted_values: np.ndarray, rank: int) -> np.ndarray:
-    """The order statistic X_(rank) along the last axis, counted from 1; infinite beyond the number of draws."""
+    """Order statistic X_(rank) along the last axis, with ranks from 1; infinite if the rank is out of range."""
     if 1 <= rank <= sorted_values.shape[-1]:
         return sorted_values[..., rank - 1]
     return np.full(sorted_values.shape[:-1], -np.inf if rank < 1 else np.inf)
 
 
 def upper_quantile(sorted_values: np.ndarray, level: float) -> np.ndarray:
-    """The smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
+    """Smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
 
-    An order statistic: a finite value is never averaged with an infinite one.
+    It is an order statistic, so a finite value is never averaged with an infinite one.
 
     Args:
-        sorted_values: The draws as :func:`ranked` returns them.
-        level: In [0, 1].
+        sorted_values: Values from :func:`sorted_draws`.
+        level: Level of the quantile, in [0, 1].
     """
     return at_rank(sorted_values, max(1, math.ceil(level * sorted_values.shape[-1])))
 
 
 def upper_quantiles(values: np.ndarray, levels: Sequence[float], missing: float = np.inf) -> np.ndarray:
-    """Quantiles along the last axis, in which a draw without a value counts as ``missing``, shape (levels, ...)."""
-    sorted_values = ranked(values, missing)
+    """Values of :func:`upper_quantile` at several levels, shape (levels, ...); ``missing`` replaces NaN."""
+    sorted_values = sorted_draws(values, missing)
     return np.stack([upper_quantile(sorted_values, level) for level in levels])
 
 
 @lru_cache
 def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> tuple[int, int]:
-    """Ranks r, s of the order statistics that enclose a quantile: P(B < r) <= a/2 and P(B >= s) <= a/2, B ~ Bin(n, p).
+    """Ranks r and s of the order statistics that enclose a quantile of any law.
+
+    With B ~ Bin(n, p), they satisfy P(B < r) <= a/2 and P(B >= s) <= a/2.
 
     Args:
-        draws: n >= 1.
-        level: p of the quantile, in (0, 1).
-        confidence: 1 - a, in (0, 1).
+        draws: Number n of draws, >= 1.
+        level: Level p of the quantile, in (0, 1).
+        confidence: Coverage 1 - a, in (0, 1).
 
     Returns:
         r in 0 .. n and s in 1 .. n + 1; 0 and n + 1 stand for infinite ends.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Reference:
         H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed. (2003), section 7.1.
@@ -94,48 +102,56 @@ def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> 
 
 
 def quantile_interval(values: np.ndarray, level: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Two order statistics that enclose a quantile of any law.
+    """Interval of a quantile of any law, between two order statistics.
 
     Args:
         values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
-        level: p of the quantile, in (0, 1).
+        level: Level p of the quantile, in (0, 1).
         confidence: Nominal coverage, in (0, 1); the actual coverage is at least this.
 
     Returns:
         Lower and upper end; infinite if n draws are too few.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Example:
         >>> quantile_interval(np.arange(1.0, 101.0), 0.5)
         (40.0, 61.0)
     """
     low, high = quantile_ranks(len(values), level, confidence)
-    sorted_values = ranked(values)
+    sorted_values = sorted_draws(values)
     return float(at_rank(sorted_values, low)), float(at_rank(sorted_values, high))
 
 
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
-    """Confidence that order statistics of ``draws`` draws leave at most 1 - ``content`` of the law outside.
+    """Confidence that tolerance limits from order statistics contain at least the share ``content`` of the law.
 
-    One side: the k-th largest (or smallest); two sides: both k-th extremes. It is 1 - sum_i C(n, i) (1-p)^i p^(n-i)
-    over i < k sides.
+    The limit is the k-th largest (or smallest) of n draws for one side, and both k-th extremes for two sides. The
+    confidence is 1 - sum_i C(n, i) (1-p)^i p^(n-i) over i < k sides.
+
+    Args:
+        draws: Number n of draws.
+        content: Share p of the law within the limits, in (0, 1).
+        order: Order k of the extremes.
+        sides: 1 or 2.
     """
-    return float(special.bdtrc(order * sides - 1, draws, 1.0 - content)) if draws >= order * sides else 0.0
+    if draws < order * sides:
+        return 0.0
+    return float(special.bdtrc(order * sides - 1, draws, 1.0 - content))
 
 
 def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, sides: int = 1) -> int:
     """Smallest number of draws of which the k-th smallest and largest values are tolerance limits.
 
     Args:
-        content: p, the share of the law within the limits, in (0, 1).
+        content: Share p of the law within the limits, in (0, 1).
         confidence: Confidence level, in (0, 1).
-        order: k >= 1; a higher order needs more draws and gives a limit that scatters less.
+        order: Order k >= 1; a higher order needs more draws and gives a limit that scatters less.
         sides: 1 for a lower or an upper limit, 2 for both at once.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Example:
         >>> [wilks_draws(0.95, order=k) for k in (1, 2, 3)], wilks_draws(0.95, sides=2)
@@ -147,11 +163,14 @@ def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, 
     require_share(content=content, confidence=confidence)
     if order < 1 or sides not in (1, 2):
         raise ValueError(f"needs order >= 1 and sides 1 or 2, got {order} and {sides}")
-    return first(lambda draws: wilks_confidence(draws, content, order, sides) >= confidence)
+    return first_integer(lambda draws: wilks_confidence(draws, content, order, sides) >= confidence)
 
 
 def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, sides: int = 1) -> int:
-    """The highest order k whose extremes are tolerance limits for this number of draws; 0: too few draws."""
+    """Highest order k whose extremes of n draws are tolerance limits; 0 if n is too small.
+
+    Arguments as of :func:`wilks_draws`.
+    """
     require_share(content=content, confidence=confidence)
     order = binomial_quantile(1.0 - confidence, draws, 1.0 - content) // sides + 1
     while order > 0 and wilks_confidence(draws, content, order, sides) < confidence:
@@ -162,7 +181,7 @@ def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, side
 def tolerance_limits(
     values: np.ndarray, content: float, confidence: float = CONFIDENCE, side: str = "both"
 ) -> tuple[float, float]:
-    """Tolerance limits that contain at least ``content`` of any law, with the given confidence.
+    """Tolerance limits that contain at least the share ``content`` of any law with the stated confidence.
 
     Args:
         values: Independent, identically distributed draws, shape (n,); NaN counts as +inf.
@@ -174,7 +193,7 @@ def tolerance_limits(
         Lower and upper limit; infinite if n draws are too few.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Example:
         >>> tolerance_limits(np.arange(1.0, 94.0), 0.95, side="upper")
@@ -183,13 +202,13 @@ def tolerance_limits(
     if side not in ("lower", "upper", "both"):
         raise ValueError(f"side must be lower, upper or both, got '{side}'")
     order = wilks_order(len(values), content, confidence, sides=2 if side == "both" else 1)
-    sorted_values = ranked(values)
+    sorted_values = sorted_draws(values)
     low = float(at_rank(sorted_values, order)) if order and side != "upper" else -np.inf
     high = float(at_rank(sorted_values, len(values) + 1 - order)) if order and side != "lower" else np.inf
     return low, high
 
 
 def typical_size(values: np.ndarray) -> float:
-    """The median magnitude of the finite values; the smallest normal number if there are none."""
+    """Median magnitude of the finite values, at least the smallest normal number so that it can divide."""
     finite = np.abs(values[np.isfinite(values)])
     return max(float(np.median(finite)) if finite.size else 0.0, np.finfo(float).tiny)

@@ -10,20 +10,20 @@ from dssc_jax.statistics.order import quantile_interval
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
 STAKES = np.geomspace(0.003, 0.97, 16)
-"""Shares of the largest stake, of bets that are mixed evenly."""
-DISCORDANCE = 0.2  # share of the error spent on how often the two differ; the rest goes to which of them fails
+"""Stakes of the bets, as shares of the largest possible stake."""
+DISCORDANCE = 0.2  # share of the error for how often the two systems differ; the rest is for which of them fails
 
 
 class FailureDifference(NamedTuple):
-    """Failure probability of a minus that of b.
+    """Estimated difference of two failure probabilities, that of a minus that of b, on the same draws.
 
     Args:
-        only_a: Draws on which a alone failed.
-        only_b: Draws on which b alone failed.
-        draws: All draws.
-        difference: The estimate (only_a - only_b)/draws.
-        interval: Its two-sided interval.
-        p_value: P-value of the exact McNemar test that both fail equally often.
+        only_a: Number of draws on which a alone failed.
+        only_b: Number of draws on which b alone failed.
+        draws: Number of all draws.
+        difference: Estimate (only_a - only_b)/draws.
+        interval: Two-sided interval of the difference.
+        p_value: P-value of the exact McNemar test of the hypothesis that both fail equally often.
     """
 
     only_a: int
@@ -35,15 +35,15 @@ class FailureDifference(NamedTuple):
 
 
 class MetricDifference(NamedTuple):
-    """A quantile of the draw-by-draw difference of a metric, a minus b.
+    """Estimated quantile of the draw-by-draw difference of a metric, a minus b.
 
     Args:
-        level: Level of the quantile; 1/2: the median.
-        difference: Its estimate, an order statistic.
-        interval: Its order-statistic interval.
-        only_a: Draws on which only a has no value; they count as +inf.
-        only_b: Draws on which only b has no value; they count as -inf.
-        neither: Draws on which neither has a value; they count as a tie.
+        level: Level of the quantile; 1/2 is the median.
+        difference: Estimate of the quantile, an order statistic.
+        interval: Order-statistic interval of the quantile.
+        only_a: Number of draws on which only a has no value; they count as +inf.
+        only_b: Number of draws on which only b has no value; they count as -inf.
+        neither: Number of draws on which neither has a value; they count as ties.
     """
 
     level: float
@@ -58,11 +58,11 @@ def mcnemar(only_a: int, only_b: int) -> float:
     """Two-sided p-value of the exact McNemar test: under the hypothesis, discordant draws are fair coin tosses.
 
     Args:
-        only_a: Draws on which a alone failed.
-        only_b: Draws on which b alone failed.
+        only_a: Number of draws on which a alone failed.
+        only_b: Number of draws on which b alone failed.
 
     Raises:
-        ValueError: a count is negative.
+        ValueError: A count is negative.
 
     Example:
         >>> mcnemar(1, 9)
@@ -83,15 +83,15 @@ def difference_interval(
 ) -> np.ndarray:
     """Interval of P(a fails) - P(b fails) from paired draws; its coverage is at least ``confidence``, for every n.
 
-    The difference is theta (2 pi - 1): theta is the probability that the two differ, pi that it is a who fails when
-    they do. Both get exact (Clopper-Pearson) intervals, that of pi given the number of discordant draws, and the
-    error of both together is at most 1 - confidence (Bonferroni). If the two hardly differ, pi matters most, so it
-    receives the larger share of the error.
+    The difference is theta (2 pi - 1), where theta is the probability that exactly one of the two fails, and pi the
+    probability that it is a. Both get exact (Clopper-Pearson) intervals, that of pi conditional on the number of
+    discordant draws, and together they err with a probability of at most 1 - confidence (Bonferroni). If the two hardly
+    differ, pi matters most, so it receives the larger share of the error.
 
     Args:
-        only_a: Draws on which a alone failed, any shape.
-        only_b: Draws on which b alone failed, broadcastable.
-        draws: All draws, broadcastable.
+        only_a: Number of draws on which a alone failed, any shape.
+        only_b: Number of draws on which b alone failed, broadcastable.
+        draws: Number of all draws, broadcastable.
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -118,7 +118,7 @@ def difference_interval(
 
 
 def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: float = CONFIDENCE) -> FailureDifference:
-    """Failures of two systems on the same independent draws.
+    """Compare the failures of two systems on the same independent draws.
 
     Args:
         failed_a: Whether a failed on each draw, shape (n,).
@@ -126,19 +126,19 @@ def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: flo
         confidence: Coverage of the interval.
 
     Raises:
-        ValueError: the shapes differ.
+        ValueError: The shapes differ.
     """
     if failed_a.shape != failed_b.shape:
         raise ValueError(f"paired draws have one shape, got {failed_a.shape} and {failed_b.shape}")
     only_a = int(np.count_nonzero(failed_a & ~failed_b))
     only_b = int(np.count_nonzero(failed_b & ~failed_a))
-    low, high = difference_interval(only_a, only_b, failed_a.size, confidence).tolist()
-    difference = (only_a - only_b) / failed_a.size
+    draws = failed_a.size
+    low, high = difference_interval(only_a, only_b, draws, confidence).tolist()
     return FailureDifference(
         only_a=only_a,
         only_b=only_b,
-        draws=failed_a.size,
-        difference=difference,
+        draws=draws,
+        difference=(only_a - only_b) / draws,
         interval=(low, high),
         p_value=mcnemar(only_a, only_b),
     )
@@ -147,10 +147,10 @@ def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: flo
 def compare_metrics(
     a: np.ndarray, b: np.ndarray, level: float = 0.5, confidence: float = CONFIDENCE
 ) -> MetricDifference:
-    """A quantile, by default the median, of a metric's difference a - b on the same independent draws.
+    """Compare a metric of two systems on the same independent draws, by a quantile of the difference a - b.
 
-    No draw is dropped: if one of the two ended early it is infinitely worse; if both did, they tie. Order statistics
-    handle infinite values and any law; a mean with Student's t handles neither.
+    No draw is dropped. A system without a value, because the draw ended early, is infinitely worse; if both have none,
+    they tie. Order statistics handle infinite values and any law; a mean with Student's t handles neither.
 
     Args:
         a: The metric under a, shape (n,); NaN if the draw has no value. Smaller values are better.
@@ -159,37 +159,41 @@ def compare_metrics(
         confidence: Coverage of the interval.
 
     Raises:
-        ValueError: the shapes differ, or level or confidence is outside (0, 1).
+        ValueError: The shapes differ, or level or confidence is outside (0, 1).
     """
     if a.shape != b.shape:
         raise ValueError(f"paired draws have one shape, got {a.shape} and {b.shape}")
-    gone_a = ~np.isfinite(a)
-    gone_b = ~np.isfinite(b)
-    difference = np.where(gone_a, np.inf, a) - np.where(gone_b, 0.0, b)
-    difference = np.where(gone_b, np.where(gone_a, 0.0, -np.inf), difference)
+    missing_a = ~np.isfinite(a)
+    missing_b = ~np.isfinite(b)
+    difference = np.where(missing_a, np.inf, a) - np.where(missing_b, 0.0, b)
+    difference = np.where(missing_b, np.where(missing_a, 0.0, -np.inf), difference)
     return MetricDifference(
         level=level,
         difference=float(np.quantile(difference, level, method="inverted_cdf")),
         interval=quantile_interval(difference, level, confidence),
-        only_a=int(np.count_nonzero(gone_a & ~gone_b)),
-        only_b=int(np.count_nonzero(gone_b & ~gone_a)),
-        neither=int(np.count_nonzero(gone_a & gone_b)),
+        only_a=int(np.count_nonzero(missing_a & ~missing_b)),
+        only_b=int(np.count_nonzero(missing_b & ~missing_a)),
+        neither=int(np.count_nonzero(missing_a & missing_b)),
     )
 
 
 def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike, margin: float) -> np.ndarray:
     """Logarithm of the evidence that P(a fails) - P(b fails) is less than a margin, from paired draws.
 
-    The evidence is the capital of bets against the difference being ``margin`` or more: with stake s, a draw on which
-    a alone fails multiplies it by 1 - s (1 - margin), one on which b alone fails by 1 + s (1 + margin), and any other
-    by 1 + s margin. Stakes are mixed evenly. If the difference is at least ``margin``, the capital is a supermartingale
-    that begins with 1, so it ever exceeds 1/e with a probability of at most e (Ville), however often one looks.
+    The evidence is the capital of a gambler who begins with 1 and bets that the difference is less than the margin.
+    With a stake s, a draw multiplies the capital by 1 - s (1 - margin) if a alone fails, by 1 + s (1 + margin) if b
+    alone fails, and by 1 + s margin otherwise. The result is the mean capital over the stakes :data:`STAKES`. If the
+    difference is at least ``margin``, the capital is a supermartingale, so it ever exceeds 1/e with a probability of at
+    most e (Ville), however often one looks.
 
     Args:
-        only_a: Draws on which a alone failed, any shape.
-        only_b: Draws on which b alone failed, broadcastable.
-        draws: All draws, broadcastable.
-        margin: In [0, 1).
+        only_a: Number of draws on which a alone failed, any shape.
+        only_b: Number of draws on which b alone failed, broadcastable.
+        draws: Number of all draws, broadcastable.
+        margin: Margin of the difference, in [0, 1).
+
+    Returns:
+        Shape of the broadcast arguments.
 
     Raises:
         ValueError: The margin is out of range.
@@ -205,8 +209,9 @@ def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike,
     if not 0.0 <= margin < 1.0:
         raise ValueError(f"margin must be in [0, 1), got {margin}")
     a, b, n = np.broadcast_arrays(np.asarray(only_a, float), np.asarray(only_b, float), np.asarray(draws, float))
-    capital = np.full(a.shape, -np.inf)
+    log_sum = np.full(a.shape, -np.inf)
     for stake in STAKES / (1.0 - margin):
-        grown = a * np.log1p(-stake * (1.0 - margin)) + b * np.log1p(stake * (1.0 + margin))
-        capital = np.logaddexp(capital, grown + (n - a - b) * np.log1p(stake * margin))
-    return capital - np.log(len(STAKES))
+        discordant_gain = a * np.log1p(-stake * (1.0 - margin)) + b * np.log1p(stake * (1.0 + margin))
+        log_capital = discordant_gain + (n - a - b) * np.log1p(stake * margin)
+        log_sum = np.logaddexp(log_sum, log_capital)
+    return log_sum - np.log(len(STAKES))

@@ -1,7 +1,7 @@
-"""The value of knowing in which part of its law a number lies, from the draws that failed.
+"""Value of the information in which part of its law a number lies, from the draws that failed.
 
-The law of a number is divided into B parts of equal probability. Given that a draw fails, its number lies in part b
-with probability q_b; the failure probability of that part alone is p_b = B p q_b. Knowing the part removes the share
+The law of a number is divided into B parts of equal probability. If a draw fails, its number lies in part b with the
+probability q_b, and the failure probability within part b is p_b = B p q_b. Knowledge of the part removes the share
 
     Var(p_b) / (p (1 - p)) = (B sum q_b^2 - 1) p / (1 - p)
 
@@ -18,18 +18,19 @@ from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
 MOST_PARTS = 10
 LEAST_IN_PART = 5
-"""Failed draws that a part holds on average, at least."""
+"""Least mean number of failed draws in a part."""
 
 
-class KnownPart(NamedTuple):
-    """The value of knowing in which part of its law a number lies.
+class PartInformation(NamedTuple):
+    """Value of the information in which part of its law a number lies.
 
     Args:
-        parts: B; fewer if few draws failed.
-        removed: Share of the variance of "fails or not" that the knowledge removes; it may be slightly below 0.
-        removed_interval: Its interval.
-        changes: Probability that the part's failure probability is on the other side of the limit than that of all.
-        changes_interval: Its interval.
+        parts: Number B of parts; fewer if few draws failed.
+        removed: Share of the variance of "fails or not" that the information removes; the estimate may be negative.
+        removed_interval: Interval of ``removed``.
+        changes: Probability that the information changes the decision: that the failure probability of the part lies on
+            the other side of the limit than that of all draws.
+        changes_interval: Interval of ``changes``.
     """
 
     parts: int
@@ -39,31 +40,31 @@ class KnownPart(NamedTuple):
     changes_interval: tuple[float, float]
 
 
-def known_part(
+def part_information(
     levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float = CONFIDENCE
-) -> KnownPart | None:
-    """Estimate the value of knowing in which part of its law a number lies.
+) -> PartInformation | None:
+    """Estimate the value of the information in which part of its law a number lies.
 
-    The interval of the removed share is Student's with B - 1 degrees of freedom and the variance of a mean over pairs.
-    That of the probability of another decision counts the parts that are certainly, or possibly, on the other side of
-    the limit, by exact intervals that hold for all parts together.
+    The interval of the removed share is Student's t, with B - 1 degrees of freedom and the variance of a mean over
+    pairs. The interval of the probability of another decision counts the parts that certainly, or possibly, lie on the
+    other side of the limit, by exact intervals that hold for all parts together.
 
     Args:
-        levels: Level of the number in each draw, in (0, 1), shape (n,).
-        failed: Whether the draw failed, shape (n,).
+        levels: Level of the number in its law in each draw, in (0, 1), shape (n,).
+        failed: Whether each draw failed, shape (n,).
         limit: Largest failure probability allowed.
         confidence: Coverage, in (0, 1).
 
     Returns:
-        None if fewer than ten draws failed.
+        None if fewer than 2 :data:`LEAST_IN_PART` draws failed.
     """
     failures = int(np.count_nonzero(failed))
     parts = min(MOST_PARTS, failures // LEAST_IN_PART)
     if parts < 2:
         return None
-    place = np.minimum((levels * parts).astype(int), parts - 1)
-    counts = np.bincount(place[failed], minlength=parts)
-    sizes = np.bincount(place, minlength=parts)
+    part_of_draw = np.minimum((levels * parts).astype(int), parts - 1)
+    counts = np.bincount(part_of_draw[failed], minlength=parts)
+    sizes = np.bincount(part_of_draw, minlength=parts)
     removed, interval = removed_share(counts, len(failed), confidence)
     passes = failures <= limit * len(failed)
     intervals = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
@@ -75,15 +76,15 @@ def known_part(
     else:
         shares = (~exceeds).mean(), (~possibly_above).mean(), (~surely_above).mean()
     changes, low, high = map(float, shares)
-    return KnownPart(parts, removed, interval, changes, (low, high))
+    return PartInformation(parts, removed, interval, changes, (low, high))
 
 
 def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[float, tuple[float, float]]:
-    """Share of the variance of "fails or not" that the knowledge of the part removes, with its interval.
+    """Share of the variance of "fails or not" that the information removes, and its interval.
 
     Args:
-        counts: Failed draws in each part, shape (B,).
-        draws: Number of draws.
+        counts: Number of failed draws in each part, shape (B,).
+        draws: Number of all draws.
         confidence: Coverage, in (0, 1).
 
     Reference:
@@ -91,11 +92,11 @@ def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[fl
     """
     parts = len(counts)
     failures = int(counts.sum())
-    same_part = float(np.sum(counts * (counts - 1.0))) / (failures * (failures - 1.0))
+    pairs = failures * (failures - 1.0)
+    same_part = float(np.sum(counts * (counts - 1.0))) / pairs
     shares = counts / failures
     second = float(np.sum(shares**2))
     third = float(np.sum(shares**3))
-    pairs = failures * (failures - 1.0)
     variance = (2.0 * (second - second**2) + 4.0 * (failures - 2.0) * (third - second**2)) / pairs
     odds = failures / max(draws - failures, 1)
     share_removed = odds * (parts * same_part - 1.0)

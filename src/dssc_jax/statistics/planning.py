@@ -1,23 +1,30 @@
-"""Sample-size planning: the number of draws that a question needs."""
+"""Sample-size planning: the number of draws or flights that answers a question."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import stats
 
-from dssc_jax.statistics.conformal import BEYOND, flights_to_confirm, flights_to_refute, least_flights
-from dssc_jax.statistics.order import first, wilks_draws
+from dssc_jax.statistics.conformal import TAIL_SHARE, flights_to_confirm, flights_to_refute, least_flights
+from dssc_jax.statistics.order import first_integer, wilks_draws
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require_share
 
-LINE_DRAWS = 999  # of a study that flights are compared with
-DEPARTING = 0.5  # share of the flights that depart far
-ORDERS = {1: (1, 2, 3, 4, 5), 2: (1, 2, 3)}  # Wilks orders worth naming, by number of sides
-NEGLIGIBLE = 1e-9  # probability of the counts that a sum leaves out
+LINE_DRAWS = 999  # draws of the study that flights are compared with
+DEPARTING = 0.5  # share of flights beyond the line, for the plan of a verdict
+ORDERS = {1: (1, 2, 3, 4, 5), 2: (1, 2, 3)}  # Wilks orders in a plan, by number of sides
+NEGLIGIBLE = 1e-9  # total probability of the counts that a sum leaves out
 
 
 class Answer(NamedTuple):
-    """A number of draws, the question it answers, and the statement that it permits."""
+    """One row of a plan.
+
+    Args:
+        question: Question, in words.
+        draws: Number of draws, or of flights, that answers it.
+        statement: Statement that holds after so many draws.
+    """
 
     question: str
     draws: int
@@ -25,7 +32,7 @@ class Answer(NamedTuple):
 
 
 def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Draws after which a share is within ``error`` of any probability: n >= ln(2/d)/(2 e^2).
+    """Number of draws whose share is within an error e of any probability: n >= ln(2/d)/(2 e^2), confidence 1 - d.
 
     Example:
         >>> chernoff_draws(0.01, 0.99)
@@ -40,9 +47,10 @@ def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws whose worst value is exceeded with probability at most ``error``: n >= ln(1/d)/ln(1/(1-e)).
+    """Number of draws whose worst value is exceeded with probability at most e: n >= ln(1/d)/ln(1/(1-e)).
 
-    If none of these draws fails, they demonstrate a failure probability of at most ``error``.
+    The statement has the confidence 1 - d. If none of these draws fails, they also demonstrate a failure probability of
+    at most e.
 
     Example:
         >>> worst_case_draws(0.01, 0.99)
@@ -56,51 +64,58 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def half_length(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Distance of the exact interval's farther end from the share of failures; shape of the arguments."""
+    """Larger of the distances of both ends of the exact interval from the share of failures, any shape."""
     share = np.asarray(failures) / np.asarray(draws)
-    return np.abs(clopper_pearson(failures, draws, confidence) - share[..., None]).max(-1)
+    distances = np.abs(clopper_pearson(failures, draws, confidence) - share[..., None])
+    return distances.max(-1)
 
 
 def reach_probability(draws: int, error: float, probability: float, confidence: float = CONFIDENCE) -> float:
-    """Probability that both ends of the exact interval lie within ``error`` of the share of failures (binomial sum)."""
-    from scipy import stats
+    """Probability that both ends of the exact interval lie within an error of the share of failures.
 
+    Args:
+        draws: Number of draws.
+        error: Largest half-length of the interval.
+        probability: True failure probability.
+        confidence: Confidence of the interval.
+    """
     smallest, largest = stats.binom.interval(1.0 - NEGLIGIBLE, draws, probability)
     failures = np.arange(smallest, largest + 1)
-    return float(stats.binom.pmf(failures, draws, probability)[half_length(failures, draws, confidence) <= error].sum())
+    is_short = half_length(failures, draws, confidence) <= error
+    return float(stats.binom.pmf(failures, draws, probability)[is_short].sum())
 
 
 def expected_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Draws after which the exact interval reaches at most ``error``, for the expected number of failures.
+    """Number of draws after which the exact interval reaches at most an error, at the expected number of failures.
 
     The expected number, probability times draws, need not be an integer here. In about half of all cases there are
     more failures and the interval reaches further; :func:`assured_draws` accounts for them.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Example:
         >>> expected_draws(0.01, 0.05)
         2181
     """
     require_share(error=error, probability=probability, confidence=confidence)
-    return first(lambda draws: bool(half_length(probability * draws, draws, confidence) <= error))
+    return first_integer(lambda draws: bool(half_length(probability * draws, draws, confidence) <= error))
 
 
 def assured_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws after which the exact interval reaches at most ``error`` with probability ``confidence``.
+    """Number of draws after which the exact interval reaches at most an error with the probability ``confidence``.
 
-    With n_k draws, and not with fewer, the interval is short enough at every number of failures up to k. From n_k to
-    n_(k+1) - 1 draws the probability of such a number falls, and at n_(k+1) it jumps up, like a sawtooth. The answer
-    is the first n_k after which every tooth ends high enough. (Some smaller numbers of draws may also suffice.)
+    Let n_k be the least number of draws with which the interval is short enough at every number of failures up to k.
+    From n_k to n_(k+1) - 1 draws the probability of such a number falls, and at n_(k+1) it jumps up, like a sawtooth.
+    The answer is the first n_k after which every tooth ends high enough. (Some smaller numbers may also suffice.)
 
     Args:
-        error: In (0, 1).
-        probability: The expected failure probability, in (0, 1).
+        error: Largest half-length of the interval, in (0, 1).
+        probability: Expected failure probability, in (0, 1).
         confidence: Confidence of the interval and of its reach, in (0, 1).
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
 
     Example:
         >>> assured_draws(0.01, 0.05)
@@ -108,30 +123,35 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
     """
     require_share(error=error, probability=probability, confidence=confidence)
 
-    def tooth(failures: int) -> int:
+    def draws_for(failures: int) -> int:
         """Return n_k; near one half the longest interval is that of slightly fewer failures."""
 
-        def short(draws: int) -> bool:
+        def is_short(draws: int) -> bool:
             margin = 4 * math.isqrt(draws) if 3 * failures > draws else 0
             counts = np.arange(max(failures - margin, 0), failures + 1)
             return bool(half_length(counts, draws, confidence).max() <= error)
 
-        return first(short, max(2 * failures, 1))
+        return first_integer(is_short, max(2 * failures, 1))
+
+    def ends_high(failures: int) -> bool:
+        """Whether the tooth of n_k ends with the probability ``confidence`` or more."""
+        draws = draws_for(failures + 1) - 1
+        return reach_probability(draws, error, rarer, confidence) >= confidence
 
     rarer = min(probability, 1.0 - probability)
-    return tooth(first(lambda k: reach_probability(tooth(k + 1) - 1, error, rarer, confidence) >= confidence, 0))
+    return draws_for(first_integer(ends_high, 0))
 
 
 def plan(error: float, confidence: float = CONFIDENCE, probability: float | None = None) -> list[Answer]:
-    """Number of draws for each type of question.
+    """Number of draws that each type of question needs.
 
     Args:
-        error: e: the accuracy of a probability, or the share of the law that may lie beyond a limit; in (0, 1).
-        confidence: In (0, 1).
-        probability: The expected failure probability; None: omit these questions.
+        error: Accuracy of a probability, or share of the law that may lie beyond a limit; in (0, 1).
+        confidence: Confidence of each answer, in (0, 1).
+        probability: Expected failure probability; None omits the questions that need it.
 
     Raises:
-        ValueError: an argument is out of range.
+        ValueError: An argument is out of range.
     """
     sure = f"with confidence {confidence:g}"
     answers = [
@@ -163,29 +183,40 @@ def plan(error: float, confidence: float = CONFIDENCE, probability: float | None
                 f"{interval} in {100 * confidence:g} % of all cases or more; so it does after any more draws",
             ),
         ]
+    return [*answers, *tolerance_answers(error, confidence), *flight_answers(error, confidence)]
+
+
+def tolerance_answers(error: float, confidence: float) -> list[Answer]:
+    """Number of draws of which one or two extremes are tolerance limits, for several orders.
+
+    Args:
+        error: Share of the law that may lie beyond the limits, in (0, 1).
+        confidence: Confidence of the limits, in (0, 1).
+    """
+    answers = []
     for sides, orders in ORDERS.items():
         for order in orders:
             extreme = {1: "largest", 2: "second largest", 3: "third largest"}.get(order, f"{order}-th largest")
-            limit = f"the {extreme} value" if sides == 1 else f"the {extreme} and smallest values"
+            limit = f"the {extreme} value leaves" if sides == 1 else f"the {extreme} and smallest values leave"
             answers.append(
                 Answer(
                     f"tolerance limit{'s, two-sided' if sides == 2 else ''}, order {order} (Wilks)",
                     wilks_draws(1.0 - error, confidence, order, sides),
-                    f"{limit} leave{'s' if sides == 1 else ''} at most {error:g} of the law outside {sure}",
+                    f"{limit} at most {error:g} of the law outside with confidence {confidence:g}",
                 )
             )
-    return [*answers, *flight_answers(error, confidence)]
+    return answers
 
 
 def flight_answers(error: float, confidence: float) -> list[Answer]:
-    """Number of flights for a set in which the next one lies, and for a verdict on the study.
+    """Number of flights for a set that contains the next flight, and for a verdict on the study.
 
     Args:
-        error: Probability that the next flight leaves the set.
-        confidence: Confidence of the verdict, and probability that it is reached.
+        error: Probability that the next flight leaves the set, in (0, 1).
+        confidence: Confidence of the verdict, and probability that the flights reach it, in (0, 1).
     """
     sure = f"in {100 * confidence:g} % of all cases"
-    line = f"{100 * BEYOND:g} % of {LINE_DRAWS} draws"
+    line = f"{100 * TAIL_SHARE:g} % of {LINE_DRAWS} draws"
     answers = [
         Answer(
             "flights for a set of the next one (conformal)",

@@ -13,10 +13,10 @@ CONFIDENCE = 0.95
 
 
 def require_share(**shares: float) -> None:
-    """Require that each lies in (0, 1).
+    """Require that each share lies in (0, 1).
 
     Raises:
-        ValueError: one does not.
+        ValueError: One does not.
     """
     for name, value in shares.items():
         if not 0.0 < value < 1.0:
@@ -26,11 +26,12 @@ def require_share(**shares: float) -> None:
 def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
     """Exact two-sided interval of a failure probability from independent, identically distributed draws.
 
-    L = B^-1(a/2; k, n-k+1), U = B^-1(1-a/2; k+1, n-k) with a = 1 - confidence; L = 0 at k = 0, U = 1 at k = n.
+    With a = 1 - confidence, the bounds are quantiles of beta laws: L = B^-1(a/2; k, n-k+1) and
+    U = B^-1(1-a/2; k+1, n-k). Exceptions are L = 0 at k = 0 and U = 1 at k = n.
 
     Args:
-        failures: k, any shape.
-        draws: n >= 1, broadcastable.
+        failures: Number k of failures, any shape.
+        draws: Number n of draws, >= 1, broadcastable.
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -56,12 +57,12 @@ def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = C
 
 
 def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """ln(2/a)/n: upper limit of the probability of an event that n independent draws have not shown."""
+    """Upper limit ln(2/a)/n of the probability of an event that none of n independent draws has shown."""
     return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
 
 
 class FixedCount(NamedTuple):
-    """Independent draws whose number was fixed in advance."""
+    """The intervals for independent draws whose number was fixed in advance: Clopper-Pearson."""
 
     @property
     def independent(self) -> bool:
@@ -70,19 +71,19 @@ class FixedCount(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The interval's name."""
+        """Name of the interval in results."""
         return "Clopper-Pearson"
 
     def level(self, confidence: float) -> float:
-        """The confidence of a single statement."""
+        """Confidence of a statement on anything but failure: the nominal one."""
         return confidence
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2)."""
+        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2)."""
         return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of the probability of failure, as of any event."""
+        """Interval of the failure probability, as of any event."""
         return self.interval(failed, confidence)
 
 
@@ -90,10 +91,10 @@ FIXED = FixedCount()
 
 
 class DataDriven(NamedTuple):
-    """Independent draws that a stopping rule ended.
+    """The intervals for independent draws that a stopping rule ended: exact after a multistage test.
 
     Args:
-        looks: The looks up to the one at which the rule stopped.
+        looks: Looks up to the one at which the rule stopped.
         stops: Number of looks at which the rule can stop.
     """
 
@@ -107,30 +108,35 @@ class DataDriven(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The interval's name."""
+        """Name of the interval in results."""
         return f"exact interval after a data-driven stop at look {len(self.looks)}"
 
     def level(self, confidence: float) -> float:
-        """The confidence of a statement on anything but failure: the error is divided among all looks."""
+        """Confidence of a statement on anything but failure: the error is divided among all looks."""
         return 1.0 - (1.0 - confidence) / self.stops
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2)."""
+        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
+
+        The rule did not watch this event, so each look could have been the last.
+        """
         return FIXED.interval(happened, self.level(confidence))
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of the probability of failure, which the rule watched, from draws of shape (..., n)."""
+        """Interval of the failure probability, which the rule watched, from booleans of shape (..., n)."""
         counts = np.count_nonzero(failed, axis=-1)
         intervals = [multistage_interval(self.looks, int(count), confidence) for count in np.ravel(counts)]
         return np.reshape(intervals, (*np.shape(counts), 2))
 
 
 class Replicated(NamedTuple):
-    """Independent replicates of a design whose draws are not independent; draw i belongs to replicate i mod R.
+    """The intervals for independent replicates of a design with dependent draws: Student's t over the replicates.
+
+    Draw i belongs to replicate i mod R.
 
     Args:
-        replicates: R >= 2.
-        design: Name of the replicated design.
+        replicates: Number R of replicates, >= 2.
+        design: Name of the design.
     """
 
     replicates: int
@@ -143,38 +149,38 @@ class Replicated(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The interval's name."""
+        """Name of the interval in results."""
         return f"Student's t over {self.replicates} {self.design} replicates"
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2).
+        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
 
-        Student's t over the replicates' shares, widened on both sides by :func:`unseen`: if all replicates agree, for
+        Student's t over the replicates' shares is widened on both sides by :func:`unseen`. If all replicates agree, for
         example on no failure, t alone has width 0.
         """
         low, high = np.moveaxis(replicate_interval(happened, self.replicates, confidence), -1, 0)
-        open_left = unseen(happened.shape[-1], confidence)
-        return np.stack([np.maximum(low - open_left, 0.0), np.minimum(high + open_left, 1.0)], axis=-1)
+        widening = unseen(happened.shape[-1], confidence)
+        return np.stack([np.maximum(low - widening, 0.0), np.minimum(high + widening, 1.0)], axis=-1)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals of the probability of failure, as of any event."""
+        """Interval of the failure probability, as of any event."""
         return self.interval(failed, confidence)
 
 
 Method: TypeAlias = FixedCount | DataDriven | Replicated
-"""How a failure probability's interval follows from the draws."""
+"""The intervals of probabilities for one kind of sampling; ``happened`` tells the draws with the event."""
 
 
 def replicate_interval(values: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Student's t interval of a mean over independent replicates; value i belongs to replicate i mod R.
+    """Student's t interval of a mean, from the means of independent replicates.
 
     Args:
-        values: Shape (..., n), n a multiple of R.
-        replicates: R >= 2.
+        values: Values, shape (..., n) with n a multiple of R; value i belongs to replicate i mod R.
+        replicates: Number R of replicates, >= 2.
         confidence: Coverage, in (0, 1).
 
     Returns:
-        Shape (..., 2).
+        Shape (..., 2): lower and upper bound.
 
     Raises:
         ValueError: n is not a multiple of R.
@@ -189,11 +195,11 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
 
 
 class DesignEffect(NamedTuple):
-    """The gain of a replicated design over independent draws.
+    """Gain of a replicated design over independent draws, for the probability of one event.
 
     Args:
-        variance_ratio: Variance of the share from the design, relative to that from as many independent draws.
-        ratio_interval: Its interval, if the replicates' shares are normal.
+        variance_ratio: Variance of the estimate relative to that from as many independent draws.
+        ratio_interval: Interval of ``variance_ratio``, if the replicates' shares are normal.
         plain_draws: Number of independent draws whose exact interval would be as wide.
     """
 
@@ -203,7 +209,13 @@ class DesignEffect(NamedTuple):
 
 
 def draws_as_narrow(share: float, width: float, confidence: float = CONFIDENCE) -> int:
-    """Number of independent draws, of which a share fails, whose exact interval has a width in (0, 1)."""
+    """Number of independent draws whose exact interval has a width, if a share of them fails.
+
+    Args:
+        share: Share of the draws that fail, in (0, 1).
+        width: Upper minus lower limit of the interval, in (0, 1).
+        confidence: Coverage of the interval.
+    """
 
     def excess(logarithm: float) -> float:
         count = math.exp(logarithm)
@@ -214,19 +226,22 @@ def draws_as_narrow(share: float, width: float, confidence: float = CONFIDENCE) 
 
 
 def design_effect(happened: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> DesignEffect | None:
-    """Estimate from the draws of a replicated design what it saved; None if all draws or none have the event.
+    """Estimate the gain of a replicated design over independent draws, from its own draws.
 
     Args:
         happened: Whether each draw has the event, shape (n,), n a multiple of R; draw i belongs to replicate i mod R.
-        replicates: R >= 2.
+        replicates: Number R of replicates, >= 2.
         confidence: Coverage of the intervals.
+
+    Returns:
+        None if all draws have the event, or none has.
     """
     share = float(happened.mean())
     if not 0.0 < share < 1.0:
         return None
     draws = len(happened)
-    spread = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
-    ratio = spread * draws / (share * (1.0 - share))
+    variance = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
+    ratio = variance * draws / (share * (1.0 - share))
     freedom = replicates - 1
     tail = 0.5 * (1.0 - confidence)
     low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
@@ -237,12 +252,12 @@ def design_effect(happened: np.ndarray, replicates: int, confidence: float = CON
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Interval of the mean of independent estimates that are 0 or follow a lognormal law.
 
-    With m and s^2 the mean and variance of the logarithms, the law's mean is exp(m + s^2/2). Student's t limits of m
-    and chi-square limits of s^2/2 are combined: their distances from the estimates add up as squares. Zeros widen the
-    interval: the lower end is multiplied by the lower limit of the share of the others.
+    If the logarithms have the mean m and the variance s^2, the law has the mean exp(m + s^2/2). Student's t limits of m
+    and chi-square limits of s^2/2 are combined: the squares of their distances from the estimates add up. Zeros widen
+    the interval: the lower end is multiplied by the lower limit of the share of positive estimates.
 
     Args:
-        values: Estimates >= 0, shape (n,).
+        values: Independent estimates >= 0, shape (n,).
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -267,17 +282,20 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
 
 
 def rounded_probability(probability: float) -> str:
-    """A probability with three digits, or with two digits of its complement where three would make it 1."""
+    """A probability as text with three digits, or with two digits of its complement where three would make it 1."""
     short = f"{probability:.3g}"
-    return f"{1.0 - float(f'{1.0 - probability:.2g}'):.12g}" if short == "1" and probability < 1.0 else short
+    if short != "1" or probability >= 1.0:
+        return short
+    complement = float(f"{1.0 - probability:.2g}")
+    return f"{1.0 - complement:.12g}"
 
 
 def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
-    """Describe a failure probability in one line; no failure in n draws gives an upper bound, never 0.
+    """One line on a failure probability and its interval; no failure in n draws gives an upper bound, never 0.
 
     Args:
         failed: Whether each draw failed, shape (n,).
-        method: The method of the interval.
+        method: Method of the interval.
         confidence: Coverage of the interval.
     """
     failures = int(np.count_nonzero(failed))
@@ -286,6 +304,6 @@ def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence:
     level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"
-    estimate, low, high = map(rounded_probability, (failures / draws, low, high))
-    estimate = f"{estimate} in [{low}, {high}]"
-    return f"{failures} failures in {draws} draws: failure probability {estimate} ({level})"
+    estimate = rounded_probability(failures / draws)
+    ends = f"[{rounded_probability(low)}, {rounded_probability(high)}]"
+    return f"{failures} failures in {draws} draws: failure probability {estimate} in {ends} ({level})"

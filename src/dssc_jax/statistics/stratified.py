@@ -1,4 +1,4 @@
-"""Interval of a failure probability from strata, and the numbers of draws that make it narrow.
+"""Interval of a failure probability from stratified draws, and the numbers of draws that make it narrow.
 
 References:
     G. Y. Zou, A. Donner, "Construction of confidence limits about effect measures: a general approach", Statistics in
@@ -12,24 +12,24 @@ from scipy import optimize, special
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.weighted import weighted_interval
 
-DENSE = 10  # failures and passes of a stratum with limits of its own
-LEAST_DRAWS = 8  # of a stratum
-MOST_DRAWS = 10**8
+DENSE = 10  # least failures, and least passes, of a stratum whose interval is computed separately
+LEAST_DRAWS = 8  # least draws of a stratum
+MOST_DRAWS = 10**8  # most draws of a stratum
 
 
 def stratified_interval(
     weights: np.ndarray, failures: np.ndarray, draws: np.ndarray, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
-    """Interval of sum_k W_k p_k.
+    """Interval of a failure probability sum_k W_k p_k over strata k.
 
-    A stratum with at least ``DENSE`` failures and passes has exact limits (Clopper-Pearson). The failures of all other
-    strata are weighted rare events, whose limits are those of their sum (Fay and Feuer); so are the passes where passes
-    are rare. The limits of the weights are Student's t over the nets.
+    A stratum with at least ``DENSE`` failures and passes has exact limits (Clopper-Pearson). In all other strata either
+    failures or passes are rare, and the weighted sum of these rare events has limits of its own (Fay and Feuer). The
+    uncertainty of the weights is Student's t over the nets. The squares of all distances add up.
 
     Args:
-        weights: Probability W_k of each stratum from each of R independent nets, shape (R, strata).
-        failures: Failed draws of each stratum, shape (strata,).
-        draws: Independent draws of each stratum, shape (strata,).
+        weights: Probability W_k of each stratum, estimated from each of R independent nets, shape (R, strata).
+        failures: Number of failed draws in each stratum, shape (strata,).
+        draws: Number of independent draws in each stratum, shape (strata,).
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -40,33 +40,32 @@ def stratified_interval(
     passes = draws - failures
     dense = np.minimum(failures, passes) >= DENSE
     limits = clopper_pearson(failures[dense], draws[dense], confidence)
-    below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
-    above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
+    squares_below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
+    squares_above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
     has_few_passes = ~dense & (failures > passes)
     has_few_failures = ~dense & ~has_few_passes
     event_weights = mean / draws
-    lower, upper = distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
-    below += lower**2
-    above += upper**2
-    lower, upper = distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
-    below += upper**2
-    above += lower**2
+    lower, upper = limit_distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
+    squares_below += lower**2
+    squares_above += upper**2
+    lower, upper = limit_distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
+    squares_below += upper**2
+    squares_above += lower**2
     by_net = weights @ shares
     nets = len(by_net)
     half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * by_net.std(ddof=1) / np.sqrt(nets)
     estimate = by_net.mean()
-    return (
-        float(max(0.0, estimate - np.sqrt(below + half**2))),
-        float(min(1.0, estimate + np.sqrt(above + half**2))),
-    )
+    low = estimate - np.sqrt(squares_below + half**2)
+    high = estimate + np.sqrt(squares_above + half**2)
+    return float(max(0.0, low)), float(min(1.0, high))
 
 
-def distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:
-    """Distances of the lower and the upper limit from a weighted sum of rare events.
+def limit_distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:
+    """Distances of the lower and the upper limit from the weighted sum of rare events.
 
     Args:
         weights: Weight of an event in each stratum, shape (strata,).
-        counts: Events of each stratum, shape (strata,).
+        counts: Number of events in each stratum, shape (strata,).
         confidence: Coverage, in (0, 1).
     """
     if not len(weights):
@@ -77,38 +76,42 @@ def distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tup
     return total - low, high - total
 
 
-def allocation(
+def allocate_draws(
     weights: np.ndarray, shares: np.ndarray, width: float, most: int, confidence: float = CONFIDENCE
 ) -> np.ndarray:
-    """The fewest draws of each stratum with which an interval is expected to have a width.
+    """Fewest draws in each stratum for an expected width of the interval.
+
+    A Lagrange multiplier trades draws against the squared distances of the limits; it is found by bisection.
 
     Args:
         weights: Probability of each stratum, shape (strata,).
         shares: Expected share of failures in each stratum, in (0, 1), shape (strata,).
-        width: Upper minus lower limit; a large one is reached by :data:`LEAST_DRAWS` of each stratum.
-        most: Largest number of all draws, which may leave the interval wider.
+        width: Upper minus lower limit of the interval; if it is large, every stratum gets :data:`LEAST_DRAWS`.
+        most: Largest number of all draws together; the interval may then remain wider.
         confidence: Coverage, in (0, 1).
 
     Returns:
-        Whole numbers, shape (strata,).
+        Integers, shape (strata,).
     """
     numbers = np.unique(np.geomspace(LEAST_DRAWS, MOST_DRAWS, 400).round())
     limits = clopper_pearson(shares[:, None] * numbers, numbers, confidence)
-    below = np.square(weights[:, None] * (shares[:, None] - limits[..., 0]))
-    above = np.square(weights[:, None] * (limits[..., 1] - shares[:, None]))
-    rows = np.arange(len(weights))
+    squares_below = np.square(weights[:, None] * (shares[:, None] - limits[..., 0]))
+    squares_above = np.square(weights[:, None] * (limits[..., 1] - shares[:, None]))
+    strata = np.arange(len(weights))
 
-    def best(logarithm: float) -> np.ndarray:
-        return np.argmin(numbers + np.exp(logarithm) * (below + above), axis=1)
+    def best_columns(log_multiplier: float) -> np.ndarray:
+        return np.argmin(numbers + np.exp(log_multiplier) * (squares_below + squares_above), axis=1)
 
-    def excess(logarithm: float) -> float:
-        columns = best(logarithm)
-        length = np.sqrt(below[rows, columns].sum()) + np.sqrt(above[rows, columns].sum())
-        total = numbers[columns].sum()
-        return 1.0 if length > width and total < most else -1.0
+    def needs_more(log_multiplier: float) -> float:
+        columns = best_columns(log_multiplier)
+        below = np.sqrt(squares_below[strata, columns].sum())
+        above = np.sqrt(squares_above[strata, columns].sum())
+        is_wide = below + above > width
+        return 1.0 if is_wide and numbers[columns].sum() < most else -1.0
 
-    cheapest, narrowest = -20.0, 80.0
-    if excess(cheapest) < 0.0:
-        return numbers[best(cheapest)].astype(int)
-    log_multiplier = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
-    return numbers[best(log_multiplier)].astype(int)
+    cheapest = -20.0
+    narrowest = 80.0
+    if needs_more(cheapest) < 0.0:
+        return numbers[best_columns(cheapest)].astype(int)
+    log_multiplier = optimize.root_scalar(needs_more, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
+    return numbers[best_columns(log_multiplier)].astype(int)

@@ -1,4 +1,4 @@
-"""The probability of an event under another law than that of the draws, from weighted independent draws."""
+"""Probability of an event under another law than that of the draws, from weighted independent draws."""
 
 import numpy as np
 from scipy import special
@@ -16,9 +16,9 @@ def weighted_interval(
     weight is added. With equal weights the interval is the exact one of a Poisson count.
 
     Args:
-        weights: Density of the true law relative to that of the draws, for each draw with the event; shape (k,).
-        draws: Number of draws n.
-        largest: The weight that a draw with the event could have had: the largest of all draws.
+        weights: Density of the other law relative to that of the draws, at each draw with the event, shape (k,).
+        draws: Number n of all draws.
+        largest: Largest weight that a draw with the event could have had: that of all draws.
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -40,7 +40,7 @@ def weighted_interval(
 
 
 def effective_size(weights: np.ndarray) -> float:
-    """Kish's effective sample size (sum w)^2 / sum w^2: as many equal weights would be as precise; 0 without weights.
+    """Kish's effective sample size (sum w)^2 / sum w^2: so many equal weights would be as precise; 0 without weights.
 
     Args:
         weights: Weights >= 0, shape (n,).

@@ -1,13 +1,14 @@
-"""The worst change of the laws of a given size, by importance weights of the existing draws.
+"""Worst change of the laws within a size, by importance weights of the existing draws.
 
-The failure probability under a changed law is the mean over the draws of the weights of those that fail. Its logarithm
-has a gradient in closed form, and its largest value over the changes of a size is sought from several starts. Where the
-draws that fail form a convex set, it is concave in a shift and has one maximum only.
+The failure probability under a changed law is the sum of the weights of the failing draws, divided by the number of all
+draws. Its logarithm has a gradient in closed form, and a search from several starts finds its largest value over the
+changes within a size. If the failing draws form a convex set, it is concave in a shift and has a single maximum.
 
 **What the limits claim.** For one change that is fixed in advance, the upper limit U of the weighted mean is above the
 true probability with its confidence. The worst change is such a change, although it is unknown. The largest U over all
-changes is not below U there, hence it bounds the worst probability with the same confidence. The lower limit of the
-best change follows in the same way. It is taken where the weighted probability is largest, and U nearly so.
+changes is at least U there, so it bounds the worst probability with the same confidence. The lower limit of the best
+change follows in the same way. In place of the largest U, the code takes U where the weighted probability is largest;
+the two nearly agree.
 """
 
 from collections.abc import Callable
@@ -22,26 +23,26 @@ from dssc_jax.statistics.law_changes import Change
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
 LEAST_EFFECTIVE = 100.0
-"""Fewest draws of the changed law that the weighted draws have to be worth."""
+"""Least effective number of draws of the changed law, among all weighted draws."""
 
 LEAST_FAILING = 20.0
-"""Fewest failing draws of the changed law that the weighted failing draws have to be worth."""
+"""Least effective number of failing draws of the changed law."""
 
-STARTS = 5  # corners from which the worst change is sought, besides no change
+STARTS = 5  # corners towards failing draws from which the search for the worst change starts
 HALVINGS = 24  # halvings of a size: seven digits
-LARGEST_SIZE = 8.0  # beyond, weights of no number of draws say anything
+LARGEST_SIZE = 8.0  # largest size tried: no realistic number of draws has useful weights beyond it
 
 
 @dataclass(frozen=True)
 class WeightedChange:
-    """A change, with the failure probability that the weighted draws give for it.
+    """Failure probability under a change of the laws, estimated from the weighted draws.
 
     Args:
         amounts: Amount of the change of each number, shape (numbers,).
-        probability: Failure probability.
-        interval: Its interval.
-        effective: How many draws of the changed law the draws are worth, from the exact law of the weights.
-        failing: How many draws of the changed law the failing draws alone are worth, from their weights.
+        probability: Failure probability under the changed laws.
+        interval: Interval of the failure probability.
+        effective: Effective number of draws of the changed law, from the exact law of the weights.
+        failing: Effective number of failing draws of the changed law, from their weights.
     """
 
     amounts: np.ndarray
@@ -53,13 +54,13 @@ class WeightedChange:
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Draws whose weights answer for changed laws.
+    """Draws, to be weighted for changes of their laws.
 
     Args:
-        change: The family of changes.
-        scores: Scores of each draw, shape (n, numbers).
+        change: Family of the changes.
+        scores: Standard normal scores of each draw, shape (n, numbers).
         failed: Whether each draw failed, shape (n,).
-        free: Which numbers are changed, shape (numbers,).
+        free: Which numbers change, bool of shape (numbers,).
         confidence: Confidence of the intervals.
     """
 
@@ -70,7 +71,7 @@ class WeightedDraws:
     confidence: float
 
     def at(self, amounts: np.ndarray) -> WeightedChange:
-        """The failure probability under a change, as the weights of the draws give it."""
+        """Failure probability under the change with these amounts, shape (numbers,)."""
         draws = len(self.scores)
         weights = np.exp(self.change.log_weights(amounts, self.scores))
         failing = weights[self.failed]
@@ -79,55 +80,59 @@ class WeightedDraws:
         probability = min(1.0, float(failing.sum()) / draws)
         return WeightedChange(amounts, probability, interval, float(effective), effective_size(failing))
 
-    def trusted(self, size: float) -> bool:
-        """Whether the weights of every change of at most this size are even enough to say anything.
+    def is_trusted(self, size: float) -> bool:
+        """Whether the weights of every change within this size are even enough for an estimate.
 
-        The draws must be worth :data:`LEAST_EFFECTIVE` draws of every such law, and the failing draws
-        :data:`LEAST_FAILING` of the law with the most failures.
+        The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law, and that of failing
+        draws at least :data:`LEAST_FAILING` under the law with the most failures.
         """
-        effective = len(self.scores) * np.exp(-self.change.corner(size, self.free))
+        effective = len(self.scores) * np.exp(-self.change.second_moment_bound(size, self.free))
         return bool(effective >= LEAST_EFFECTIVE) and self.worst(size).failing >= LEAST_FAILING
 
     def worst(self, size: float) -> WeightedChange:
-        """The change of at most this size with the largest weighted failure probability."""
+        """The change within this size with the largest weighted failure probability."""
         return self.at(self.extreme(size, 1.0))
 
     def best(self, size: float) -> WeightedChange:
-        """The change of at most this size with the smallest weighted failure probability."""
+        """The change within this size with the smallest weighted failure probability."""
         return self.at(self.extreme(size, -1.0))
 
     def interval_within(self, size: float) -> tuple[float, float] | None:
-        """From the lower limit of the best change to the upper limit of the worst; None if the weights say nothing."""
-        if not self.trusted(size):
+        """Interval of the failure probability over all changes within this size; None if the weights are too uneven."""
+        if not self.is_trusted(size):
             return None
         return self.best(size).interval[0], self.worst(size).interval[1]
 
     def extreme(self, size: float, sign: float) -> np.ndarray:
-        """The amounts that make the failure probability largest (sign 1) or smallest (sign -1) within a size."""
+        """Amounts within a size that maximise (sign 1) or minimise (sign -1) the weighted failure probability.
+
+        Returns:
+            Shape (numbers,); 0 for numbers that do not change.
+        """
         unmoved = np.zeros(self.scores.shape[1])
         failing = self.scores[self.failed]
         if size == 0.0 or not len(failing):
             return unmoved
         low, high = self.change.limits(size)
-        limits = [(low, high) if free else (0.0, 0.0) for free in self.free]
+        bounds = [(low, high) if is_free else (0.0, 0.0) for is_free in self.free]
 
         def cost(amounts: np.ndarray) -> tuple[float, np.ndarray]:
             logarithms = self.change.log_weights(amounts, failing)
             largest = logarithms.max()
             weights = np.exp(logarithms - largest)
-            value = float(largest + np.log(weights.sum()))
+            log_sum = float(largest + np.log(weights.sum()))
             slope = self.change.mean_slope(amounts, failing, weights / weights.sum())
-            return -sign * value, -sign * slope * self.free
+            return -sign * log_sum, -sign * slope * self.free
 
         minima = []
         for start in self._starts(failing, sign, low, high):
-            minima.append(optimize.minimize(cost, start * self.free, jac=True, bounds=limits, method="L-BFGS-B"))
+            minima.append(optimize.minimize(cost, start * self.free, jac=True, bounds=bounds, method="L-BFGS-B"))
         return np.asarray(min(minima, key=lambda result: result.fun).x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
-        """No change, and corners: towards the mean of the failing draws, and towards some of them."""
-        towards = [failing.mean(axis=0), *failing[np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)]]
-        corners = [np.where(sign * direction > 0.0, high, low) for direction in towards]
+        """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws."""
+        directions = [failing.mean(axis=0), *failing[np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)]]
+        corners = [np.where(sign * direction > 0.0, high, low) for direction in directions]
         unmoved = np.zeros(failing.shape[1])
         slope = sign * self.change.mean_slope(unmoved, failing, np.full(len(failing), 1.0 / len(failing)))
         return [unmoved, np.where(slope > 0.0, high, low), *corners]
@@ -135,13 +140,14 @@ class WeightedDraws:
 
 @dataclass(frozen=True)
 class LargestChange:
-    """How large a change may be before the failure probability exceeds a limit.
+    """Size of a change up to which the failure probability keeps a limit.
 
     Args:
-        bound: With the confidence of the intervals; 0 if not even the unchanged law is known to keep the limit.
-        estimate: Without the draws' own uncertainty; None if the weights do not reach the limit.
-        explored: The largest size at which the weights are trusted; 0 if they are not even without a change.
-        worst: The worst change at the estimate, or at the largest size explored.
+        bound: Size by the upper limits of the intervals, with their confidence; 0 if the interval without a change
+            exceeds the limit already.
+        estimate: Size by the estimated probabilities; None if no trusted change reaches the limit.
+        explored: Largest size at which the weights are trusted; 0 if they are not even without a change.
+        worst: Worst change of the size ``estimate``, or ``explored`` without an estimate.
     """
 
     bound: float
@@ -151,7 +157,7 @@ class LargestChange:
 
     @property
     def reason(self) -> str:
-        """Why the weights do not tell more; empty if they reach the limit."""
+        """Why there is no estimate, in words; empty if there is one."""
         if self.estimate is not None:
             return ""
         if self.explored == 0.0:
@@ -163,30 +169,33 @@ class LargestChange:
 
 
 def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
-    """How large a change may be, by the weights.
+    """Size of a change up to which the failure probability keeps a limit, by weighted draws.
 
     The estimate is cautious: the largest of many weighted probabilities is too large on average.
 
     Args:
-        draws: The draws.
+        draws: Draws with the family of changes.
         limit: Largest failure probability allowed.
     """
     worst = lru_cache(draws.worst)
-    if not draws.trusted(0.0):
+    if not draws.is_trusted(0.0):
         return LargestChange(0.0, None, 0.0, worst(0.0))
-    explored = largest(draws.trusted, LARGEST_SIZE)
-    bound = largest(lambda size: worst(size).interval[1] <= limit, explored)
+    explored = largest_size(draws.is_trusted, LARGEST_SIZE)
+    bound = largest_size(lambda size: worst(size).interval[1] <= limit, explored)
     estimate = None
     if worst(explored).probability > limit:
-        estimate = largest(lambda size: worst(size).probability <= limit, explored)
+        estimate = largest_size(lambda size: worst(size).probability <= limit, explored)
     return LargestChange(bound, estimate, explored, worst(explored if estimate is None else estimate))
 
 
-def largest(holds: Callable[[float], bool], end: float) -> float:
-    """The largest size up to which a condition holds; 0 if it never holds."""
-    if not holds(0.0):
+def largest_size(condition: Callable[[float], bool], end: float) -> float:
+    """Largest size from 0 to ``end`` that meets a condition, by bisection; 0 if none does.
+
+    All sizes below one that meets the condition must meet it too.
+    """
+    if not condition(0.0):
         return 0.0
-    if holds(end):
+    if condition(end):
         return end
-    inside, _ = bisect(lambda size: holds(float(size)), 0.0, end, HALVINGS)
+    inside, _ = bisect(lambda size: condition(float(size)), 0.0, end, HALVINGS)
     return float(inside)

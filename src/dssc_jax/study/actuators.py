@@ -1,8 +1,6 @@
-"""The chain of actuators ``[[actuator]]``: its tables, its elements in each channel, and its kind in words."""
+"""The chain of actuators ``[[actuator]]``: its tables and its elements in each channel; the kinds of parts in words."""
 
 from collections.abc import Mapping
-from dataclasses import replace
-from itertools import chain as joined
 
 from pydantic import BaseModel, Field, ValidationError
 
@@ -16,12 +14,12 @@ from dssc_jax.study.measures import MEASURES, USUAL_SENSOR
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import STRICT, StudyTable
-from dssc_jax.study.table_errors import explain
+from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
 
 ACTUATOR = "actuator"
 SLOT = "unmodelled"
-"""The slot of the loop that a chain fills."""
+"""Slot of the loop that a chain fills."""
 MOST_ELEMENTS = 12
 
 
@@ -38,11 +36,16 @@ class ActuatorTable(BaseModel):
 
 
 ELEMENT_FIELDS = tuple(ActuatorTable.model_fields)
-"""Fields of an element beside those of its kind."""
+"""Fields of an element besides those of its kind."""
+
+
+def kind_fields(table: Mapping[str, object]) -> TomlTable:
+    """The kind of an element, and the fields of that kind."""
+    return {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
 
 
 def labels_of(tables: list[TomlTable]) -> list[str]:
-    """The name of each element, or its index if it has none.
+    """Name of each element of a chain, or its index if it has none.
 
     Raises:
         ConfigError: A name or a channel is not valid, or a name occurs twice.
@@ -54,7 +57,7 @@ def labels_of(tables: list[TomlTable]) -> list[str]:
             try:
                 label = ActuatorTable.model_validate({key: table[key] for key in ELEMENT_FIELDS if key in table}).name
             except ValidationError as error:
-                raise explain(error, ELEMENT_FIELDS) from None
+                raise first_error(error, ELEMENT_FIELDS) from None
         if label in labels:
             raise ConfigError(f"{place}.name", f"'{label}' names two elements")
         labels.append(label or str(index))
@@ -67,12 +70,12 @@ def in_channel(table: Mapping[str, object], channel: str) -> bool:
 
 
 def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Component]:
-    """Parse the chain of each channel; a chain of one element is that element.
+    """Parse the tables ``[[actuator]]`` into the chain of each channel.
 
-    An element without ``channel`` acts in every channel, and its numbers are one number for all.
+    An element without ``channel`` acts in every channel, where its numbers are shared.
 
     Raises:
-        ConfigError: An element is not valid, or stands where it cannot act.
+        ConfigError: An element is not valid, or cannot act at its position.
     """
     if len(tables) > MOST_ELEMENTS:
         raise ConfigError(ACTUATOR, f"has at most {MOST_ELEMENTS} elements, got {len(tables)}")
@@ -83,44 +86,54 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
         if channel and channel not in channels:
             hint = nearest(str(channel), channels) if any(channels) else "the plant has one channel without a name"
             raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {hint}")
-        kind_table = {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
-        elements.append((path, table, parse_component(kind_table, UNMODELLED, path)))
+        elements.append((path, table, parse_component(kind_fields(table), UNMODELLED, path)))
     components = []
     for index, channel in enumerate(channels):
-        elements_of_channel = [
-            (path, part) for path, table, part in elements if in_channel(table, channel) and part.kind != "none"
-        ]
+        elements_of_channel = []
+        for path, table, part in elements:
+            if in_channel(table, channel) and part.kind != "none":
+                elements_of_channel.append((path, part))
         components.append(series_component(elements_of_channel, f"{SLOT}.{index}"))
     return components
 
 
 def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tuple[Element, Params]]:
-    """The actuators of a study of one channel in their order, with their parameters.
+    """The actuators of a study with one channel, in their order, with their parameters.
 
     Args:
-        table: The study's table.
-        config: Its fixed tables.
+        table: Table of the study.
+        config: Fixed tables of the study.
     """
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     elements = []
     for element_table in parameters.resolved(tables_of(config, SLOT), SLOT):
-        kind_table = {name: value for name, value in element_table.items() if name not in ELEMENT_FIELDS}
-        element = parse_component(kind_table, UNMODELLED, SLOT)
+        element = parse_component(kind_fields(element_table), UNMODELLED, SLOT)
         if element.kind != "none":
             elements.append((Element(element.kind, element.model), element.params))
     return elements
 
 
 def series_component(elements: list[tuple[str, Component]], place: str) -> Component:
-    """The elements of one channel as one component; ``place`` is its path in the loop's parameters."""
+    """Combine the elements of one channel, in series, into one component.
+
+    Args:
+        elements: Path in the study and component of each element, in their order.
+        place: Path of the chain in the loop's parameters.
+
+    Returns:
+        The element itself if there is only one, and the kind ``none`` if there is none.
+
+    Raises:
+        ConfigError: An element cannot act at its position.
+    """
     if not elements:
         return parse_component({"kind": "none"}, UNMODELLED, ACTUATOR)
     if len(elements) == 1:
         ((path, part),) = elements
-        return replace(part, numbers=tuple(number.under(place, path) for number in part.numbers))
-    numbers: list[tuple[Number, ...]] = []
+        return part.under(place, path)
+    numbers: list[Number] = []
     for index, (path, part) in enumerate(elements):
-        numbers.append(tuple(number.under(f"{place}.{index}", path) for number in part.numbers))
+        numbers.extend(part.under(f"{place}.{index}", path).numbers)
     kind = " + ".join(part.kind for _, part in elements)
     params = tuple(part.params for _, part in elements)
     series = tuple(Element(part.kind, part.model) for _, part in elements)
@@ -129,26 +142,26 @@ def series_component(elements: list[tuple[str, Component]], place: str) -> Compo
     except ConfigError as error:
         index, _, field = error.where.partition(".")
         raise ConfigError(f"{elements[int(index)][0]}.{field}", error.rule) from None
-    return Component(kind, model, params, tuple(joined(*numbers)), series)
+    return Component(kind, model, params, tuple(numbers), series)
 
 
 def require_one_form(config: StudyTable) -> None:
-    """Require that a study gives a chain or ``[unmodelled]``, not both.
+    """Require that a study states a chain ``[[actuator]]`` or ``[unmodelled]``, but not both.
 
     Raises:
-        ConfigError: It gives both.
+        ConfigError: It states both.
     """
     if config.actuator and config.unmodelled != {"kind": "none"}:
         raise ConfigError(SLOT, "is the chain of one element; beside [[actuator]], make it one of its elements")
 
 
 def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTable]:
-    """The tables of the parts in a slot: one for each element of a chain or of a sum, else a single one.
+    """Tables of the parts in a slot: one for each element of a chain or a sum, otherwise a single one.
 
     Args:
-        config: The study's tables.
-        slot: A slot of the loop.
-        channel: Name of a channel, whose own table overrides the common one; empty: the common ones.
+        config: Tables of the study.
+        slot: Slot of the loop.
+        channel: Name of a channel, whose table overrides the common one; empty for the common table.
     """
     if slot == SLOT and config.actuator:
         active_tables = [table for table in config.actuator if table.get("kind") != "none"]
@@ -161,18 +174,24 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
 
 
 def kind_in(config: StudyTable, slot: str, channel: str = "") -> str:
-    """The kind of the part in a slot, the kinds of a chain or a sum of winds, or that each channel has a part."""
+    """Kind of the part in a slot, in words: the kinds of a chain or a sum, or that each channel has a part.
+
+    Args:
+        config: Tables of the study.
+        slot: Slot of the loop.
+        channel: Name of a channel; empty for the common table.
+    """
     usual = usual_kind(config, slot) or "by channel"
     return " + ".join(str(table.get("kind", usual)) for table in tables_of(config, slot, channel)) or "none"
 
 
 def usual_kind(config: StudyTable, slot: str) -> str | None:
-    """The kind of a slot whose table gives none; None: the table of each channel gives one."""
+    """Kind of a slot whose table states none; None if there is no default."""
     if slot == "sensor" and MEASURES in config.sensor:
         return USUAL_SENSOR
     return "zero" if slot == "reference" else None
 
 
 def section_of(config: StudyTable, slot: str) -> str:
-    """The section of the study file that fills a slot."""
+    """Name of the section of the study file that fills a slot."""
     return ACTUATOR if slot == SLOT and config.actuator else slot

@@ -1,7 +1,7 @@
 """Correlated uncertain numbers: rank correlations from ``[correlation]``, realised by a Gaussian copula.
 
-Each number keeps its own law. The table gives Spearman's rank correlations. A pair of normal variables with rank
-correlation r has the linear correlation 2 sin(pi r/6). Numbers that are in no pair remain independent.
+The table states Spearman's rank correlation of pairs of numbers. Each number keeps its own law, and numbers in no pair
+remain independent.
 """
 
 import math
@@ -11,11 +11,11 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 
-LEAST_EIGENVALUE = 1e-8  # least eigenvalue of the correlation matrix
+LEAST_EIGENVALUE = 1e-8  # smaller eigenvalues of the correlation matrix count as 0
 
 
-def gaussian(rank: float) -> float:
-    """Linear correlation of two normal variables whose rank correlation is ``rank``.
+def normal_correlation(rank: float) -> float:
+    """Linear correlation 2 sin(pi r/6) of two normal variables with the rank correlation r = ``rank``.
 
     Reference:
         K. Pearson, On Further Methods of Determining Correlation (1907).
@@ -24,10 +24,10 @@ def gaussian(rank: float) -> float:
 
 
 def split_pair(pair: str) -> tuple[str, str]:
-    """The two names of ``"plant.k_p, plant.a_p"``.
+    """Split the key of a pair, such as ``"plant.k_p, plant.a_p"``, into its two names.
 
     Raises:
-        ConfigError: they are not two.
+        ConfigError: The key does not have two different names.
     """
     names = [name.strip() for name in pair.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
@@ -35,8 +35,8 @@ def split_pair(pair: str) -> tuple[str, str]:
     return names[0], names[1]
 
 
-def paired(table: Mapping[str, float]) -> tuple[str, ...]:
-    """Names that occur in a pair, in the table's order."""
+def correlated_names(table: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of all numbers in the pairs of ``[correlation]``, each once, in the order of the table."""
     return tuple(dict.fromkeys(name for pair in table for name in split_pair(pair)))
 
 
@@ -44,12 +44,12 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
     """Require that ``[correlation]`` is valid.
 
     Args:
-        table: Rank correlations by pair.
-        laws: Names of the numbers that have a law in the study file.
+        table: Rank correlation of each pair.
+        laws: Names of the numbers with a law in the study file.
         swept: Names of the axes.
 
     Raises:
-        ConfigError: A pair is malformed, contains an unknown name or occurs twice, or no law has these correlations.
+        ConfigError: A pair is malformed, has an unknown name or occurs twice, or the correlations are incompatible.
     """
     visited_pairs: set[frozenset[str]] = set()
     for pair, rank in table.items():
@@ -67,15 +67,15 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
         if not -1.0 < rank < 1.0:
             raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
     if table:
-        require_positive_definite(table, paired(table))
+        require_positive_definite(table, correlated_names(table))
 
 
-def matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
-    """Correlation matrix of the normal variables for ``names``."""
+def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
+    """Correlation matrix of the normal variables of the copula, in the order of ``names``, shape (n, n)."""
     correlations = np.eye(len(names))
     for pair, rank in table.items():
         i, j = (names.index(name) for name in split_pair(pair))
-        correlations[i, j] = correlations[j, i] = gaussian(rank)
+        correlations[i, j] = correlations[j, i] = normal_correlation(rank)
     return correlations
 
 
@@ -83,9 +83,9 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     """Require that the correlation matrix is positive definite.
 
     Raises:
-        ConfigError: It is not; the message names the pair with the largest share in the smallest eigenvalue.
+        ConfigError: It is not; the message names the pair that lowers the smallest eigenvalue most.
     """
-    correlations = matrix(table, names)
+    correlations = correlation_matrix(table, names)
     values, vectors = np.linalg.eigh(correlations)
     if values[0] > LEAST_EIGENVALUE:
         return

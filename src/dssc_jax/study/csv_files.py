@@ -1,4 +1,4 @@
-"""The form of a CSV file: its separator, its decimal sign, and whether every row has the header's cells."""
+"""The form of a CSV file: its separator, its decimal sign, and whether all rows have as many cells as the header."""
 
 import io
 import itertools
@@ -16,21 +16,21 @@ DECIMAL_COMMA = re.compile(rb"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
 DECIMAL = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
-"""What spreadsheets write in place of a number; the rest of such a line is no comment."""
+"""Error values of spreadsheets in place of a number; their ``#`` begins no comment."""
 FIRST_LINES = 100
-"""Lines that tell the form."""
+"""Lines at the start of a file from which its form is found."""
 LAST_LINES = 100
-"""Lines that tell the usual length of a number."""
+"""Lines at the end of a file from which the median length of a number is taken."""
 SHORT = 0.7
-"""Share of the usual length of a column's numbers: a shorter one at the end of a file may be cut off."""
+"""Share of that median length below which the last number of a file may be cut off."""
 
 
 class RecordWarning(UserWarning):
-    """A row of a table is left out, or doubtful."""
+    """Warning of a row in the file of a record that is left out, or may be damaged."""
 
 
 class CsvForm(NamedTuple):
-    """How a CSV file is written: what separates its cells, and the sign before its decimals."""
+    """Form of a CSV file: the separator of its cells, and the decimal sign of its numbers."""
 
     separator: str = ","
     decimal: str = "."
@@ -40,9 +40,9 @@ class CsvLine(NamedTuple):
     """A line of a CSV file that is neither empty nor a comment.
 
     Args:
-        number: Counted from 1.
-        begin: Position of its first byte.
-        text: Without a comment behind it.
+        number: Number of the line in the file, from 1.
+        begin: Position of the first byte of the line in the file.
+        text: Content of the line without a comment.
     """
 
     number: int
@@ -51,7 +51,7 @@ class CsvLine(NamedTuple):
 
 
 def csv_lines(content: bytes) -> Iterator[CsvLine]:
-    """The header and the rows of a CSV file."""
+    """Lines of a CSV file that are neither empty nor comments: the header, then the rows."""
     begin = 0
     for number, line in enumerate(io.BytesIO(content), start=1):
         text = NO_NUMBERS.sub(b"", line).partition(b"#")[0].rstrip(b"\r\n")
@@ -61,28 +61,33 @@ def csv_lines(content: bytes) -> Iterator[CsvLine]:
 
 
 def csv_header(content: bytes) -> bytes:
-    """The first line that is neither empty nor a comment; empty if there is none."""
+    """Text of the header of a CSV file; empty if the file has no line."""
     return next((line.text for line in csv_lines(content)), b"")
 
 
-def cells(text: bytes, separator: bytes) -> list[bytes]:
-    """The cells of a line; a quoted one is empty."""
+def split_cells(text: bytes, separator: bytes) -> list[bytes]:
+    """Split a line into its cells; the content of quoted cells is dropped, since it may hold separators."""
     return QUOTED.sub(b"", text).split(separator)
 
 
 def csv_form(path: Path, content: bytes) -> CsvForm:
-    """The separator and the decimal sign of a file, by its first lines.
+    """Find the separator and the decimal sign of a CSV file from its first lines.
 
-    Commas separate where the header has them and no other separator, or where nothing else separates header and rows
-    alike. Cells such as 0,5 tell a decimal comma, if others separate.
+    The separator is the only one in the header. If the header has several, it is the one that splits all lines into
+    equally many cells, or the comma if that is not a single one. If commas do not separate, cells such as 0,5 show a
+    decimal comma.
+
+    Args:
+        path: File, for messages.
+        content: Content of the file.
 
     Raises:
-        ConfigError: numbers have decimal commas and points, or blanks separate them.
+        ConfigError: Some numbers have decimal commas and others points, or blanks separate the cells.
     """
     header, *rows = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)] or [b""]
     separators = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
     if len(separators) > 1:
-        even_separators = [separator for separator in separators if is_even(header, rows, separator)]
+        even_separators = [separator for separator in separators if has_equal_rows(header, rows, separator)]
         separators = even_separators if len(even_separators) == 1 else [b","]
     if not separators and any(are_numbers(row.split()) for row in rows):
         raise ConfigError(
@@ -93,7 +98,7 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
         return CsvForm()
     commas = points = None
     for row in rows:
-        for cell in cells(row, separator):
+        for cell in split_cells(row, separator):
             commas = commas or (cell if DECIMAL_COMMA.fullmatch(cell) else None)
             points = points or (cell if DECIMAL_POINT.fullmatch(cell) else None)
     if commas and points:
@@ -106,26 +111,26 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
 
 
 def are_numbers(texts: list[bytes]) -> bool:
-    """Whether there are several texts, and all are numbers."""
+    """Whether there are at least two texts, and all are numbers."""
     return len(texts) > 1 and all(DECIMAL.fullmatch(text) for text in texts)
 
 
-def is_even(header: bytes, rows: list[bytes], separator: bytes) -> bool:
+def has_equal_rows(header: bytes, rows: list[bytes], separator: bytes) -> bool:
     """Whether every row has as many cells as the header."""
-    count = len(cells(header, separator))
-    return all(len(cells(row, separator)) == count for row in rows)
+    count = len(split_cells(header, separator))
+    return all(len(split_cells(row, separator)) == count for row in rows)
 
 
 def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
-    """The content, without a last row that is cut off.
+    """Content of a CSV file without a last row that is cut off.
 
     Args:
-        path: The file.
-        content: Its content.
-        form: Its form.
+        path: File, for messages.
+        content: Content of the file.
+        form: Form of the file.
 
     Raises:
-        ConfigError: another row has more or fewer cells than the header; the message has its line.
+        ConfigError: A row has more cells than the header, or a row before the last one has fewer.
 
     Warns:
         RecordWarning: The last row is left out, or its last number may be cut off.
@@ -138,7 +143,7 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
     header_count = 0
     short_line: CsvLine | None = None
     for line in csv_lines(content):
-        count = len(cells(line.text, separator)) if has_quotes else line.text.count(separator) + 1
+        count = len(split_cells(line.text, separator)) if has_quotes else line.text.count(separator) + 1
         header_count = header_count or count
         if short_line is not None:
             raise uneven_row_error(path, short_line, form, header_count)
@@ -153,9 +158,9 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
 
 
 def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
-    """Warn of a file without a last line break whose last number is shorter than those before it."""
+    """Warn if a file ends without a line break and its last number is shorter than those before it."""
     lines = content.rsplit(b"\n", LAST_LINES)[1:]  # without the header
-    numbers = [cells(line, separator)[-1].strip() for line in lines] or [b""]
+    numbers = [split_cells(line, separator)[-1].strip() for line in lines] or [b""]
     last_number = numbers[-1]
     lengths = sorted(map(len, numbers))
     median_length = lengths[len(lengths) // 2]
@@ -170,8 +175,8 @@ def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
 
 
 def uneven_row_error(path: Path, line: CsvLine, form: CsvForm, header_count: int) -> ConfigError:
-    """The error of a row that has more or fewer cells than the header."""
-    count = len(cells(line.text, form.separator.encode()))
+    """Error of a row that has more or fewer cells than the header, with the likely reason."""
+    count = len(split_cells(line.text, form.separator.encode()))
     if header_count == 1:
         reason = "its first line is no header"
     elif count < header_count:

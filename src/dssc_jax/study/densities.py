@@ -1,6 +1,7 @@
 """Logarithms of the densities of laws, for importance weights; minus infinity outside of a law's support.
 
-Each takes a law's arguments, as a study file gives them, and values, of which it has the shape.
+Each function takes the arguments ``a`` of a law, in the order of the study file, and values ``x`` of any shape. The
+result has the shape of the values.
 """
 
 import numpy as np
@@ -12,26 +13,30 @@ LOG_ROOT_TWO_PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
 def uniform(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """On [lo, hi]."""
+    """Log density of the uniform law on [lo, hi]."""
     low, high = a
     return np.where((x >= low) & (x <= high), -np.log(high - low), -np.inf)
 
 
 def loguniform(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """On [lo, hi], with a uniform logarithm."""
+    """Log density of a number whose logarithm is uniform, on [lo, hi]."""
     low, high = a
     inside = (x >= low) & (x <= high)
     return np.where(inside, -np.log(np.where(inside, x, 1.0)) - np.log(np.log(high / low)), -np.inf)
 
 
 def normal(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """With mean and standard deviation."""
+    """Log density of the normal law with a mean and a standard deviation."""
     mean, std = a
     return -0.5 * ((x - mean) / std) ** 2 - np.log(std) - LOG_ROOT_TWO_PI
 
 
 def truncated_normal(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean its mass is of the upper tail."""
+    """Log density of the normal law (mean, standard deviation) truncated to [lo, hi].
+
+    The mass of an interval above the mean is computed from the lower tail of the mirrored interval, which does not
+    cancel.
+    """
     mean, std, low, high = a
     lower = (low - mean) / std
     upper = (high - mean) / std
@@ -42,13 +47,13 @@ def truncated_normal(a: Arguments, x: np.ndarray) -> np.ndarray:
 
 
 def lognormal(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """With mean and standard deviation of the logarithm."""
+    """Log density of a number whose logarithm is normal, with a mean and a standard deviation."""
     logarithm = np.log(np.where(x > 0.0, x, 1.0))
     return np.where(x > 0.0, normal(a, logarithm) - logarithm, -np.inf)
 
 
 def beta(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """Beta on [lo, hi], by default [0, 1]."""
+    """Log density of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
     low, high = a[2:] or (0.0, 1.0)
     inside = (x >= low) & (x <= high)
     share = np.where(inside, (x - low) / (high - low), 0.5)
@@ -57,7 +62,7 @@ def beta(a: Arguments, x: np.ndarray) -> np.ndarray:
 
 
 def triangular(a: Arguments, x: np.ndarray) -> np.ndarray:
-    """On [lo, hi] with its peak at the mode."""
+    """Log density of the triangular law on [lo, hi] with its peak at the mode."""
     low, mode, high = a
     rising = np.divide(x - low, mode - low, out=np.ones_like(x), where=(low <= x) & (x < mode))
     falling = np.divide(high - x, high - mode, out=np.ones_like(x), where=(mode < x) & (x <= high))

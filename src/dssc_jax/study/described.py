@@ -1,7 +1,7 @@
-"""A study whose code is not loaded; descriptions stored in the results folder replace its models.
+"""A study whose code is not loaded: a description in the results folder replaces its models.
 
-Reading a result requires names, units and meanings, but no models. A folder whose study refers to ``module:object``
-stores them with the study, so that reading it does not run anyone's code.
+Reading a result requires names, units and meanings, but no models. If a study refers to ``module:object``, its results
+folder stores this description, so that reading the folder runs nobody's code.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.closed_loop.metrics import Metric, Scope
+from dssc_jax.closed_loop.metrics import Measure, Metric, Scope
+from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
@@ -23,10 +24,11 @@ from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import KNOWN, available_metrics, kinds_of, parse_measures
+from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, metric_kinds, parse_measures
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
+from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.study import Study
 from dssc_jax.study.tables import PARAMETERS
 
@@ -36,7 +38,7 @@ NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
-    """A number of the loop as JSON: its value, law or expression, and its meaning."""
+    """A number of the loop, for JSON: its value, the table of its law or the text of its expression; unit, meaning."""
 
     model_config = NO_EXTRA_FIELDS
     value: float | dict[str, list[float | list[float]]] | str
@@ -45,15 +47,15 @@ class DescribedNumber(BaseModel):
 
 
 class DescribedSignal(BaseModel):
-    """A signal of the loop: its unit and meaning."""
+    """A signal of the loop, for JSON: unit and meaning."""
 
     model_config = NO_EXTRA_FIELDS
     unit: str
     meaning: str
 
 
-class OwnMetric(BaseModel):
-    """A metric from the study's own code: its meaning and scope."""
+class DescribedMetric(BaseModel):
+    """A metric from the study's code, for JSON: unit, meaning, the fields of info that it needs, and scope."""
 
     model_config = NO_EXTRA_FIELDS
     unit: str
@@ -63,11 +65,19 @@ class OwnMetric(BaseModel):
 
 
 class Description(BaseModel):
-    """Information about a study that only the models provide and readers need.
+    """What a reader of results needs of the models, in place of these.
 
-    ``units`` are units and meanings of output and command in each channel. ``fields`` are the names in each
-    channel's info, ``seen`` those in the plant's info, ``signals`` all that requirements can name. ``certified`` and
-    ``silence`` are the results of Theorem 1 at every point of the sweep.
+    Args:
+        channels: Names of the channels.
+        angles: Names of the channels whose output is an angle.
+        units: Units and meanings of output and command in each channel; None for metres or radians.
+        numbers: Numbers of the loop by name.
+        fields: Names of the fields in the controller's info, by channel.
+        seen: Names of the fields in the plant's info.
+        signals: Signals that requirements can name.
+        metrics: Metrics of the study's code by name.
+        certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
+        silence: Why Theorem 1 does not apply, in words; empty if it does, or without the functions of Table 1.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -78,17 +88,17 @@ class Description(BaseModel):
     fields: dict[str, tuple[str, ...]]
     seen: tuple[str, ...]
     signals: dict[str, DescribedSignal]
-    metrics: dict[str, OwnMetric]
+    metrics: dict[str, DescribedMetric]
     certified: Any
     silence: str
 
 
 @dataclass(frozen=True)
-class Unloaded:
-    """Placeholder for a model; using it raises an error that names the code that was not loaded.
+class UnloadedModel:
+    """Placeholder for a model whose code was not loaded; every use of it raises an error.
 
     Args:
-        error: The error to raise.
+        error: Error to raise, which names the code.
     """
 
     error: ConfigError
@@ -102,18 +112,18 @@ class Unloaded:
         raise self.error
 
     def __call__(self, *_: object) -> Any:
-        """Raise the error, since nothing can be computed."""
+        """Raise the error."""
         raise self.error
 
 
 @dataclass(frozen=True, repr=False)
 class Described(Study):
-    """A study from its description, which can be read like any other but not simulated or changed.
+    """A study from its description; it can be read like any other study, but neither simulated nor changed.
 
     Args:
-        code: File and digest, at the time of the run, of each module that the study refers to.
-        description: The rest.
-        refusal: The message when a simulation is requested.
+        code: File and digest of the study's code at the time of the run.
+        description: What readers need of the models.
+        refusal: Error when a simulation or a change is requested.
     """
 
     code: JsonObject
@@ -122,60 +132,43 @@ class Described(Study):
 
     @classmethod
     def of(cls, table: Mapping[str, object], source: str, code: JsonObject, content: object) -> "Described":
-        """Build a study from its table and the result of :func:`describe`.
+        """Build a study from its table and its description.
+
+        Args:
+            table: Table of the study.
+            source: Location of the folder, for messages.
+            code: File and digest of the study's code at the time of the run.
+            content: Result of :func:`describe_study`.
 
         Raises:
-            ConfigError: they do not fit, or are damaged.
+            ConfigError: The table and the description do not belong together, or are damaged.
         """
         try:
             description = Description.model_validate(content)
             parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
-            numbers = numbers_of(description, parameters)
+            numbers = described_numbers(description, parameters)
             verdicts = np.asarray(description.certified or False, dtype=bool)
-        except ValueError as error:  # pydantic's is one
+        except ValueError as error:  # pydantic's ValidationError is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
+        mismatch = ConfigError(source, "is damaged: its description is not that of its study")
         rule = f"runs code that was not loaded: {describe_code(table, code)}; {remedy_for(table)} loads it"
-        unloaded: Any = Unloaded(refusal := ConfigError(source, rule))
-        channels = description.channels
-        angles = description.angles
-        plant = Plant(
-            params=NoParams,
-            init=unloaded,
-            derivative=unloaded,
-            measure=unloaded,
-            input_gain=unloaded,
-            channels=channels,
-            angles=angles,
-        )
-        default_units = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
-        units = default_units
-        if description.units is not None:
-            units = tuple(ChannelUnits(*texts) for texts in description.units)
-        if len(units) != len(default_units):
-            raise ConfigError(source, "is damaged: its description is not that of its study")
-        metrics_of_user = {
-            name: Metric(a.unit, a.meaning, update=unloaded, value=unloaded, needs=a.needs, scope=a.scope)
-            for name, a in description.metrics.items()
-        }
-        metrics = KNOWN | metrics_of_user
+        refusal = ConfigError(source, rule)
+        unloaded: Any = UnloadedModel(refusal)
+        channels = description.channels or ("",)
+        units = described_units(description)
+        if len(units) != len(channels):
+            raise mismatch
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
-            names = available_metrics(description.fields, description.seen, metrics)
-            signals = {
-                name: SampledSignal(signal.unit, signal.meaning, unloaded)
-                for name, signal in description.signals.items()
-            }
-            measures, requirements = parse_measures(
-                config, names, metrics, channels or ("",), units, signals, parameters.constant
-            )
+            measures, requirements = described_measures(description, config, units, parameters, unloaded)
         except ConfigError as error:
             raise error.within(source) from None
+        loop = Loop(described_plant(description, unloaded), *[unloaded] * 7, channels=channels, **time_fields(config))
         shape = tuple(len(values) for values in config.sweep.values())
-        loop = Loop(plant, *[unloaded] * 7, channels=channels or ("",), **time_fields(config))
-        is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == loop.channels
+        is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == channels
         if not is_consistent or (verdicts.shape or shape) != shape:
-            raise ConfigError(source, "is damaged: its description is not that of its study")
+            raise mismatch
         return cls(
             table=dict(table),
             source=source,
@@ -192,26 +185,71 @@ class Described(Study):
         )
 
     def override(self, changes: Mapping[str, object]) -> Study:
-        """Always refuse, because other values need the models.
+        """Refuse all changes, because they need the models.
 
         Raises:
-            ConfigError: always.
+            ConfigError: Always.
         """
         raise self.refusal
 
 
+def described_plant(description: Description, unloaded: Any) -> Plant:
+    """A plant with the channels of the description and placeholders for its functions."""
+    return Plant(
+        params=NoParams,
+        init=unloaded,
+        derivative=unloaded,
+        measure=unloaded,
+        input_gain=unloaded,
+        channels=description.channels,
+        angles=description.angles,
+    )
+
+
+def described_units(description: Description) -> tuple[ChannelUnits, ...]:
+    """Units and meanings of each channel's output and command."""
+    if description.units is not None:
+        return tuple(ChannelUnits(*texts) for texts in description.units)
+    return tuple(ANGLE if name in description.angles else POSITION for name in description.channels or ("",))
+
+
+def described_measures(
+    description: Description,
+    config: StudyTable,
+    units: tuple[ChannelUnits, ...],
+    parameters: ParameterTable,
+    unloaded: Any,
+) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
+    """Metrics and requirements of a study, with a placeholder wherever its code computes a value.
+
+    Raises:
+        ConfigError: The study names a metric or a signal that the description does not have.
+    """
+    metrics = dict(PACKAGE_METRICS)
+    for name, metric in description.metrics.items():
+        metrics[name] = Metric(
+            metric.unit, metric.meaning, update=unloaded, value=unloaded, needs=metric.needs, scope=metric.scope
+        )
+    signals = {}
+    for name, signal in description.signals.items():
+        signals[name] = SampledSignal(signal.unit, signal.meaning, unloaded)
+    names = available_metrics(description.fields, description.seen, metrics)
+    channels = description.channels or ("",)
+    return parse_measures(config, names, metrics, channels, units, signals, parameters.constant)
+
+
 def remedy_for(table: Mapping[str, object]) -> str:
-    """The options with which the code that a study refers to is loaded."""
+    """Options that load the code to which a study refers, in words."""
     native = [NATIVE_REMEDY] if native_files(table) else []
     return " and ".join([REMEDY] * bool(code_names(table)) + native)
 
 
-def numbers_of(description: Description, parameters: ParameterTable) -> dict[str, Number]:
-    """Every number of the loop; its paths are unknown without the models."""
+def described_numbers(description: Description, parameters: ParameterTable) -> dict[str, Number]:
+    """Record of each number of the loop by name, without paths, which only the models have."""
     numbers = {}
-    for name, description_of_number in description.numbers.items():
-        quantity = Quantity(description_of_number.unit, description_of_number.meaning)
-        match description_of_number.value:
+    for name, entry in description.numbers.items():
+        quantity = Quantity(entry.unit, entry.meaning)
+        match entry.value:
             case dict(law):
                 numbers[name] = Number.of(name, quantity, parse_law(law))
             case str(text):
@@ -221,23 +259,34 @@ def numbers_of(description: Description, parameters: ParameterTable) -> dict[str
     return numbers
 
 
-def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
-    """The data that :meth:`Described.of` needs in addition to a study's table, for JSON.
+def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
+    """Describe the models of a study for readers without its code, as JSON of :class:`Description`.
 
     Args:
         study: The study, with its models.
         certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why it does not apply; empty without the functions of Table 1.
+        silence: Why Theorem 1 does not apply; empty without the functions of Table 1.
     """
     numbers = {}
     for name, number in study.numbers.items():
-        law = number.value
-        quantity = number.quantity
-        value = law.table if isinstance(law, Law) else law
-        value = number.expression.text if number.expression else value
-        numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
+        if number.expression:
+            value = number.expression.text
+        else:
+            value = number.value.table if isinstance(number.value, Law) else number.value
+        numbers[name] = {"value": value, "unit": number.quantity.unit, "meaning": number.quantity.meaning}
+    signals = {}
+    for name, signal in signals_of(study.loop, study.template, study.units).items():
+        signals[name] = {"unit": signal.unit, "meaning": signal.meaning}
+    metrics = {}
+    for name, metric in metric_kinds(study.config).items():
+        if name not in PACKAGE_METRICS:
+            metrics[name] = {
+                "unit": metric.unit,
+                "meaning": metric.meaning,
+                "needs": list(metric.needs),
+                "scope": metric.scope.value,
+            }
     fields, vehicle_fields = info_fields(study.loop, study.template)
-    metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
     return {
         "channels": list(study.loop.plant.channels),
         "angles": list(study.loop.plant.angles),
@@ -245,29 +294,26 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         "numbers": numbers,
         "fields": {name: list(names) for name, names in fields.items()},
         "seen": list(vehicle_fields),
-        "signals": {
-            name: {"unit": signal.unit, "meaning": signal.meaning}
-            for name, signal in signals_of(study.loop, study.template, study.units).items()
-        },
-        "metrics": {
-            name: {"unit": m.unit, "meaning": m.meaning, "needs": list(m.needs), "scope": m.scope.value}
-            for name, m in metrics_of_user.items()
-        },
+        "signals": signals,
+        "metrics": metrics,
         "certified": None if certified is None else certified.tolist(),
         "silence": silence,
     }
 
 
-def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
-    """The study of a folder, which may come from anyone: the code it refers to is loaded only on request.
+def stored_study(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
+    """The study of a results folder, which may come from anyone: its code is loaded only on request.
 
     Args:
-        manifest: The folder's manifest: ``study`` and, if that refers to code, ``code`` and ``described``.
-        source: Its location, for messages.
-        trust_code: Import the code that the study refers to.
+        manifest: Manifest of the folder, with ``study`` and, if that refers to code, ``code`` and ``described``.
+        source: Location of the folder, for messages.
+        trust_code: Whether to import the code to which the study refers.
+
+    Returns:
+        The study, or a :class:`Described` one in place of code that is not loaded.
 
     Raises:
-        ConfigError: It is not valid, or it refers to code and was written before descriptions were stored.
+        ConfigError: The study is not valid, or it refers to code and the manifest has no description.
     """
     table = manifest["study"]
     unloaded_files = [native for native in native_files(table) if not native.loaded]

@@ -1,4 +1,4 @@
-"""Events ``[[event]]`` of a study: those of the vehicle, and those around the parts of its channels."""
+"""Events ``[[event]]`` of a study: those of the vehicle, and those of a channel's sensor or command."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -19,18 +19,28 @@ MOST_EVENTS = 12
 
 
 class StudyEvent(NamedTuple):
-    """An event with its place in the study, and the channel of its part; empty: all of them."""
+    """An event of a study.
+
+    Args:
+        path: Dotted path of the event's table, such as ``event.0``.
+        part: The event, parsed.
+        channel: Channel whose sensor or command it changes; empty for every channel.
+    """
 
     path: str
     part: Component
     channel: str
 
+    def under(self, place: str) -> Component:
+        """The event as a part whose numbers lie at a place of the loop's parameters."""
+        return self.part.under(place, self.path)
+
 
 def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ...]) -> list[StudyEvent]:
-    """The events of a study whose plant is a vehicle.
+    """Parse the events of a study, whose plant must be a vehicle if there are any.
 
     Raises:
-        ConfigError: one is not valid, or the plant is no vehicle.
+        ConfigError: An event is not valid, or the plant is no vehicle.
     """
     if tables and not isinstance(getattr(plant.params, "vehicle", None), Vehicle):
         raise ConfigError(EVENT, f"happens to a vehicle, and the plant '{plant.kind}' is none")
@@ -38,10 +48,10 @@ def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ..
 
 
 def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[StudyEvent]:
-    """The events of a study; without a kind, one is that of a rotor.
+    """Parse the tables ``[[event]]``; one without a kind is an event of a rotor.
 
     Raises:
-        ConfigError: one is not valid.
+        ConfigError: An event is not valid.
     """
     if len(tables) > MOST_EVENTS:
         raise ConfigError(EVENT, f"takes at most {MOST_EVENTS} events, got {len(tables)}")
@@ -49,9 +59,11 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Stu
     for index, table in enumerate(tables):
         path = f"{EVENT}.{index}"
         channel = table.get("channel", "")
-        part = parse_component({k: v for k, v in table.items() if k != "channel"}, EVENTS, path, default="rotor")
-        if channel and (channel not in channels or isinstance(part.model, VehicleEvent)):
-            hint = "has no channel" if isinstance(part.model, VehicleEvent) else nearest(str(channel), channels)
+        kind_table = {name: value for name, value in table.items() if name != "channel"}
+        part = parse_component(kind_table, EVENTS, path, default="rotor")
+        is_of_vehicle = isinstance(part.model, VehicleEvent)
+        if channel and (channel not in channels or is_of_vehicle):
+            hint = "has no channel" if is_of_vehicle else nearest(str(channel), channels)
             raise ConfigError(f"{path}.channel", f"must be a channel that the event changes, got {channel!r}; {hint}")
         require_order(part, path)
         study_events.append(StudyEvent(path, part, channel))
@@ -59,10 +71,10 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Stu
 
 
 def require_order(part: Component, path: str) -> None:
-    """Require that an event that ends can end after it begins.
+    """Require that an event with an end can end after it begins.
 
     Raises:
-        ConfigError: It ends before it begins, whatever its laws give.
+        ConfigError: It ends before it begins for all values of its laws.
     """
     until = getattr(part.params, "until", None)
     if until is not None and extent(until)[1] <= extent(part.params.at)[0]:
@@ -71,10 +83,14 @@ def require_order(part: Component, path: str) -> None:
 
 
 def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None:
-    """Require that some mass remains when all loads are dropped.
+    """Require that mass remains when all loads have been dropped.
+
+    Args:
+        study_events: Events of the vehicle.
+        mass: Mass of the vehicle [kg], or its law.
 
     Raises:
-        ConfigError: all dropped loads together may weigh as much as the vehicle.
+        ConfigError: All dropped loads together may weigh as much as the vehicle.
     """
     remaining = extent(mass)[0]
     for study_event in study_events:
@@ -86,10 +102,10 @@ def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None
 
 
 def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Component, ...]:
-    """The events of the vehicle, with the paths of their numbers in the loop's parameters.
+    """The events that act on the vehicle itself, as parts of the loop.
 
     Raises:
-        ConfigError: a rotor does not exist, or nothing remains of the mass.
+        ConfigError: A rotor does not exist, or no mass may remain.
     """
     components: list[Component] = []
     events_of_vehicle = [study_event for study_event in events if isinstance(study_event.part.model, VehicleEvent)]
@@ -99,19 +115,21 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
         rotor = getattr(part.params, "rotor", None)
         if rotor is not None and extent(rotor)[1] > vehicle.rotors:
             raise ConfigError(f"{study_event.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
-        numbers = (with_existing_rotors(number, vehicle.rotors) for number in part.numbers)
+        numbers = tuple(with_existing_rotors(number, vehicle.rotors) for number in part.numbers)
         place = f"events.{len(components)}"
-        components.append(replace(part, numbers=tuple(number.under(place, study_event.path) for number in numbers)))
+        components.append(replace(part, numbers=numbers).under(place, study_event.path))
     return tuple(components)
 
 
 def with_existing_rotors(number: Number, rotors: int) -> Number:
-    """A number of an event; a rotor's number has the number of rotors as its limit, which sweeps respect, too."""
-    return replace(number, quantity=replace(number.quantity, at_most=rotors)) if number.name == "rotor" else number
+    """Limit the number ``rotor`` of an event to the number of rotors, also in sweeps; other numbers stay."""
+    if number.name != "rotor":
+        return number
+    return replace(number, quantity=replace(number.quantity, at_most=rotors))
 
 
 def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
-    """Numbers of a part whose parameters move from a place to another; numbers of other places stay."""
+    """Numbers whose parameters move from a place in the loop's parameters to another; numbers of other places stay."""
     moved_numbers = []
     for number in numbers:
         paths = []
@@ -123,7 +141,7 @@ def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) 
 
 
 def behind_first(part: Component, place: str) -> Component:
-    """Unmodelled dynamics as the elements of a chain behind its first one, which is yet to be added."""
+    """Actuators at a place of the loop, moved so that one more element fits before them in their chain."""
     if not part.elements:
         numbers = with_moved_paths(part.numbers, place, f"{place}.1")
         return replace(part, params=(part.params,), numbers=numbers, elements=(Element(part.kind, part.model),))
@@ -134,55 +152,67 @@ def behind_first(part: Component, place: str) -> Component:
 
 
 def with_sensor_events(column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]) -> list[Component]:
-    """The sensor of each channel, with the events that it has."""
-    column = list(column)
+    """The sensor of each channel, wrapped by the events that change it.
+
+    Args:
+        column: Sensor of each channel.
+        events: All events of the study.
+        channels: Names of the channels.
+    """
+    sensors = list(column)
     for study_event in events:
-        event = study_event.part.model
-        if not isinstance(event, SensorEvent):
+        if not isinstance(study_event.part.model, SensorEvent):
             continue
         for index, channel in enumerate(channels):
-            if study_event.channel not in ("", channel):
-                continue
-            inner = column[index]
-            place = f"sensor.{index}"
-            event_numbers = tuple(
-                number.under(f"{place}.event", study_event.path) for number in study_event.part.numbers
-            )
-            column[index] = Component(
-                f"{inner.kind} with {study_event.part.kind}",
-                event.wrap(inner.model),
-                Wrapped(inner.params, study_event.part.params),
-                (*with_moved_paths(inner.numbers, place, f"{place}.inner"), *event_numbers),
-            )
-    return column
+            if study_event.channel in ("", channel):
+                sensors[index] = wrapped_sensor(sensors[index], study_event, f"sensor.{index}")
+    return sensors
+
+
+def wrapped_sensor(sensor: Component, study_event: StudyEvent, place: str) -> Component:
+    """A sensor with an event, at a place of the loop's parameters."""
+    event = study_event.under(f"{place}.event")
+    sensor_numbers = with_moved_paths(sensor.numbers, place, f"{place}.inner")
+    return Component(
+        kind=f"{sensor.kind} with {event.kind}",
+        model=event.model.wrap(sensor.model),
+        params=Wrapped(sensor.params, event.params),
+        numbers=(*sensor_numbers, *event.numbers),
+    )
 
 
 def with_command_events(
     column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]
 ) -> list[Component]:
-    """The unmodelled dynamics of each channel, with the events of its command before them."""
-    column = list(column)
+    """The actuators of each channel, preceded by the events that change its command.
+
+    Args:
+        column: Actuators, or other unmodelled dynamics, of each channel.
+        events: All events of the study.
+        channels: Names of the channels.
+    """
+    actuators = list(column)
     for study_event in events:
-        event = study_event.part.model
-        if not isinstance(event, CommandEvent):
+        if not isinstance(study_event.part.model, CommandEvent):
             continue
         for index, channel in enumerate(channels):
-            if study_event.channel not in ("", channel):
-                continue
-            inner = column[index]
-            place = f"unmodelled.{index}"
-            if inner.kind == "none":
-                event_numbers = tuple(number.under(place, study_event.path) for number in study_event.part.numbers)
-                column[index] = Component(study_event.part.kind, event.model, study_event.part.params, event_numbers)
-                continue
-            actuators = behind_first(inner, place)
-            event_numbers = tuple(number.under(f"{place}.0", study_event.path) for number in study_event.part.numbers)
-            elements = (Element(study_event.part.kind, event.model), *actuators.elements)
-            column[index] = Component(
-                kind=f"{study_event.part.kind} + {actuators.kind}",
-                model=chain(elements),
-                params=(study_event.part.params, *actuators.params),
-                numbers=(*event_numbers, *actuators.numbers),
-                elements=elements,
-            )
-    return column
+            if study_event.channel in ("", channel):
+                actuators[index] = chain_with_event(actuators[index], study_event, f"unmodelled.{index}")
+    return actuators
+
+
+def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) -> Component:
+    """The chain of an event and the actuators behind it, at a place of the loop's parameters."""
+    event_model = study_event.part.model.model
+    if actuators.kind == "none":
+        return replace(study_event.under(place), model=event_model)
+    event = study_event.under(f"{place}.0")
+    moved_actuators = behind_first(actuators, place)
+    elements = (Element(event.kind, event_model), *moved_actuators.elements)
+    return Component(
+        kind=f"{event.kind} + {moved_actuators.kind}",
+        model=chain(elements),
+        params=(event.params, *moved_actuators.params),
+        numbers=(*event.numbers, *moved_actuators.numbers),
+        elements=elements,
+    )

@@ -1,6 +1,6 @@
-"""The language of expressions: parsing of ``=1/(L*C)``, and its value for numbers, arrays, traced values, intervals.
+"""The language of expressions such as ``=1/(L*C)``: parsing, and evaluation in numbers, arrays or intervals.
 
-Python's parser reads the text, and an allow-list of its nodes decides what an expression may hold. Nothing is executed.
+Python's parser reads the text, and only listed kinds of its nodes are admitted. Nothing is executed.
 """
 
 import ast
@@ -25,7 +25,7 @@ LONGEST_TEXT = 500
 DEEPEST_TREE = 60
 PI = "pi"
 EXCERPT = 40  # characters of a text in a message
-LARGEST_PRODUCT = 1024  # whole exponent that is computed by products
+LARGEST_PRODUCT = 1024  # largest whole exponent that is computed by products
 
 Value = TypeVar("Value")
 
@@ -38,14 +38,14 @@ class Operation:
     """An operation of the language.
 
     Args:
-        ufunc: Its name in NumPy and in JAX.
-        interval: Its form for intervals.
-        several: Whether it takes two or more arguments, two at a time.
+        ufunc: Name of the operation in NumPy and JAX.
+        interval: The operation on intervals.
+        is_variadic: Whether it takes two or more arguments, which are combined two at a time.
     """
 
     ufunc: str
     interval: Callable[..., Interval]
-    several: bool = False
+    is_variadic: bool = False
 
 
 OPERATORS: dict[type[ast.operator] | type[ast.unaryop], Operation] = {
@@ -63,11 +63,11 @@ FUNCTIONS = {
     "sin": Operation("sin", intervals.sine),
     "cos": Operation("cos", intervals.cosine),
     "abs": Operation("abs", intervals.absolute),
-    "min": Operation("minimum", intervals.minimum, several=True),
-    "max": Operation("maximum", intervals.maximum, several=True),
+    "min": Operation("minimum", intervals.minimum, is_variadic=True),
+    "max": Operation("maximum", intervals.maximum, is_variadic=True),
 }
 RESERVED = (PI, *FUNCTIONS)
-"""Names that no parameter may have."""
+"""Words of the language, which no parameter may have as its name."""
 GRAMMAR = f"numbers, parameters, + - * / **, parentheses, pi and {', '.join(FUNCTIONS)}"
 
 
@@ -78,13 +78,13 @@ def is_expression(value: object) -> TypeGuard[str]:
 
 @lru_cache(maxsize=4096)
 def parse_expression(text: str) -> ast.expr:
-    """The tree of an expression.
+    """Parse an expression into the tree of Python's parser.
 
     Args:
-        text: With its sign of equality.
+        text: Text of the expression, with or without its leading ``=``.
 
     Raises:
-        ValueError: it is none; the message gives the reason.
+        ValueError: The text is no expression; the message gives the reason.
     """
     if len(text) > LONGEST_TEXT:
         raise ValueError(f"an expression has at most {LONGEST_TEXT} characters, got {len(text)}")
@@ -98,27 +98,32 @@ def parse_expression(text: str) -> ast.expr:
     except (SyntaxError, SyntaxWarning, DeprecationWarning, MemoryError, RecursionError, ValueError) as error:
         reason = getattr(error, "msg", None) or str(error) or "it is too deeply nested"
         raise ValueError(f"{text!r} is no expression: {reason}") from None
-    check(tree, body, 0)
+    require_language(tree, body, 0)
     return tree
 
 
-def check(node: ast.expr, body: str, depth: int) -> None:
-    """Require that a tree holds nothing but the language.
+def require_language(node: ast.expr, body: str, depth: int) -> None:
+    """Require that a tree has no nodes but those of the language.
+
+    Args:
+        node: Root of the tree.
+        body: Text of the whole expression, for messages.
+        depth: Depth of the node in the whole tree.
 
     Raises:
-        ValueError: it holds something else.
+        ValueError: A node is not admissible, or lies too deep.
     """
     if depth > DEEPEST_TREE:
         raise ValueError(f"{excerpt(body)!r} is nested too deeply, at most {DEEPEST_TREE} levels are taken")
-    for inner in operands(node, body):
-        check(inner, body, depth + 1)
+    for operand in operands(node, body):
+        require_language(operand, body, depth + 1)
 
 
 def operands(node: ast.expr, body: str) -> list[ast.expr]:
-    """The parts of an admissible node.
+    """Operands of an admissible node; empty for a number or a name.
 
     Raises:
-        ValueError: the node is not admissible.
+        ValueError: The node is not admissible.
     """
     match node:
         case ast.Constant(value=value) if is_number(value):
@@ -132,37 +137,38 @@ def operands(node: ast.expr, body: str) -> list[ast.expr]:
         case ast.BinOp(op=ast.BitXor()):
             raise ValueError(f"{excerpt(body)!r} holds '^'; a power is written **")
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-            check_call(name, len(arguments))
+            require_call(name, len(arguments))
             return arguments
     part = ast.get_source_segment(body, node) or body
     raise ValueError(f"{excerpt(part)!r} is not admissible in an expression, which may hold {GRAMMAR}")
 
 
-def check_call(name: str, count: int) -> None:
-    """Require that a function is known and has as many arguments as it takes.
+def require_call(name: str, count: int) -> None:
+    """Require that a function exists and takes a number of arguments.
 
     Raises:
-        ValueError: otherwise.
+        ValueError: It does not.
     """
     if name not in FUNCTIONS:
         raise ValueError(f"'{name}' is no function of expressions; {nearest(name, FUNCTIONS)}")
-    variadic = FUNCTIONS[name].several
-    if (count < 2) if variadic else (count != 1):
-        raise ValueError(f"{name} takes {'two or more arguments' if variadic else 'one argument'}, got {count}")
+    if FUNCTIONS[name].is_variadic and count < 2:
+        raise ValueError(f"{name} takes two or more arguments, got {count}")
+    if not FUNCTIONS[name].is_variadic and count != 1:
+        raise ValueError(f"{name} takes one argument, got {count}")
 
 
 def excerpt(text: str) -> str:
-    """The beginning of a text."""
+    """The first :data:`EXCERPT` characters of a text, for messages."""
     return text if len(text) <= EXCERPT else f"{text[:EXCERPT]}..."
 
 
 def names_of(tree: ast.expr) -> tuple[str, ...]:
-    """The parameters in an expression, each once, in its order."""
+    """Names of the parameters in an expression, each once, in the order of the text."""
     return tuple(dict.fromkeys(names_in(tree)))
 
 
 def names_in(node: ast.expr) -> Iterator[str]:
-    """The parameters in a node, as often as they occur."""
+    """Names of the parameters in a tree, as often as they occur."""
     match node:
         case ast.Name(id=name) if name != PI:
             yield name
@@ -179,16 +185,16 @@ def names_in(node: ast.expr) -> Iterator[str]:
 def evaluate(
     node: ast.expr, value_of: Callable[[str], Value], number: Callable[[float], Value], apply: "Apply[Value]"
 ) -> Value:
-    """The value of a tree.
+    """Evaluate an expression in any kind of value, such as numbers or intervals.
 
     Args:
-        node: A tree of :func:`parse_expression`.
-        value_of: Value of each parameter.
+        node: Tree from :func:`parse_expression`.
+        value_of: Value of a parameter by its name.
         number: Value of a constant.
-        apply: Value of an operation on values.
+        apply: Result of an operation on values.
     """
 
-    def inner(part: ast.expr) -> Value:
+    def value_at(part: ast.expr) -> Value:
         return evaluate(part, value_of, number, apply)
 
     match node:
@@ -197,16 +203,16 @@ def evaluate(
         case ast.Name(id=name):
             return number(np.pi) if name == PI else value_of(name)
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return inner(operand)
+            return value_at(operand)
         case ast.UnaryOp(op=operator, operand=operand):
-            return apply(OPERATORS[type(operator)], inner(operand))
+            return apply(OPERATORS[type(operator)], value_at(operand))
         case ast.BinOp(left=left, op=operator, right=right):
-            return apply(OPERATORS[type(operator)], inner(left), inner(right))
-        case ast.Call(func=ast.Name(id=name), args=[first, *others]):
+            return apply(OPERATORS[type(operator)], value_at(left), value_at(right))
+        case ast.Call(func=ast.Name(id=name), args=[first, *remaining]):
             operation = FUNCTIONS[name]
-            if not operation.several:
-                return apply(operation, inner(first))
-            return reduce(lambda value, other: apply(operation, value, inner(other)), others, inner(first))
+            if not operation.is_variadic:
+                return apply(operation, value_at(first))
+            return reduce(lambda value, operand: apply(operation, value, value_at(operand)), remaining, value_at(first))
     raise AssertionError(node)  # parse_expression admits no other
 
 
@@ -215,31 +221,36 @@ Apply = Callable[..., Value]
 
 
 def apply_to_numbers(operation: Operation, *values: Numeric) -> Numeric:
-    """An operation on numbers, arrays or traced values; plain numbers stay plain, and no value is an error."""
+    """Apply an operation to numbers, arrays or traced values; the result of plain numbers is a plain float.
+
+    An undefined result, such as 1/0, is not finite; no error is raised.
+    """
     xp = namespace(*values)
-    if operation.ufunc == "power" and xp is not np and is_whole(values[1]):
-        return values[0] ** int(values[1])  # products, whose derivative exists at and below 0
+    if operation.ufunc == "power" and xp is not np and is_whole_exponent(values[1]):
+        return values[0] ** int(values[1])  # products, which have a derivative at and below 0
     result = getattr(xp, operation.ufunc)(*values)
     return float(result) if isinstance(result, np.generic) else result
 
 
-def is_whole(exponent: Numeric) -> bool:
-    """Whether an exponent is known before tracing, and whole."""
+def is_whole_exponent(exponent: Numeric) -> bool:
+    """Whether an exponent is a whole plain number, not too large for products."""
     return is_number(exponent) and abs(exponent) <= LARGEST_PRODUCT and float(exponent).is_integer()
 
 
-def apply_to_intervals(operation: Operation, *values: Interval) -> Interval:
-    """An operation on intervals."""
-    return operation.interval(*values)
-
-
 def evaluate_numbers(tree: ast.expr, value_of: Callable[[str], Numeric]) -> Numeric:
-    """The value of an expression for numbers, arrays or traced values; not finite where it has none."""
+    """Value of an expression for numbers, arrays or traced values of its parameters; not finite where undefined."""
     with np.errstate(all="ignore"):
         return evaluate(tree, value_of, float, apply_to_numbers)
 
 
 def evaluate_intervals(tree: ast.expr, value_of: Callable[[str], Interval]) -> Interval:
-    """An interval that holds the values of an expression."""
+    """Interval that contains all values of an expression for intervals of its parameters."""
+
+    def number(value: float) -> Interval:
+        return Interval.of(value, value)
+
+    def apply(operation: Operation, *values: Interval) -> Interval:
+        return operation.interval(*values)
+
     with np.errstate(all="ignore"):
-        return evaluate(tree, value_of, lambda value: Interval.of(value, value), apply_to_intervals)
+        return evaluate(tree, value_of, number, apply)

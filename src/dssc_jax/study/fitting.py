@@ -1,4 +1,4 @@
-"""Controllers fitted to the nominal plant when a study is built: with the nominal value in place of each law."""
+"""Controllers that are fitted to the nominal plant, in which each law has its nominal value, when a study is built."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,16 +16,16 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Params, PlantInput, Scalar
 from dssc_jax.study.components import Component
-from dssc_jax.study.laws import Uncertain
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.laws import UncertainValue
+from dssc_jax.study.numbers import dotted_name
 
 COMMAND_DISTURBANCE = "disturbance"
-"""Name of the disturbance beside the command."""
+"""Name of the disturbance that adds to the command."""
 
 
 def nominal_params(params: Params) -> Params:
-    """Parameters with the nominal value in place of each law."""
-    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, Uncertain) else leaf, params)
+    """Replace each law and expression in parameters by its nominal value."""
+    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 def setting_of(
@@ -34,19 +34,31 @@ def setting_of(
     """The setting to which a controller of this loop is fitted.
 
     Args:
-        plant: The plant.
-        params: Its parameters, in plain numbers.
-        sample_time: T_s [s].
-        measured_signals: Measured signals of the loop.
+        plant: Model of the plant.
+        params: Parameters of the plant, in plain numbers.
+        sample_time: Sample time T_s [s].
+        measured_signals: Signals that the loop measures besides y and y'.
+
+    Returns:
+        The setting, with the nominal plant if the plant is linear and has one channel.
     """
     names = tuple(signal.name for signal in measured_signals)
-    linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2
-    return LoopSetting(sample_time, names, nominal_plant(plant, params, names) if linear else None)
+    is_linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2
+    return LoopSetting(sample_time, names, nominal_plant(plant, params, names) if is_linear else None)
 
 
 def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> NominalPlant:
-    """A linear plant of one channel in plain numbers; rows of outputs by differentiating what it reports."""
-    assert plant.linear is not None  # held by setting_of
+    """Matrices of a linear plant with one channel, in plain numbers.
+
+    The plant declares the matrices of its state. The rows of the output and of the measured signals follow from
+    differentiation of what it measures and reports.
+
+    Args:
+        plant: Model of the plant, with ``linear``.
+        params: Parameters of the plant, in plain numbers.
+        signal_names: Names of the measured signals besides y and y'.
+    """
+    assert plant.linear is not None  # checked by setting_of
     dynamics = plant.linear(params)
     inputs = plant.inputs(params) if plant.inputs else ()
     leaves, structure = jax.tree.flatten(plant.init(params))
@@ -83,12 +95,17 @@ def fitted_controllers(
     sample_time: float,
     measured_signals: Sequence[NamedSignal],
 ) -> list[Component]:
-    """The controllers; those whose model has ``fit`` get their gains by it.
+    """Fit the gains of each controller whose model has ``fit``; other controllers stay.
 
-    They follow from the nominal plant, the sample time and the measured signals.
+    Args:
+        controllers: Controller of each channel.
+        plant: The plant, parsed.
+        channels: Names of the channels.
+        sample_time: Sample time T_s [s].
+        measured_signals: Signals that the loop measures besides y and y'.
 
     Raises:
-        ConfigError: one cannot be fitted.
+        ConfigError: A controller cannot be fitted.
     """
     if all(component.model.fit is None for component in controllers):
         return list(controllers)
@@ -96,7 +113,7 @@ def fitted_controllers(
     result = []
     for name, component in zip(channels, controllers, strict=True):
         if component.model.fit is not None:
-            with errors_under(dotted("controller", name)):
+            with errors_under(dotted_name("controller", name)):
                 component = replace(component, params=component.model.fit(component.params, setting))
         result.append(component)
     return result

@@ -1,4 +1,4 @@
-"""Signals that a study can name, and the requirement that a formula of them is true."""
+"""Requirements that a formula is true, and the signals that formulas can name."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -11,59 +11,59 @@ from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Info, Scalar
-from dssc_jax.study.formulas import FormulaParser, FormulaSignal
+from dssc_jax.study.formulas import FormulaParser
 from dssc_jax.study.schema import RequirementTable, StudyTable
+from dssc_jax.study.table_errors import value_errors_at
 
 SMOOTHING = 0.01
 """Width of the smooth minimum in derivatives, as a share of the smallest number in the formula (assumed)."""
-MOST_MEMORY = 8000  # samples of the delay lines of a formula
+MOST_MEMORY = 8000  # most samples in the delay lines of a formula
 
 Constants: TypeAlias = Callable[[str, str], float]
-"""(text of an expression, place in the study) -> its value, which must be known before tracing."""
+"""(text of an expression, place in the study that needs it) -> its value, a plain number."""
 
 VEHICLE_SIGNALS = {
     "tilt": ("rad", "tilt of body z", lambda plant: plant.tilt),
     "phi": ("rad", "roll", lambda plant: plant.phi),
     "theta": ("rad", "pitch", lambda plant: plant.theta),
 }
-"""Unit, meaning and value of each signal of a vehicle as a whole; the plant's monitor has a field of its name."""
+"""Unit, meaning and value of each signal of a vehicle that has no channel, from what the plant reports."""
 
 
-def of_vehicle(value: Callable[[Info], Scalar], instant: Instant) -> Scalar:
-    """A signal of the vehicle."""
+def vehicle_signal(value: Callable[[Info], Scalar], instant: Instant) -> Scalar:
+    """Value of a vehicle's signal at a sample."""
     return value(instant.plant)
 
 
 def time_of(instant: Instant) -> Scalar:
-    """The time of a sample [s]."""
+    """Time of a sample [s]."""
     return instant.t
 
 
-def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, FormulaSignal]:
-    """The signals that a formula can name: the time, and those of the loop by the names of ``signal =``.
+def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, SampledSignal]:
+    """Signals that a formula can name: the time ``t`` and all signals of the loop.
 
     Args:
-        loop_signals: Every signal of the loop, by the name of its column in a trajectory.
+        loop_signals: Signals of the loop, by the names of their columns in a trajectory.
     """
-    signals = {name: FormulaSignal(signal.unit, signal.meaning, signal.value) for name, signal in loop_signals.items()}
-    signals |= {"t": FormulaSignal("s", "time", time_of)}
+    signals = {**loop_signals, "t": SampledSignal("s", "time", time_of)}
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
         if name in loop_signals:
-            signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))
+            signals[name] = SampledSignal(unit, meaning, partial(vehicle_signal, value))
     return signals
 
 
 def formula_requirement(
-    table: RequirementTable, place: str, config: StudyTable, signals: Mapping[str, FormulaSignal], parameters: Constants
+    table: RequirementTable, place: str, config: StudyTable, signals: Mapping[str, SampledSignal], parameters: Constants
 ) -> Requirement:
-    """The requirement that the robustness of a formula is not negative.
+    """Parse the requirement that a formula is true, as the bound 0 of its robustness.
 
     Args:
-        table: The requirement, which has a formula.
-        place: Its place in the study.
-        config: The study's tables.
-        signals: The signals of the loop.
-        parameters: See :data:`Constants`.
+        table: Table of the requirement, which has a formula.
+        place: Dotted path of the table, such as ``requirement.0``.
+        config: Tables of the study.
+        signals: Signals that the formula can name.
+        parameters: Value of an expression of parameters.
 
     Raises:
         ConfigError: The formula is not valid.
@@ -76,10 +76,8 @@ def formula_requirement(
     def parameter(name: str) -> float:
         return parameters(f"={name}", place_of_text)
 
-    try:
+    with value_errors_at(place_of_text):
         parsed_formula = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parse()
-    except ValueError as error:
-        raise ConfigError(place_of_text, str(error)) from None
     size = memory_size(parsed_formula.formula)
     if size > MOST_MEMORY:
         rule = f"needs a memory of {size} samples, and {MOST_MEMORY} are the most"

@@ -1,4 +1,4 @@
-"""The parser of formulas: their grammar, and the checks of their times and names.
+"""The parser of formulas in signal temporal logic: their grammar, and checks of their times and names.
 
     formula     = disjunction ["implies" formula]
     disjunction = conjunction {"or" conjunction}
@@ -13,7 +13,6 @@ A comparison is one of < <= > >= between two expressions of signals, parameters 
 
 import ast
 import math
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -22,53 +21,37 @@ import jax.numpy as jnp
 
 from dssc_jax.closed_loop.formula_tree import Always, And, Comparison, Eventually, Formula, Not, Or, Until, horizon
 from dssc_jax.closed_loop.metrics import Instant
+from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.signals import Scalar
-from dssc_jax.study.expressions import FUNCTIONS, PI, evaluate_numbers, names_of, parse_expression
+from dssc_jax.study.expressions import evaluate_numbers, names_of, parse_expression
+from dssc_jax.study.formula_tokens import COMPARISONS, WORDS, Token, tokens_of
 
 LONGEST_FORMULA = 1000
 DEEPEST_FORMULA = 30
-TOKEN = re.compile(r"\s*(?:(?P<word>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
-                   r"|(?P<sign><=|>=|->|==|!=|\*\*|[-+*/<>()\[\],]))", re.ASCII)  # fmt: skip
-COMPARISONS = ("<", "<=", ">", ">=")
-WORDS = ("always", "eventually", "until", "not", "and", "or", "implies")
-UNCLEAR = "SI"
-ROUNDING = 1e-9  # share of a sample: a bound counts as one of its multiples
-
-
-class Token(NamedTuple):
-    """A word, number or sign of a formula, and where it begins."""
-
-    text: str
-    start: int
-
-
-class FormulaSignal(NamedTuple):
-    """A signal that a formula can name: its unit, its meaning and its value."""
-
-    unit: str
-    meaning: str
-    value: Callable[[Instant], Scalar]
+MIXED_UNIT = "SI"
+"""Unit of an expression that multiplies signals, or of comparisons with several units."""
+ROUNDING = 1e-9  # share of a sample within which the end of an interval counts as a sample
 
 
 @dataclass(frozen=True)
-class Margin:
-    """How far one expression lies above another, at a sample.
+class ExpressionDifference:
+    """Difference of two expressions at a sample, which is positive if their comparison is true.
 
     Args:
-        upper: Text of the expression that is to be the larger one.
-        lower: Text of the expression that is to be the smaller one.
-        signals: The signals in them, by name.
-        numbers: The values of the parameters in them.
+        upper: Text of the expression that must be the larger one.
+        lower: Text of the expression that must be the smaller one.
+        signals: Name and signal of each signal in the expressions.
+        numbers: Name and value of each parameter in the expressions.
     """
 
     upper: str
     lower: str
-    signals: tuple[tuple[str, FormulaSignal], ...]
+    signals: tuple[tuple[str, SampledSignal], ...]
     numbers: tuple[tuple[str, float], ...]
 
     def __call__(self, instant: Instant) -> Scalar:
-        """The difference of the two expressions."""
+        """Value of the upper expression minus that of the lower one."""
         values: dict[str, Scalar] = dict(self.numbers)
         for name, signal in self.signals:
             values[name] = signal.value(instant)
@@ -78,7 +61,11 @@ class Margin:
 
 
 def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
-    """Unit of an expression: None for a plain number, :data:`UNCLEAR` where the factors in it may have units."""
+    """Unit of an expression, from the units of its signals by name.
+
+    Returns:
+        None for a plain number; :data:`MIXED_UNIT` where signals are multiplied, or units differ.
+    """
     match node:
         case ast.Name(id=name):
             return units.get(name)
@@ -88,16 +75,16 @@ def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
     match node:
         case ast.BinOp(op=ast.Add() | ast.Sub()) | ast.Call(func=ast.Name(id="min" | "max")) if len(part_units) == 1:
             return part_units.pop()
-    return UNCLEAR if part_units else None
+    return MIXED_UNIT if part_units else None
 
 
 class ParsedFormula(NamedTuple):
     """A formula, with the unit and the size of its comparisons.
 
     Args:
-        formula: The formula.
-        unit: Unit of its comparisons; SI if it is not the same for all, or unclear.
-        size: The smallest magnitude other than 0 with which a signal is compared; None: there is none.
+        formula: Tree of the formula.
+        unit: Unit of all comparisons, or :data:`MIXED_UNIT`.
+        size: Smallest magnitude other than 0 with which a signal is compared; None if there is none.
     """
 
     formula: Formula
@@ -107,18 +94,21 @@ class ParsedFormula(NamedTuple):
 
 @dataclass
 class FormulaParser:
-    """Reads a formula.
+    """Recursive-descent parser of one formula, with one method for each rule of the grammar.
+
+    Its further fields are the state of the parser: the tokens and the index of the next one, the number of rules within
+    each other, and the units and sizes of the comparisons so far.
 
     Args:
-        text: Its text.
-        signals: The signals of the loop by name.
-        parameter: Returns the value of a named parameter; raises ValueError for an unknown name.
-        sample_time: T_s [s].
+        text: Text of the formula.
+        signals: Signals of the loop by name.
+        parameter: (name of a parameter) -> its value; raises ValueError for an unknown name.
+        sample_time: Sample time T_s [s].
         steps: Number of samples of a flight.
     """
 
     text: str
-    signals: Mapping[str, FormulaSignal]
+    signals: Mapping[str, SampledSignal]
     parameter: Callable[[str], float]
     sample_time: float
     steps: int
@@ -151,32 +141,33 @@ class FormulaParser:
                 f"needs {duration:g} s of flight, and the last sample is at {last_time:g} s, one sample "
                 f"before the end; shorten its intervals by {excess:g} s, or set loop.duration = {sufficient_duration:g}"
             )
-        unit = next(iter(self.units)) if len(self.units) == 1 else UNCLEAR
+        unit = next(iter(self.units)) if len(self.units) == 1 else MIXED_UNIT
         return ParsedFormula(formula, unit, min(self.sizes, default=None))
 
     # Tokens
 
     @property
     def token(self) -> str:
-        """The next token; empty at the end."""
+        """Text of the next token; empty at the end."""
         return self.tokens[self.position].text if self.position < len(self.tokens) else ""
 
     def place(self) -> str:
-        """The place of the next token, in words."""
+        """Place of the next token in the text, in words."""
         begin = self.tokens[self.position].start if self.position < len(self.tokens) else len(self.text)
-        return f"after {self.text[:begin].strip()[-30:]!r}" if self.text[:begin].strip() else "at the beginning"
+        text_before = self.text[:begin].strip()
+        return f"after {text_before[-30:]!r}" if text_before else "at the beginning"
 
     def take(self, text: str) -> bool:
-        """Take the next token if it is this one, and tell whether it was."""
+        """Consume the next token if it has this text, and return whether it did."""
         matches = self.token == text
         self.position += matches
         return matches
 
     def expect(self, text: str) -> None:
-        """Take a token.
+        """Consume the next token, which must have this text.
 
         Raises:
-            ValueError: The next token is another one.
+            ValueError: It has another text.
         """
         if not self.take(text):
             raise ValueError(f"{self.place()}: expected '{text}', got {self.token!r}")
@@ -184,25 +175,33 @@ class FormulaParser:
     # Grammar
 
     def formula(self) -> Formula:
-        """A disjunction, or an implication."""
-        self.depth += 1
-        if self.depth > DEEPEST_FORMULA:
-            raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
+        """Parse a disjunction, or an implication."""
+        self.descend()
         formula = self.joined_operands("or", Or, lambda: self.joined_operands("and", And, self.until))
         if self.take("implies") or self.take("->"):
             formula = Or((Not(formula), self.formula()))
         self.depth -= 1
         return formula
 
+    def descend(self) -> None:
+        """Count one more rule within the others.
+
+        Raises:
+            ValueError: There are more than :data:`DEEPEST_FORMULA`.
+        """
+        self.depth += 1
+        if self.depth > DEEPEST_FORMULA:
+            raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
+
     def joined_operands(self, word: str, kind: type[And] | type[Or], part: Callable[[], Formula]) -> Formula:
-        """One or more parts, joined by a word."""
+        """Parse one or more parts, joined by a word."""
         parts = [part()]
         while self.take(word):
             parts.append(part())
         return parts[0] if len(parts) == 1 else kind(tuple(parts))
 
     def until(self) -> Formula:
-        """An operand, or two joined by ``until``."""
+        """Parse an operand, or two joined by ``until``."""
         condition = self.unary()
         if not self.take("until"):
             return condition
@@ -210,16 +209,14 @@ class FormulaParser:
         return Until(begin, end, condition, self.unary())
 
     def unary(self) -> Formula:
-        """A comparison, a formula in parentheses, or an operator with its operand."""
-        self.depth += 1
-        if self.depth > DEEPEST_FORMULA:
-            raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
+        """Parse a comparison, a formula in parentheses, or an operator with its operand."""
+        self.descend()
         formula = self.operand()
         self.depth -= 1
         return formula
 
     def operand(self) -> Formula:
-        """As :meth:`unary`, which limits the depth."""
+        """Parse the rule of :meth:`unary` without its limit of depth."""
         if self.take("not"):
             return Not(self.unary())
         if self.take("always"):
@@ -236,7 +233,7 @@ class FormulaParser:
         return self.comparison()
 
     def is_formula_within(self) -> bool:
-        """Whether the parenthesis here holds a formula, and not a part of an expression."""
+        """Whether the parenthesis that opens here contains a formula, rather than a part of an expression."""
         open_parentheses = 0
         for token in self.tokens[self.position :]:
             open_parentheses += (token.text == "(") - (token.text == ")")
@@ -247,15 +244,20 @@ class FormulaParser:
         return False
 
     def interval(self, operator: str) -> tuple[int, int]:
-        """The first and the last sample of an interval; without one, 0 and -1 for the end of the flight."""
+        """Parse the interval of a temporal operator.
+
+        Returns:
+            Its first and last sample; without an interval 0 and -1, which stands for the end of the flight.
+        """
         if not self.take("["):
             return 0, -1
-        texts = [self.expression((",",)), ""]
+        begin_text = self.expression((",",))
         self.expect(",")
-        texts[1] = self.expression(("]",))
+        end_text = self.expression(("]",))
         self.expect("]")
-        begin, end = (self.seconds(text) for text in texts)
-        interval_text = f"{operator}[{texts[0]},{texts[1]}]"
+        begin = self.seconds(begin_text)
+        end = self.seconds(end_text)
+        interval_text = f"{operator}[{begin_text},{end_text}]"
         if not 0.0 <= begin <= end < math.inf:
             raise ValueError(f"{interval_text} needs 0 <= begin <= end in seconds")
         first_sample = math.ceil(begin / self.sample_time - ROUNDING)
@@ -265,19 +267,19 @@ class FormulaParser:
         return first_sample, last_sample
 
     def seconds(self, text: str) -> float:
-        """The value of a time that is written with numbers and parameters [s]."""
-        tree = parse_expression(text)
-        return float(evaluate_numbers(tree, self.parameter))
+        """Value [s] of an expression of numbers and parameters."""
+        return float(evaluate_numbers(parse_expression(text), self.parameter))
 
     def comparison(self) -> Formula:
-        """One comparison, or several in a chain."""
+        """Parse a comparison, or several in a chain such as ``-1 < e < 1``."""
         sides = [self.expression(COMPARISONS)]
         parts: list[Formula] = []
         while self.token in COMPARISONS:
             sign = self.tokens[self.position].text
             self.position += 1
             sides.append(self.expression(COMPARISONS))
-            lower, upper = sides[-2:] if sign in ("<", "<=") else sides[:-3:-1]
+            left, right = sides[-2:]
+            lower, upper = (left, right) if sign in ("<", "<=") else (right, left)
             parts.append(self.comparison_of(upper, lower))
         if not parts:
             rule = "compare with <, <=, > or >=; equality of real numbers has no robustness"
@@ -285,7 +287,10 @@ class FormulaParser:
         return parts[0] if len(parts) == 1 else And(tuple(parts))
 
     def expression(self, ends: tuple[str, ...]) -> str:
-        """The text of the expression here, up to one of some tokens, a word of formulas or a closing parenthesis."""
+        """Text of the expression that begins here.
+
+        It extends to one of the tokens ``ends``, a word of formulas, or a parenthesis or bracket that it does not open.
+        """
         open_parentheses = 0
         start = self.position
         end_tokens = (*ends, ")", "->", "]", "==", "!=")
@@ -301,7 +306,7 @@ class FormulaParser:
         return self.text[tokens[0].start : last_token.start + len(last_token.text)]
 
     def comparison_of(self, upper: str, lower: str) -> Comparison:
-        """A comparison of two expressions."""
+        """The comparison that ``upper`` exceeds ``lower``; its unit and size are recorded."""
         trees = [parse_expression(text) for text in (upper, lower)]
         names = dict.fromkeys(name for tree in trees for name in names_of(tree))
         signals = tuple((name, self.signals[name]) for name in names if name in self.signals)
@@ -310,21 +315,23 @@ class FormulaParser:
             raise ValueError(f"'{lower} < {upper}' compares no signal; the signals are {', '.join(self.signals)}")
         for tree in trees:
             names_in_tree = names_of(tree)
-            if not set(names_in_tree) & self.signals.keys():
-                size = abs(float(evaluate_numbers(tree, dict(numbers).__getitem__)))
-                if not math.isfinite(size):
-                    raise ValueError(f"a side of '{lower} < {upper}' has no finite value")
-                self.sizes += [size] if size else []
+            if set(names_in_tree) & self.signals.keys():
+                continue
+            size = abs(float(evaluate_numbers(tree, dict(numbers).__getitem__)))
+            if not math.isfinite(size):
+                raise ValueError(f"a side of '{lower} < {upper}' has no finite value")
+            if size:
+                self.sizes.append(size)
         units = {name: signal.unit for name, signal in signals}
         side_units = {unit_of(tree, units) for tree in trees} - {None}
-        self.units.setdefault(str(side_units.pop()) if len(side_units) == 1 else UNCLEAR)
-        return Comparison(Margin(upper, lower, signals, numbers))
+        self.units.setdefault(str(side_units.pop()) if len(side_units) == 1 else MIXED_UNIT)
+        return Comparison(ExpressionDifference(upper, lower, signals, numbers))
 
     def parameter_of(self, name: str) -> float:
-        """The value of a parameter.
+        """Value of a parameter.
 
         Raises:
-            ValueError: It is neither a signal nor a parameter with a plain number.
+            ValueError: The name is neither that of a signal nor that of a parameter with a plain number.
         """
         try:
             return self.parameter(name)
@@ -336,12 +343,12 @@ class FormulaParser:
 
 
 def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
-    """The formula in which operators without an interval reach to the end of the flight.
+    """Let temporal operators without an interval extend to the end of the flight.
 
     Args:
-        formula: A formula.
+        formula: Formula.
         steps: Number of samples of a flight.
-        outermost: Whether no temporal operator surrounds it.
+        outermost: Whether no temporal operator surrounds the formula.
 
     Raises:
         ValueError: A temporal operator within another one has no interval.
@@ -367,25 +374,3 @@ def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
             return Until(formula.begin, last_sample(formula.end, condition, goal), condition, goal)
     inner = with_intervals(formula.inner, steps, outermost=False)
     return type(formula)(formula.begin, last_sample(formula.end, inner), inner)
-
-
-def tokens_of(text: str) -> list[Token]:
-    """The tokens of a formula.
-
-    Raises:
-        ValueError: A character belongs to no token.
-    """
-    tokens: list[Token] = []
-    position = 0
-    while text[position:].strip():
-        match = TOKEN.match(text, position)
-        if match is None:
-            raise ValueError(f"{text[position:].strip()[0]!r} is not admissible in a formula; {LANGUAGE}")
-        token = match.group(0).strip()
-        tokens.append(Token(token, match.end() - len(token)))
-        position = match.end()
-    return tokens
-
-
-ARITHMETIC_WORDS = ", ".join((PI, *FUNCTIONS))
-LANGUAGE = f"it may hold signals, parameters, numbers, comparisons, {', '.join(WORDS)}, + - * /, {ARITHMETIC_WORDS}"

@@ -16,9 +16,9 @@ WHERE_MODULES_ARE = (
 
 
 def allow_imports(folder: str | Path) -> None:
-    """Let modules be imported from a folder too.
+    """Add a folder to the places from which modules are imported.
 
-    It comes last in the search, so that a file in it never takes the place of an installed module.
+    It comes last in the search, so that none of its files hides an installed module.
     """
     place = str(Path(folder).resolve())
     if place not in sys.path:
@@ -26,11 +26,17 @@ def allow_imports(folder: str | Path) -> None:
         importlib.invalidate_caches()
 
 
-def imported(name: str, place: str) -> Any:
+def import_object(name: str, place: str) -> Any:
     """Import a user's object by its name ``package.module:object``.
 
+    What the module prints goes to the error stream, so that it does not mix with a command's output.
+
+    Args:
+        name: Name of the object.
+        place: Place of the study that names it, for messages.
+
     Raises:
-        ConfigError: it cannot be imported, and what to do.
+        ConfigError: The object cannot be imported; the message has a remedy.
     """
     module_name, _, attribute = name.partition(":")
     try:
@@ -47,7 +53,7 @@ def imported(name: str, place: str) -> Any:
 
 
 def import_failure(module_name: str, error: BaseException) -> str:
-    """The reason why a module cannot be imported, and the remedy."""
+    """Reason why the import of a module failed, and the remedy, in words."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         if module_name.endswith(".py"):
             return f"a module is named without `.py`: '{module_name.removesuffix('.py')}'"

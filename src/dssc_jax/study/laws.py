@@ -1,6 +1,7 @@
 """Probability laws of uncertain numbers: ``{ uniform = [0.8, 1.2] }`` in place of a number.
 
-A law maps the unit interval to its values, so that random, Sobol and Latin-hypercube points can all be used.
+A law maps levels in the unit interval to values by its quantile function. So random, Sobol and Latin-hypercube points
+can all be used.
 """
 
 import math
@@ -21,20 +22,20 @@ from dssc_jax.study.densities import Arguments
 
 @dataclass(frozen=True)
 class LawKind:
-    """A family of laws.
+    """A family of laws. The functions take the arguments of a law.
 
     Args:
-        signature: The arguments as written in a study file.
-        counts: The number of arguments; None for one or more.
-        rule: The rule that arguments must satisfy, in words, and its test.
+        signature: Arguments as text, such as ``[lo, hi]``.
+        counts: Admissible numbers of arguments; None for one or more.
+        rule: Rule that the arguments must satisfy, in words, and its test.
         support: Lowest and highest value.
-        quantile: Inverse of the distribution function at levels in (0, 1).
-        roles: Which arguments are locations (l) and scales (s), of a lognormal law those of the logarithm; empty:
-            the law can be neither moved nor widened.
+        quantile: Inverse of the distribution function at levels in (0, 1), of the shape of the levels.
+        roles: One letter for each argument: ``l`` for a location, ``s`` for a scale, ``.`` for a shape. Empty if the
+            law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
-        log_density: Logarithm of the density at values; None: arguments may not be ranges.
-        nominal: What is believed of a number before a flight; None: the median.
-        discrete: Whether the values are among the arguments.
+        log_density: Logarithm of the density at values; None if arguments may not be ranges.
+        nominal: Nominal value; None for the median.
+        discrete: Whether all values of the law are among its arguments.
     """
 
     signature: str
@@ -50,12 +51,15 @@ class LawKind:
 
     @property
     def argument_names(self) -> tuple[str, ...]:
-        """The names of the arguments, as many as the law can have."""
+        """Names of the arguments, as many as the law can have."""
         return tuple(self.signature.rpartition("[")[2].rstrip("]").split(", "))
 
 
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean computed from the upper tail."""
+    """Quantile of the normal law (mean, standard deviation) truncated to [lo, hi], at levels u.
+
+    An interval above the mean is computed from the lower tail of the mirrored interval, which does not cancel.
+    """
     mean, std, low, high = a
     low_score = (low - mean) / std
     high_score = (high - mean) / std
@@ -71,7 +75,7 @@ def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 
 
 def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Triangular on [lo, hi] with its peak at the mode."""
+    """Quantile of the triangular law on [lo, hi] with its peak at the mode, at levels u."""
     low, mode, high = a
     width = high - low
     rising = low + np.sqrt(u * width * (mode - low))
@@ -80,17 +84,16 @@ def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
 
 
 def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Beta on [lo, hi], by default [0, 1]."""
+    """Quantile of the beta law with two shape parameters on [lo, hi], by default [0, 1], at levels u."""
     low, high = a[2:] or (0.0, 1.0)
     return low + (high - low) * scipy.special.betaincinv(a[0], a[1], u)
 
 
 def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """One of the values, each equally likely."""
+    """Quantile of the law in which each of the arguments is equally likely, at levels u."""
     return np.asarray(a)[np.minimum((u * len(a)).astype(int), len(a) - 1)]
 
 
-INFINITE = math.inf
 LAWS: dict[str, LawKind] = {
     "uniform": LawKind(
         "[lo, hi]",
@@ -115,7 +118,7 @@ LAWS: dict[str, LawKind] = {
         "[mean, std]",
         (2,),
         ("std must be positive", lambda a: a[1] > 0.0),
-        lambda a: (-INFINITE, INFINITE),
+        lambda a: (-math.inf, math.inf),
         lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
         roles="ls",
         log_density=densities.normal,
@@ -136,7 +139,7 @@ LAWS: dict[str, LawKind] = {
         "[mean of the logarithm, std of the logarithm]",
         (2,),
         ("std must be positive", lambda a: a[1] > 0.0),
-        lambda a: (math.ulp(0.0), INFINITE),
+        lambda a: (math.ulp(0.0), math.inf),
         lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
         roles="ls",
         logarithmic=True,
@@ -181,11 +184,11 @@ LAWS: dict[str, LawKind] = {
 
 
 SPREAD = "spread"
-"""The name, in place of a number's dotted name, for widening all laws together."""
+"""Stands for all laws together, in place of a number's dotted name, where a margin widens laws."""
 
 
-class Uncertain(ABC):
-    """The content of a number that differs between draws: a law, or an expression of such numbers."""
+class UncertainValue(ABC):
+    """A value that differs between draws: a law, or an expression of parameters with laws."""
 
     @property
     @abstractmethod
@@ -195,21 +198,21 @@ class Uncertain(ABC):
     @property
     @abstractmethod
     def median(self) -> float:
-        """The value for which every law is at its median."""
+        """Value when every law is at its median."""
 
     @property
     @abstractmethod
     def nominal(self) -> float:
-        """What is believed of the number: that of an inner loop, or of a controller that is fitted to the plant."""
+        """Value that an inner loop, or a controller which is fitted to the plant, assumes in every draw."""
 
 
 @dataclass(frozen=True)
-class Law(Uncertain):
-    """A law that replaces a number.
+class Law(UncertainValue):
+    """Probability law of a number.
 
     Args:
-        kind: Name in :data:`LAWS`.
-        arguments: Its arguments, as the study file gives them.
+        kind: Name of the family in :data:`LAWS`.
+        arguments: Arguments in the order of the study file.
     """
 
     kind: str
@@ -217,7 +220,7 @@ class Law(Uncertain):
 
     @property
     def table(self) -> TomlTable:
-        """The law as a study file gives it."""
+        """Table of the law in a study file, such as ``{"uniform": [0.8, 1.2]}``."""
         return {self.kind: list(self.arguments)}
 
     @property
@@ -236,24 +239,24 @@ class Law(Uncertain):
         return LAWS[self.kind].support(self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
-        """Values at the levels ``u`` in (0, 1): the inverse of the distribution function."""
+        """Inverse of the distribution function at levels ``u`` in (0, 1), of their shape."""
         return LAWS[self.kind].quantile(self.arguments, u)
 
     @property
     def median(self) -> float:
-        """The value at level 1/2."""
+        """Value at the level 1/2."""
         return float(self.quantile(np.asarray(0.5)))
 
     @property
     def nominal(self) -> float:
-        """The nominal value: that of the law, or its median."""
+        """Nominal value of a ``point`` law, or the median."""
         nominal = LAWS[self.kind].nominal
         return self.median if nominal is None else float(nominal(self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
-        """Scale the distance of values from the median by ``share``; the values of a choice are unchanged.
+        """Scale the distance of values from the median by ``share``; a law that cannot be widened keeps its values.
 
-        For logarithmic laws, the distance is that of the logarithms.
+        For logarithmic laws, the distance is that of the logarithms. The result has the shape of the values.
         """
         if not self.movable:
             return np.asarray(values)
@@ -262,16 +265,16 @@ class Law(Uncertain):
         return self.median + share * (np.asarray(values) - self.median)
 
     def moved(self, median: float, share: float) -> "Law":
-        """The law of the same kind with another median, and every value's distance from it scaled by ``share``.
+        """The law of the same family with another median and a scaled width.
 
-        For logarithmic laws, the distance is that of the logarithms.
+        For logarithmic laws, the width is that of the logarithms.
 
         Args:
-            median: The new median; positive for a logarithmic law.
-            share: The new width relative to the present one, > 0.
+            median: New median; positive for a logarithmic law.
+            share: New width relative to the present one, > 0.
 
         Raises:
-            ValueError: The law is a choice, or a value is out of range.
+            ValueError: The law has no width, or an argument is out of range.
 
         Example:
             >>> Law("uniform", (0.0, 2.0)).moved(3.0, 0.5)
@@ -288,11 +291,13 @@ class Law(Uncertain):
         if self.logarithmic:
             old_location = math.log(old_location)
             new_location = math.log(new_location)
-        if self.kind == "loguniform":
+        if self.kind == "loguniform":  # its arguments are values, those of a lognormal law are logarithms
             values = np.log(values)
-        rules = {"l": new_location + share * (values - old_location), "s": share * values, ".": values}
-        new_arguments = [float(rules[rule][i]) for i, rule in enumerate(LAWS[self.kind].roles)]
-        return Law(self.kind, tuple(np.exp(new_arguments).tolist() if self.kind == "loguniform" else new_arguments))
+        by_role = {"l": new_location + share * (values - old_location), "s": share * values, ".": values}
+        new_arguments = [float(by_role[role][i]) for i, role in enumerate(LAWS[self.kind].roles)]
+        if self.kind == "loguniform":
+            new_arguments = np.exp(new_arguments).tolist()
+        return Law(self.kind, tuple(new_arguments))
 
     def __str__(self) -> str:
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"
@@ -300,34 +305,36 @@ class Law(Uncertain):
 
 @dataclass(frozen=True)
 class RangedLaw(Law):
-    """A law whose arguments may lie anywhere within ranges: a probability box. Its ``arguments`` are their middles.
+    """A law whose arguments may lie anywhere within ranges (a probability box).
+
+    The ``arguments`` are the middles of the ranges.
 
     Args:
-        ranges: Lowest and highest value of each argument; equal if it is known.
+        ranges: Lowest and highest value of each argument; equal for an argument that is a plain number.
     """
 
     ranges: tuple[tuple[float, float], ...]
 
     @property
     def table(self) -> TomlTable:
-        """The law as a study file gives it."""
+        """Table of the law in a study file, such as ``{"uniform": [0.8, 1.2]}``."""
         return {self.kind: [low if low == high else [low, high] for low, high in self.ranges]}
 
     @property
     def support(self) -> tuple[float, float]:
-        """Lowest and highest value of all its laws."""
+        """Lowest and highest value under any arguments within the ranges."""
         lows, highs = zip(*(law.support for law in self.corners), strict=True)
         return min(lows), max(highs)
 
     @property
     def corners(self) -> list[Law]:
-        """The laws whose arguments are ends of their ranges."""
+        """The laws at all combinations of ends of the ranges."""
         ends = [[low] if low == high else [low, high] for low, high in self.ranges]
         return [Law(self.kind, arguments) for arguments in product(*ends)]
 
     @property
     def middle(self) -> Law:
-        """The law whose arguments are the middles of their ranges."""
+        """The law at the middles of the ranges."""
         return Law(self.kind, self.arguments)
 
     def __str__(self) -> str:
@@ -346,15 +353,15 @@ def is_number(value: object) -> TypeGuard[int | float]:
 
 
 def is_law(value: object) -> TypeGuard[TomlTable]:
-    """Whether a value is a table with one known law."""
+    """Whether a value is a table whose only key is the name of a law."""
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 
 
 def parse_law(table: TomlTable) -> Law:
-    """Parse a law from its table.
+    """Parse a law from its table; an argument that is a list of two numbers is a range.
 
     Raises:
-        ValueError: the rule that is broken, and the value found.
+        ValueError: The table is no law, or the arguments break the law's rule.
     """
     if len(table) != 1:
         raise ValueError(f"a law is one name with its arguments, e.g. {{ uniform = [0.8, 1.2] }}; got {table}")
@@ -369,10 +376,10 @@ def parse_law(table: TomlTable) -> Law:
         raise ValueError(f"the arguments of a {kind} may not be ranges, got {arguments}; give numbers")
     if law_kind.counts is not None and len(arguments) not in law_kind.counts:
         raise ValueError(f"{kind} takes {law_kind.signature}, got {len(arguments)} arguments {arguments}")
-    rule, holds = law_kind.rule
+    rule, is_kept = law_kind.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
     corners = product(*(dict.fromkeys(ends) for ends in ranges))  # the rules are linear, so that they hold in between
-    if not all(holds(corner) for corner in corners):
+    if not all(is_kept(corner) for corner in corners):
         raise ValueError(f"{kind} {law_kind.signature}: {rule}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
     return RangedLaw(kind, middles, ranges) if has_ranges else Law(kind, middles)
@@ -384,7 +391,7 @@ def is_range(value: object) -> TypeGuard[list[int | float]]:
 
 
 def ends_of_range(value: int | float | list[int | float]) -> tuple[float, float]:
-    """Lowest and highest value of an argument; equal for a number.
+    """Lowest and highest value of an argument of a law; equal for a plain number.
 
     Raises:
         ValueError: The ends are in the wrong order.

@@ -1,4 +1,4 @@
-"""Lookup of study files by name: in the current folder's ``studies``, and among those in the package."""
+"""Lookup of study files by name: in the folder ``studies`` of the current folder, and in the package."""
 
 import difflib
 from pathlib import Path
@@ -11,7 +11,7 @@ CHECKOUT = Path(__file__).parents[3] / "studies"
 
 
 def study_folders() -> list[Path]:
-    """Folders with studies, nearest first."""
+    """Existing folders with studies, in the order of precedence."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
         if folder.is_dir() and folder.resolve() not in [path.resolve() for path in existing]:
@@ -20,7 +20,7 @@ def study_folders() -> list[Path]:
 
 
 def available_studies() -> dict[str, Path]:
-    """Every study by name; the nearest folder takes precedence."""
+    """File of each study by name, from the first folder that has the name."""
     files: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.toml")):
@@ -28,11 +28,13 @@ def available_studies() -> dict[str, Path]:
     return files
 
 
-def find(name: str) -> Path:
-    """The file of a study given by path or by name.
+def find_study(name: str) -> Path:
+    """The file of a study, from its path or its name.
+
+    A path is returned as it is, even if there is no such file.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: A name is neither that of a file nor that of a study.
     """
     path = Path(name)
     if len(path.name) > LONGEST_NAME:
@@ -41,10 +43,9 @@ def find(name: str) -> Path:
     is_results_folder = path.is_dir() and name in studies  # a results folder may have its study's name
     if not is_results_folder and (path.exists() or path.suffix == ".toml" or path.parent != Path()):
         return path
-    if name in studies:
-        return studies[name]
-    if name.replace("-", "_") in studies:
-        return studies[name.replace("-", "_")]
+    for spelling in (name, name.replace("-", "_")):
+        if spelling in studies:
+            return studies[spelling]
     local_stems = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
     similar = difflib.get_close_matches(name, local_stems.values(), n=1, cutoff=0.6)
     if similar:

@@ -1,4 +1,4 @@
-"""The requirement that a margin of the linearised loop is large enough, or a peak small enough."""
+"""Requirements that a margin of the linearised loop is large enough, or a peak small enough."""
 
 import math
 import re
@@ -14,11 +14,11 @@ QUANTITY = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)
 
 
 def margin_requirement(table: RequirementTable, place: str, channels: tuple[str, ...]) -> Requirement:
-    """The requirement of a margin.
+    """Parse the requirement of a margin.
 
     Args:
-        table: The requirement, which has a margin.
-        place: Its place in the study.
+        table: Table of the requirement, which has a margin.
+        place: Dotted path of the table, such as ``requirement.0``.
         channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
@@ -35,28 +35,29 @@ def margin_requirement(table: RequirementTable, place: str, channels: tuple[str,
         rule = f"names where the loop is broken, and must be one of {', '.join(valid_places)}"
         raise ConfigError(f"{place}.at", f"{rule}; got {place_of_break!r}" if place_of_break else rule)
     measure = margin_measure(LoopMargin(kind, place_of_break), default_place)
-    side = "max" if table.max is not None else "min"
-    bound = table.max if table.max is not None else table.min
-    assert bound is not None  # held by the table
-    value = bound_value(kind, bound, f"{place}.{side}")
-    require_attainable(kind, value, bound, f"{place}.{side}")
-    require_stable(kind, value, side, f"{place}.{side}")
-    bound_text = number_text(bound)
+    side = "min" if table.max is None else "max"
+    bound = table.min if table.max is None else table.max
+    assert bound is not None  # checked by the table
+    place_of_bound = f"{place}.{side}"
+    value = bound_value(kind, bound, place_of_bound)
+    require_attainable(kind, value, bound, place_of_bound)
+    require_stable(kind, value, side, place_of_bound)
+    bound_text = text_with_unit(bound)
     if side == "max":
         return Requirement(measure, maximum=value, written=bound_text)
     return Requirement(measure, minimum=value, written=bound_text)
 
 
-def number_text(bound: float | str) -> str:
-    """A bound as text, if it was written with a unit; empty otherwise."""
+def text_with_unit(bound: float | str) -> str:
+    """Text of a bound that the study states with a unit, such as ``6 dB``; empty for a plain number."""
     return " ".join(bound.split()) if isinstance(bound, str) else ""
 
 
 def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
-    """A bound in the margin's unit.
+    """Value of a bound in the unit of its margin.
 
     Raises:
-        ConfigError: it is no number with one of the margin's units.
+        ConfigError: The bound is a text, but no number with one of the margin's units.
     """
     if not isinstance(bound, str):
         return bound
@@ -70,20 +71,21 @@ def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
 
 
 def require_attainable(kind: MarginKind, value: float, bound: float | str, place: str) -> None:
-    """Require that a loop can have the bound as its margin.
+    """Require that some loop has the bound as its margin.
 
     Args:
-        kind: The margin.
-        value: The bound in its unit.
-        bound: The bound as the study has it.
-        place: Its place.
+        kind: Kind of the margin.
+        value: Bound in the unit of the margin.
+        bound: Bound in the study, a plain number or a text with a unit.
+        place: Place of the bound in the study.
 
     Raises:
-        ConfigError: it is not finite, negative, or beyond the largest margin; a plain number gets a unit as hint.
+        ConfigError: The bound is not finite, negative, or larger than the largest margin. If a plain number would be
+            valid in another unit, the message proposes it.
     """
     if not math.isfinite(value):
         raise ConfigError(place, f"must be a finite number [{kind.unit}], got {value:g}")
-    bound_text = number_text(bound) or f"{value:g}"
+    bound_text = text_with_unit(bound) or f"{value:g}"
     if value < 0.0:
         raise ConfigError(place, f"must be >= 0 {kind.unit}, as every {kind.meaning} is; got {bound_text}")
     if value <= kind.most:
@@ -97,10 +99,16 @@ def require_attainable(kind: MarginKind, value: float, bound: float | str, place
 
 
 def require_stable(kind: MarginKind, value: float, side: str, place: str) -> None:
-    """Require that a bound excludes loops at the limit of stability.
+    """Require that loops at the limit of stability do not meet a bound.
+
+    Args:
+        kind: Kind of the margin.
+        value: Bound in the unit of the margin.
+        side: ``min`` or ``max``.
+        place: Place of the bound in the study.
 
     Raises:
-        ConfigError: it does not, so that an unstable loop would meet it.
+        ConfigError: They would meet it.
     """
     limit = f"{kind.neutral:g}, which loops at the limit of stability have; got {value:g}"
     if side == "min" and kind.good == "large" and value <= kind.neutral:

@@ -1,4 +1,4 @@
-"""Parsing of ``[sensor] measures``: the signals that are measured beside y and y', and a sensor for each."""
+"""Parsing of ``[sensor] measures``: the signals that are measured besides y and y', and a sensor for each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,19 +16,20 @@ from dssc_jax.study.components import Component, as_table, parse_component
 
 MEASURES = "measures"
 WHOLE_STATE = "state"
+"""Value of ``measures`` that stands for all states of a linear plant."""
 USUAL_SENSOR = "ideal"
-"""Kind of a sensor whose table gives none, where signals are measured: that of y and y', and that of each signal."""
-OF_RATE = ("velocity", "jitter")
-"""Beginnings of a sensor's fields that need the measured signal's derivative."""
+"""Default kind of all sensors in a study that measures further signals."""
+RATE_FIELDS = ("velocity", "jitter")
+"""Prefixes of the sensor's fields that need the derivative of the measured signal."""
 
 
 class SensorTables(NamedTuple):
-    """``[sensor]`` in two parts.
+    """The section ``[sensor]``, split.
 
     Args:
-        channels: The sensors of y and y'.
+        channels: Table of the sensors of y and y'.
         measures: Names of the other measured signals.
-        signals: The table of each that has one.
+        signals: Table of the sensor of each measured signal that has one.
     """
 
     channels: TomlTable
@@ -36,18 +37,26 @@ class SensorTables(NamedTuple):
     signals: dict[str, TomlTable]
 
 
-def measurable(
+def measurable_signals(
     plant: Plant, params: Params, outputs: Sequence[NamedSignal], channels: Sequence[str], units: Sequence[ChannelUnits]
 ) -> dict[str, NamedSignal]:
-    """Every signal that can be measured, by name: the plant's outputs, y and y', and the state if it is linear.
+    """Signals that a study can measure, by name: the state of a linear plant, y and y' of each channel, and outputs.
+
+    Args:
+        plant: Model of the plant.
+        params: Parameters of the plant.
+        outputs: Named outputs of the plant.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Units and meanings of each channel.
 
     Raises:
-        ConfigError: An output has the name of a state.
+        ConfigError: An output has the name of another signal.
     """
     signals = {}
     if plant.linear is not None:
-        for i in range(1, len(plant.linear(params).a) + 1):
-            signals[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
+        for index in range(1, len(plant.linear(params).a) + 1):
+            state = state_signal(str(index))
+            signals[state.name] = state
     for channel, channel_units in zip(channels, units, strict=True):
         prefix = f"{channel}_" if channel else ""
         signals[f"{prefix}y"] = NamedSignal(
@@ -65,10 +74,15 @@ def measurable(
     return signals
 
 
-def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
-    """The outputs that are scalars, and the components of those that are vectors.
+def state_signal(index: str) -> NamedSignal:
+    """Signal of one state of a linear plant, whose unit is unknown; the index counts from 1."""
+    return NamedSignal(f"{STATE}{index}", "", f"{WHOLE_STATE} {index} of the plant")
 
-    Outputs of which there are as many as rotors, say, are no scalars, and their number is not known from the type.
+
+def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
+    """Outputs of a plant as scalar signals: the scalar outputs, and the components of vectors such as ``wind_x``.
+
+    Tuples, such as one value for each rotor, are left out, since their type does not tell their length.
     """
     types = get_type_hints(plant.info) if plant.info is not None else {}
     signals = []
@@ -83,49 +97,47 @@ def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSi
     return signals
 
 
-def sensor_tables(table: TomlTable, measurable_signals: Mapping[str, NamedSignal]) -> SensorTables:
-    """Split ``[sensor]``.
+def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> SensorTables:
+    """Split the section ``[sensor]`` into the sensors of y and y', and those of other signals.
 
     Args:
         table: The section.
-        measurable_signals: The signals that can be measured.
+        measurable: Signals that the study can measure, by name.
 
     Raises:
-        ConfigError: ``measures`` is neither a list of such signals nor the word for the whole state, or does not list
-            a signal that has a sensor.
+        ConfigError: ``measures`` is neither a list of such signals nor the word ``state`` for all states, or a signal
+            has a sensor but is not listed.
     """
     measured_names = table.get(MEASURES, [])
     if measured_names == WHOLE_STATE:
-        measured_names = [
-            name for name, signal in measurable_signals.items() if signal.meaning.startswith(f"{WHOLE_STATE} ")
-        ]
+        measured_names = [name for name in measurable if measurable[name] == state_signal(name.removeprefix(STATE))]
         if not measured_names:
             raise ConfigError(f"sensor.{MEASURES}", "the plant has no linear part, so its state has no names")
     if not isinstance(measured_names, list | tuple) or not all(isinstance(name, str) for name in measured_names):
         rule = f"must be a list of signals, or '{WHOLE_STATE}', got {measured_names!r}"
         raise ConfigError(f"sensor.{MEASURES}", rule)
     for index, name in enumerate(measured_names):
-        if name not in measurable_signals:
-            rule = f"'{name}' cannot be measured; {nearest(name, measurable_signals)}"
+        if name not in measurable:
+            rule = f"'{name}' cannot be measured; {nearest(name, measurable)}"
             raise ConfigError(f"sensor.{MEASURES}.{index}", rule)
         if name in measured_names[:index]:
             raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
     signals = {name: as_table(table[name], f"sensor.{name}") for name in measured_names if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
     for name, value in channels.items():
-        is_channel = f"{name}_y" in measurable_signals
-        if name in measurable_signals and not is_channel and isinstance(value, Mapping):
+        is_channel = f"{name}_y" in measurable
+        if name in measurable and not is_channel and isinstance(value, Mapping):
             rule = f"is the sensor of a signal that is not measured; list it in {MEASURES}"
             raise ConfigError(f"sensor.{name}", rule)
     default = {"kind": USUAL_SENSOR} if measured_names else {}
     return SensorTables(default | channels, tuple(measured_names), signals)
 
 
-def parse_signal_sensors(tables: SensorTables, measurable_signals: Mapping[str, NamedSignal]) -> list[Component]:
-    """The sensor of each measured signal; one without a table shows it exactly.
+def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSignal]) -> list[Component]:
+    """Parse the sensor of each measured signal besides y and y'; one without a table is ideal.
 
     Raises:
-        ConfigError: A table is not valid, or its sensor needs the signal's derivative.
+        ConfigError: A table is not valid, or states a field that needs the derivative of the signal.
     """
     sensors = []
     for index, name in enumerate(tables.measures):
@@ -133,13 +145,13 @@ def parse_signal_sensors(tables: SensorTables, measurable_signals: Mapping[str, 
         path = f"sensor.{name}"
         component = parse_component(table, SENSORS, path)
         for field in table:
-            if field.startswith(OF_RATE):
+            if field.startswith(RATE_FIELDS):
                 rule = "needs the signal's derivative, which is measured of y alone; leave it out"
                 raise ConfigError(f"{path}.{field}", rule)
-        units = ChannelUnits(output=measurable_signals[name].unit or "1")
+        units = ChannelUnits(output=measurable[name].unit or "1")
         numbers = []
         for number in component.numbers:
-            if not number.name.startswith(OF_RATE):
+            if not number.name.startswith(RATE_FIELDS):
                 quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
                 numbers.append(replace(number.under(f"signal_sensor.{index}", path), quantity=quantity))
         sensors.append(replace(component, numbers=tuple(numbers)))
@@ -147,10 +159,10 @@ def parse_signal_sensors(tables: SensorTables, measurable_signals: Mapping[str, 
 
 
 def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
-    """Require that a controller gets the measured signals that it takes, or as many.
+    """Require that the study measures the signals that a controller takes, by name, or else by number.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: It does not.
     """
     if controller.signals:
         require_named_signals(controller.signals, measures)
@@ -163,10 +175,10 @@ def require_signals(controller: Controller, gains: Params, measures: Sequence[Na
 
 
 def require_named_signals(required_signals: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
-    """Require that signals are measured, in the unit in which they are taken.
+    """Require that the study measures signals in the unit in which a controller takes them.
 
     Raises:
-        ConfigError: One is not, or in another unit.
+        ConfigError: A signal is not measured, or has another unit.
     """
     measured_signals = {signal.name: signal for signal in measures}
     for signal in required_signals:

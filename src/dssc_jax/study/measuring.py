@@ -15,13 +15,14 @@ from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
-from dssc_jax.study.importing import imported
+from dssc_jax.study.importing import import_object
 from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
-KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
+PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
+"""The package's metrics by kind, those of signals excepted."""
 
-ROUNDING = 1e-9  # relative, of times that are compared
+ROUNDING = 1e-9  # relative tolerance of compared times
 
 ENVELOPE_SIGNALS = {
     "y": ("y", "the output y", lambda s: s.e + s.reference.y),
@@ -30,40 +31,48 @@ ENVELOPE_SIGNALS = {
     "u": ("u", "the robust command u", lambda s: s.u),
     "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
 }
-"""Unit, meaning and value, at a channel's sample, of each signal that an envelope can bound."""
+"""Unit, meaning and value of each signal that an envelope can bound, from the sample of a channel."""
 
 
-def kinds_of(config: StudyTable) -> dict[str, Metric]:
-    """Every metric by name: the package's, and those that the study refers to as ``package.module:object``.
+def metric_kinds(config: StudyTable) -> dict[str, Metric]:
+    """All kinds of metric by name: the package's, and those that a study refers to as ``package.module:object``.
 
     Raises:
-        ConfigError: One cannot be imported, is not a metric, or has the name of another.
+        ConfigError: An object cannot be imported, is no metric, or has the name of another metric.
     """
-    metrics = dict(KNOWN)
-    named_metrics = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
-    named_metrics += [
-        (f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric
-    ]
-    for place, name in named_metrics:
+    metrics = dict(PACKAGE_METRICS)
+    names_by_place = {f"metrics.names.{i}": name for i, name in enumerate(config.metrics.names or ())}
+    for i, table in enumerate(config.requirement):
+        names_by_place[f"requirement.{i}.metric"] = table.metric or ""
+    for place, name in names_by_place.items():
         if ":" not in name:
             continue
-        metric = imported(name, place)
+        metric = import_object(name, place)
         if not isinstance(metric, Metric):
             raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
-        if metrics.setdefault(short(name), metric) is not metric:
-            raise ConfigError(place, f"there is another metric of the name '{short(name)}'; rename the object")
+        if metrics.setdefault(kind_name(name), metric) is not metric:
+            raise ConfigError(place, f"there is another metric of the name '{kind_name(name)}'; rename the object")
     return metrics
 
 
-def short(name: str) -> str:
-    """A metric's name in results: a user's metric has the name of its object."""
+def kind_name(name: str) -> str:
+    """Name of a kind of metric in results; that of a user's ``package.module:object`` is the name of the object."""
     return name.rpartition(":")[2]
 
 
 def available_metrics(
     channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
 ) -> dict[str, tuple[str, int | None]]:
-    """Metrics that a loop can have: name -> kind and channel."""
+    """Metrics that a loop can have, because its controllers and its plant report what they need.
+
+    Args:
+        channels: Fields of the controller's info in each channel, by the channel's name.
+        vehicle: Fields of the plant's info.
+        metrics: All kinds of metric by name.
+
+    Returns:
+        Kind and index of the channel by the metric's name; the channel is None for a metric of the vehicle.
+    """
     kinds: dict[str, tuple[str, int | None]] = {}
     for kind, metric in metrics.items():
         if metric.scope is Scope.VEHICLE:
@@ -77,14 +86,14 @@ def available_metrics(
 
 
 class AvailableMetrics(NamedTuple):
-    """The metrics that a loop can have.
+    """The metrics that a loop can have, with what is needed to measure them.
 
     Args:
-        names: Kind and channel by name; the channel is None for the vehicle and for signals.
-        kinds: All kinds of metric, those of signals and the user's among them.
+        names: Kind and index of the channel by the metric's name; the channel is None for the vehicle and for signals.
+        kinds: All kinds of metric by name, including those of signals and of users.
         channels: Names of the channels; one empty name for a plant with one channel.
-        units: Their units and meanings.
-        default_window: The window of ``[metrics]``.
+        units: Units and meanings of each channel.
+        default_window: Window of ``[metrics]``.
     """
 
     names: Mapping[str, tuple[str, int | None]]
@@ -94,7 +103,7 @@ class AvailableMetrics(NamedTuple):
     default_window: Window
 
     def measure(self, name: str, window: Window) -> Measure:
-        """A metric over a window."""
+        """The measure of a metric over a window."""
         kind, channel = self.names[name]
         return Measure(
             name + window.suffix(self.default_window),
@@ -111,7 +120,7 @@ class AvailableMetrics(NamedTuple):
         """Require that the loop has a metric.
 
         Raises:
-            ConfigError: It is unknown, or the loop has not what it needs.
+            ConfigError: The metric is unknown, or the loop does not have what it needs.
         """
         if name in self.names:
             return
@@ -135,19 +144,23 @@ def parse_measures(
     signals: Mapping[str, SampledSignal],
     parameters: Constants,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
-    """The metrics over the study's window, and one more for each requirement with its own window.
+    """Parse the metrics and the requirements of a study.
 
     Args:
-        config: The study's tables.
-        names: Metrics that the loop can have: name -> kind and channel.
-        metrics: All kinds of metric.
+        config: Tables of the study.
+        names: Metrics that the loop can have, from :func:`available_metrics`.
+        metrics: All kinds of metric by name.
         channels: Names of the channels; one empty name for a plant with one channel.
-        units: Their units and meanings.
-        signals: Every signal of the loop by name.
-        parameters: Value of an expression of parameters that a place needs before tracing.
+        units: Units and meanings of each channel.
+        signals: Signals of the loop by name.
+        parameters: Value of an expression of parameters.
+
+    Returns:
+        - The reported metrics over the window of ``[metrics]``, and those of requirements that are not among them.
+        - The requirements.
 
     Raises:
-        ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
+        ConfigError: A metric is unknown or not available, there is none, or a window contains no sample.
     """
     signal_metrics = signal_metrics_of(config, signals)
     available = AvailableMetrics(
@@ -193,14 +206,14 @@ def parse_measures(
 
 
 def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
-    """The kinds of metric that results have besides the required ones.
+    """Kinds of metric that results report besides the required ones.
 
     Raises:
-        ConfigError: ``metrics.names`` has an unknown one.
+        ConfigError: ``metrics.names`` has an unknown kind.
     """
     if config.metrics.names is None:
         return default_kinds(len(available.channels) > 1)
-    kinds = [short(name) for name in config.metrics.names]
+    kinds = [kind_name(name) for name in config.metrics.names]
     for index, kind in enumerate(kinds):
         if kind not in available.kinds:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, available.kinds)}")
@@ -210,10 +223,11 @@ def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence
 def metric_requirement(
     table: RequirementTable, place: str, config: StudyTable, available: AvailableMetrics
 ) -> Requirement:
-    """A requirement that bounds a metric.
+    """Parse a requirement that bounds a metric.
 
     Raises:
-        ConfigError: The loop does not have the metric, its window contains no sample, or no value meets the bound.
+        ConfigError: The loop does not have the metric, its window contains no sample, or the bound is negative where
+            no value is.
     """
     name = required_metric(table)
     available.require(name, f"{place}.metric")
@@ -225,10 +239,10 @@ def metric_requirement(
 
 
 def require_meaningful(requirement: Requirement, place: str) -> None:
-    """Require that the value of a size is not bounded by a negative number.
+    """Require that a bound is not below the least value of its metric, such as 0 for a size.
 
     Raises:
-        ConfigError: every draw would violate the bound, or none.
+        ConfigError: It is, so that every draw would violate the bound, or none.
     """
     measure = requirement.measure
     for bound_name, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
@@ -238,10 +252,10 @@ def require_meaningful(requirement: Requirement, place: str) -> None:
 
 
 def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
-    """Require that nothing else is bounded on the same side.
+    """Require that no earlier requirement bounds the same measure on the same side.
 
     Raises:
-        ConfigError: the same measure is.
+        ConfigError: One does.
     """
     if any(requirement.name == earlier.name for earlier in requirements):
         rule = f"'{requirement.measure.label}' is bounded on this side already; keep the stricter one"
@@ -249,13 +263,13 @@ def require_new(requirement: Requirement, requirements: Sequence[Requirement], p
 
 
 def required_metric(table: RequirementTable) -> str:
-    """The name of a requirement's metric: of a signal, kind and signal."""
-    metric = short(table.metric or "")
+    """Name of the metric that a requirement bounds; that of a signal consists of the kind and the signal's name."""
+    metric = kind_name(table.metric or "")
     return metric if table.signal is None else suffixed(metric, table.signal)
 
 
 def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
-    """The metrics of signals that a study names or requires, by name.
+    """The metrics of signals that a study reports or requires, by name.
 
     Raises:
         ConfigError: A requirement's signal, or its kind of metric, is unknown.
@@ -275,17 +289,23 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
 def envelope_requirements(
     config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> list[Requirement]:
-    """The requirement of each envelope: that the signal's smallest distance from its bounds is not negative.
+    """Parse each envelope as the requirement that the signal's least distance from its bounds is not negative.
+
+    Args:
+        config: Tables of the study.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Units and meanings of each channel.
 
     Raises:
-        ConfigError: Its channel is not one of the loop's, or it begins after the last sample.
+        ConfigError: An envelope names no channel of the loop, or begins after the last sample.
     """
     requirements: list[Requirement] = []
     for index, table in enumerate(config.envelope):
         channel = table.channel or ""
         if channel not in channels:
-            valid = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
-            raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
+            valid_names = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
+            rule = f"must be one of the channels, {valid_names}; got {channel!r}"
+            raise ConfigError(f"envelope.{index}.channel", rule)
         begin = min(points[0][0] for points in (table.lower, table.upper) if points)
         end = (config.loop.steps - 1) * config.loop.sample_time
         if begin > end * (1.0 + ROUNDING):
@@ -312,10 +332,15 @@ def envelope_requirements(
 
 
 def require_samples(config: StudyTable, window: Window, place: str) -> None:
-    """Require that a sample lies in the window, and that the window ends within the flight.
+    """Require that a window contains a sample and ends within the flight.
+
+    Args:
+        config: Tables of the study.
+        window: The window.
+        place: Dotted name of the window's field ``after``, for messages.
 
     Raises:
-        ConfigError: none does, or it ends later.
+        ConfigError: The window contains no sample, or ends after the flight.
     """
     clock = config.loop
     first_index = first_sample(window.after, clock.sample_time)
@@ -332,6 +357,6 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
 
 
 def default_kinds(has_several_channels: bool) -> tuple[str, ...]:
-    """Every metric for one channel; for several the brief list, and those of the vehicle."""
+    """Kinds of metric that are reported by default: all for one channel, a brief list for several."""
     vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
     return (*BRIEF, *vehicle) if has_several_channels else tuple(METRICS)

@@ -1,4 +1,4 @@
-"""Native code that a study's tables name: shared objects and FMUs, bound to the study by their digests."""
+"""Native code of a study: shared objects and FMUs, which SHA-256 digests bind to the study."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,35 +11,40 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.plants import PLANTS
 
-SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compare": CONTROLLERS}
-"""The tables of a study whose parts may be native code, with the kinds of their parts."""
+NATIVE_SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compare": CONTROLLERS}
+"""Sections of a study whose parts may be native code, with the kinds of their parts."""
 
 
 class NativeFile(NamedTuple):
-    """Native code as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
+    """A file of native code that a study names.
+
+    Args:
+        file: Name of the file in the study.
+        sha256: SHA-256 digest of its content; empty if the study states none.
+    """
 
     file: str
     sha256: str
 
     @property
     def loaded(self) -> bool:
-        """Whether this process has loaded it."""
+        """Whether this process has loaded native code with this digest."""
         return self.sha256 in LOADED
 
     @property
     def text(self) -> str:
-        """File and digest in words."""
+        """The file and its digest, in words."""
         place = f" from {self.place}" if self.place else ""
         return f"native code {self.file}{place}, SHA-256 {self.sha256 or 'unknown'}"
 
     @property
     def place(self) -> str | None:
-        """The file that this process has loaded; None if it has not."""
+        """Path of the file that this process has loaded; None if it has loaded none."""
         return LOADED[self.sha256].file if self.loaded else None
 
 
 def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
-    """The native code that a study's tables name, in order; the table need not be valid."""
+    """Files of native code that a study names, each once, in its order; the table need not be valid."""
     files: list[NativeFile] = []
     for part in native_tables(table):
         digest = part.get("sha256", "")
@@ -48,15 +53,21 @@ def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
 
 
 def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
-    """The tables that name native code; a part of a comparison without a kind has that of ``[controller]``."""
+    """Tables in a study that name native code. In ``[compare]``, the kind defaults to that of ``[controller]``."""
     controller = table.get("controller")
     kind = controller.get("kind") if isinstance(controller, Mapping) else None
-    for slot, registry in SLOTS.items():
+    for slot, registry in NATIVE_SLOTS.items():
         yield from tables_within(table.get(slot), kind, registry)
 
 
 def tables_within(node: object, inherited: object, registry: Registry) -> Iterator[Mapping[str, object]]:
-    """A table and those within it that name native code, where the surrounding table has a kind."""
+    """Tables that name native code: a table and those within it.
+
+    Args:
+        node: Part of a study's table.
+        inherited: Kind of the table around it, for a table without a kind.
+        registry: Kinds of the section.
+    """
     if not isinstance(node, Mapping):
         return
     kind = node.get("kind", inherited)
@@ -68,11 +79,11 @@ def tables_within(node: object, inherited: object, registry: Registry) -> Iterat
 
 
 def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table in which all native code has its digest, read from its file if the table has none.
+    """A study's table in which all native code has its digest, computed from the file if the table states none.
 
     Args:
-        table: The study's table.
-        folder: The folder that names of files are relative to.
+        table: Table of the study.
+        folder: Folder to which the names of files are relative.
 
     Raises:
         ConfigError: A file cannot be read.
@@ -80,11 +91,14 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     native_parts = list(native_tables(table))
     if not native_parts:
         return dict(table)
-    return {name: with_digest(value, native_parts, folder) if name in SLOTS else value for name, value in table.items()}
+    return {
+        name: with_digest(value, native_parts, folder) if name in NATIVE_SLOTS else value
+        for name, value in table.items()
+    }
 
 
 def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], folder: Path) -> object:
-    """A part of a study's table, in which the tables that name native code have its digest."""
+    """A part of a study's table with the digest in each of the tables ``native_parts``."""
     if not isinstance(node, Mapping):
         return node
     content = {name: with_digest(value, native_parts, folder) for name, value in node.items()}
@@ -94,22 +108,22 @@ def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], fold
 
 
 def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
-    """Changes of a study by dotted name; a change of native code's file also clears the digest of the old file."""
+    """Changes of a study by dotted name; where one changes a file of native code, its old digest is cleared."""
     empty_digests: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
-        if slot in SLOTS and field.rpartition(".")[2] == "file":
+        if slot in NATIVE_SLOTS and field.rpartition(".")[2] == "file":
             empty_digests[f"{name.removesuffix('file')}sha256"] = ""
     return {**empty_digests, **changes}
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
-    """Load the native code that a study's tables name; see :func:`dssc_jax.core.native.allowed.allow_native`.
+    """Load the native code that a study names; see :func:`dssc_jax.core.native.allowed.allow_native`.
 
     Args:
-        table: The study's table, with digests.
-        folders: Where to look for the files; the first that exists is taken, and must have the digest.
-        recorded: The native code in a stored result's manifest, with the file that the run used.
+        table: Table of the study, with digests.
+        folders: Folders in which to look for each file; the first file that exists must have the digest.
+        recorded: Code in the manifest of a stored result, with the files that the run used, as the last places.
 
     Raises:
         ConfigError: A file is not found, has another digest, or cannot be loaded.

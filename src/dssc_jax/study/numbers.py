@@ -1,4 +1,4 @@
-"""``Number``, the record of a number of the loop, and the parsing of numbers, laws and expressions."""
+"""``Number``, the record of one number of the loop, and the parsing of numbers, laws and expressions."""
 
 import math
 from collections.abc import Iterable
@@ -13,20 +13,20 @@ from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
 
 MOST_COMBINATIONS = 10_000
-"""Largest number of combinations of the laws' values for which an expression is checked."""
+"""Most combinations of values of discrete laws at which an expression is checked to be whole."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number of the loop, the source for sweeps, laws, units and messages.
+    """Record of one number of the loop, from which sweeps, laws, units and messages are read.
 
     Args:
-        name: Its dotted name in the study; if a slot was given as a bare number, the name of the slot.
-        paths: Its dotted paths in the parameters; several if channels share it.
+        name: Dotted name in the study, such as ``plant.k_p``.
+        paths: Dotted paths in the loop's parameters; several if channels share the number.
         quantity: Unit, meaning and admissible interval.
-        value: The number, the law that replaces it, or an expression of uncertain parameters.
-        expression: What the number follows from, if it is computed from parameters; it then has no value of its own
-            that could be swept, drawn or tuned.
+        value: Plain value, law, or expression of uncertain parameters.
+        expression: Expression of the study's parameters that gives the number; None if the study states the number
+            itself. A number with an expression cannot be swept, drawn or tuned.
     """
 
     name: str
@@ -37,62 +37,46 @@ class Number:
 
     @classmethod
     def of(cls, name: str, quantity: Quantity, content: float | Law | Expression, *paths: str) -> "Number":
-        """The record of a number, a law, or an expression."""
-        if isinstance(content, Expression):
-            return cls(name, paths, quantity, content.leaf, content if content.parameters else None)
-        return cls(name, paths, quantity, content)
+        """Make the record of a plain value, a law, or an expression; one without parameters is a plain value."""
+        if not isinstance(content, Expression):
+            return cls(name, paths, quantity, content)
+        expression = content if content.parameters else None
+        return cls(name, paths, quantity, content.leaf, expression)
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Dotted names of the parameters that it follows from."""
+        """Dotted names of the parameters in its expression; empty without one."""
         return self.expression.names if self.expression else ()
 
     @property
     def follows(self) -> str:
-        """The end of a message that refuses to move a number which is computed from parameters."""
+        """Rule that refuses to change a number which follows from parameters, for messages."""
         assert self.expression is not None
         names = self.expression.names
         return f"follows from {', '.join(names)} by {self.expression!r}; take {names[0]} instead"
 
     def under(self, path: str, name: str) -> "Number":
-        """The number of a part as a number of the whole, which contains the part at ``path`` under ``name``."""
-        paths = tuple(dotted(path, path_in_part) for path_in_part in self.paths)
-        return replace(self, name=dotted(name, self.name), paths=paths)
+        """The number with ``path`` in front of its paths and ``name`` in front of its name.
+
+        So a number of a part becomes a number of the whole that contains the part.
+        """
+        paths = tuple(dotted_name(path, path_in_part) for path_in_part in self.paths)
+        return replace(self, name=dotted_name(name, self.name), paths=paths)
 
 
-def dotted(*parts: str) -> str:
-    """Join the parts of a dotted name; empty parts are omitted."""
+def dotted_name(*parts: str) -> str:
+    """Join parts with dots to a name; empty parts are omitted."""
     return ".".join(part for part in parts if part)
 
 
 def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
-    """Parse a number, a law or an expression within the quantity's interval.
+    """Parse the value of a number: a plain number, the table of a law, or an expression.
 
     Raises:
-        ValueError: the rule that is broken, and the value found.
+        ValueError: It is none of these, not within the interval of the quantity, or not whole where it must be.
     """
-    content: float | Law | Expression
-    if isinstance(value, Expression):
-        if quantity.data:
-            raise ValueError(f"must be a plain number in a record, got {value!r}")
-        if not quantity.law:
-            require_plain(value)
-        content = value
-        low, high = value.support
-    elif isinstance(value, Law):
-        content = value
-        low, high = value.support
-    elif isinstance(value, dict):
-        if not quantity.law:
-            raise ValueError(f"must be a plain number here, got the law {value}")
-        content = parse_law(value)
-        low, high = content.support
-    elif is_number(value):
-        content = float(value)
-        low = high = content
-    else:
-        law = " or a law" if quantity.law else ""
-        raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
+    content = number_content(value, quantity)
+    low, high = (content, content) if isinstance(content, float) else content.support
     violation = quantity.violated_by(low, high)
     if violation:
         value_text = f"{value!r}" if is_number(value) else f"{content}, whose support is [{low:g}, {high:g}]"
@@ -103,10 +87,33 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
     return content
 
 
+def number_content(value: object, quantity: Quantity) -> float | Law | Expression:
+    """A plain number, law or expression from a value of a study's table, whatever its interval.
+
+    Raises:
+        ValueError: The value is none of these, or the quantity admits no law or no expression.
+    """
+    if isinstance(value, Expression):
+        if quantity.data:
+            raise ValueError(f"must be a plain number in a record, got {value!r}")
+        if not quantity.law:
+            require_plain(value)
+        return value
+    if isinstance(value, dict):
+        if not quantity.law:
+            raise ValueError(f"must be a plain number here, got the law {value}")
+        return parse_law(value)
+    if not is_number(value):
+        law = " or a law" if quantity.law else ""
+        raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
+    return float(value)
+
+
 def is_whole(content: float | Law | Expression) -> bool:
     """Whether all values of a number, a law or an expression are whole numbers.
 
-    Those of a continuous law are not, and those of an expression with too many combinations do not count as whole.
+    The values of a continuous law are not. An expression is checked at every combination of the values of its laws, and
+    does not count as whole if there are more than :data:`MOST_COMBINATIONS`.
     """
     if isinstance(content, Law):
         return LAWS[content.kind].discrete and all(value.is_integer() for value in content.arguments)
@@ -117,12 +124,21 @@ def is_whole(content: float | Law | Expression) -> bool:
         return False
     if math.prod(len(law.arguments) for law in laws.values()) > MOST_COMBINATIONS:
         return False
-    combinations = product(*(law.arguments for law in laws.values()))
-    return all(float(content.at(dict(zip(laws, values, strict=True)))).is_integer() for values in combinations)
+    for values in product(*(law.arguments for law in laws.values())):
+        if not float(content.at(dict(zip(laws, values, strict=True)))).is_integer():
+            return False
+    return True
 
 
 def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
-    """Parse a list of numbers or laws; with depth 2, a list of rows of them."""
+    """Parse a number (depth 0), a list of numbers (1) or a list of rows (2), of which each may be a law.
+
+    Returns:
+        A parsed number, or tuples of them.
+
+    Raises:
+        ValueError: The value is no such list, or as in :func:`parse_number`.
+    """
     if depth == 0:
         return parse_number(value, quantity)
     if not isinstance(value, list | tuple):
@@ -131,26 +147,29 @@ def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
     return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
 
 
-def flattened(name: str, value: object) -> TomlTable:
-    """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
+def numbers_by_name(name: str, value: object) -> TomlTable:
+    """The numbers in nested tuples by dotted name, such as ``a.1.0``; a single number has the name itself."""
     if not isinstance(value, tuple):
         return {name: value}
-    return {key: item for i, part in enumerate(value) for key, item in flattened(f"{name}.{i}", part).items()}
+    numbers: TomlTable = {}
+    for index, part in enumerate(value):
+        numbers |= numbers_by_name(f"{name}.{index}", part)
+    return numbers
 
 
 def leaves_of(value: Any) -> Any:
-    """What the loop's template holds of a field: numbers, laws, and expressions of uncertain parameters."""
+    """Leaves of the loop's template for a parsed field: an expression without laws becomes its value."""
     if isinstance(value, tuple):
         return tuple(map(leaves_of, value))
     return value.leaf if isinstance(value, Expression) else value
 
 
 def parameter_numbers(parameters: ParameterTable, parts: Iterable[Number]) -> list[Number]:
-    """The record of each parameter; one that a part needs before tracing can be neither drawn nor swept.
+    """Record of each parameter of the study; one that is needed before tracing can be neither drawn nor swept.
 
     Args:
-        parameters: The parameters.
-        parts: The numbers of the loop.
+        parameters: Parameters of the study.
+        parts: Numbers of the loop, some of which follow from parameters.
     """
     for number in parts:
         if number.expression and not number.quantity.law:

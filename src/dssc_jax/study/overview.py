@@ -1,6 +1,6 @@
 """A study on one page of text, as ``print(study)`` shows it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from dssc_jax.study.actuators import section_of, tables_of
@@ -11,51 +11,47 @@ from dssc_jax.study.slots import SLOTS
 if TYPE_CHECKING:
     from dssc_jax.study.study import Study
 
-MOST_ROWS = 12  # of a section
-MOST_NUMBERS = 6  # of a part
-WIDTH = 116
+MOST_ROWS = 12  # most rows of a section
+MOST_NUMBERS = 6  # most numbers of a part
+WIDTH = 116  # most characters of a line
 ABSENT = ("none", "ideal")
 """Kinds of parts that do nothing."""
 
 
 def overview(study: "Study") -> str:
-    """The study's clock, parts, uncertain numbers, axes and requirements in at most some fifty lines."""
+    """Text of about fifty lines with the clock, parts, uncertain numbers, axes and requirements of a study."""
     clock = study.config.loop
     title = f"{study.name}: {study.config.description}" if study.config.description else study.name
     draws = f"{study.config.draws:,} draws ({study.config.sampling}, seed {study.config.seed})"
     time = f"{clock.duration:g} s, sampled every {clock.sample_time:g} s"
+    law_rows = [number_row(study.numbers[name], law) for name, law in study.written_laws.items()]
     sections = [
-        section("loop", part_rows(study)),
-        section("uncertain", [number_row(study.numbers[name], law) for name, law in study.written_laws.items()]),
-        section("follows from parameters", expression_rows(study)),
-        section("swept", axis_rows(study)),
-        section("required", [(requirement.text,) for requirement in study.requirements]),
+        section_text("loop", part_rows(study)),
+        section_text("uncertain", law_rows),
+        section_text("follows from parameters", expression_rows(study)),
+        section_text("swept", axis_rows(study)),
+        section_text("required", [(requirement.text,) for requirement in study.requirements]),
     ]
     return "\n\n".join([f"{title}\n{draws} of {time}", *filter(None, sections)])
 
 
-def section(title: str, rows: Iterable[tuple[str, ...]]) -> str:
-    """Rows under a title, in columns; empty without rows."""
-    visible_rows = list(rows)
-    if not visible_rows:
+def section_text(title: str, rows: Sequence[tuple[str, ...]]) -> str:
+    """Text of a section: its title, and the first rows in aligned columns; empty without rows."""
+    if not rows:
         return ""
-    hidden_count = len(visible_rows) - MOST_ROWS
-    visible_rows = visible_rows[:MOST_ROWS]
-    widths = [max(len(row[column]) for row in visible_rows) for column in range(len(visible_rows[0]))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in visible_rows
-    ]
-    lines += [f"... and {hidden_count} more"] if hidden_count > 0 else []
-    return "\n".join([title, *(f"  {clipped_line(line)}" for line in lines)])
-
-
-def clipped_line(line: str) -> str:
-    """The beginning of a line that is too long."""
-    return line if len(line) <= WIDTH else f"{line[: WIDTH - 4]} ..."
+    visible_rows = rows[:MOST_ROWS]
+    widths = [max(map(len, column)) for column in zip(*visible_rows, strict=True)]
+    lines = [title]
+    for row in visible_rows:
+        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        lines.append(f"  {line}" if len(line) <= WIDTH else f"  {line[: WIDTH - 4]} ...")
+    if len(rows) > MOST_ROWS:
+        lines.append(f"  ... and {len(rows) - MOST_ROWS} more")
+    return "\n".join(lines)
 
 
 def part_rows(study: "Study") -> list[tuple[str, ...]]:
-    """Kind and first numbers of each part that does something."""
+    """One row for each part that does something: section, kinds and first numbers."""
     rows = []
     for slot in SLOTS:
         kinds = [str(part.get("kind", "by channel")) for part in tables_of(study.config, slot)]
@@ -63,43 +59,41 @@ def part_rows(study: "Study") -> list[tuple[str, ...]]:
             continue
         section = section_of(study.config, slot)
         names = [name for name in study.numbers if name.startswith(f"{section}.")]
-        values = [f"{name.partition('.')[2]} = {content(study.numbers[name])}" for name in names[:MOST_NUMBERS]]
+        values = [f"{name.partition('.')[2]} = {content_text(study.numbers[name])}" for name in names[:MOST_NUMBERS]]
         values += ["..."] if len(names) > MOST_NUMBERS else []
         rows.append((section, " + ".join(kinds), ", ".join(values)))
     return rows
 
 
-def content(number: Number) -> str:
-    """Value, law or expression of a number."""
+def content_text(number: Number) -> str:
+    """Value, law or expression of a number, as text."""
     if number.expression:
         return number.expression.text.removeprefix(MARK).strip()
     return f"{number.value:.6g}" if isinstance(number.value, float) else str(number.value)
 
 
 def number_row(number: Number, text: object) -> tuple[str, ...]:
-    """Name, content, unit and meaning of a number."""
+    """Row of a number: its name, a text on its values, its unit and its meaning."""
     unit = "" if number.quantity.unit == "1" else number.quantity.unit
     return number.name, str(text), unit, number.quantity.meaning
 
 
 def expression_rows(study: "Study") -> list[tuple[str, ...]]:
-    """Each number that follows from parameters: its expression, and its value or range."""
+    """One row for each number that follows from parameters: its name, expression, and value or range."""
     rows = []
     for name, number in study.numbers.items():
         if number.expression:
             low, high = number.expression.support
             values = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
             unit = "" if number.quantity.unit == "1" else number.quantity.unit
-            rows.append((name, f"= {content(number)}", f"{values} {unit}".rstrip()))
+            rows.append((name, f"= {content_text(number)}", f"{values} {unit}".rstrip()))
     return rows
 
 
 def axis_rows(study: "Study") -> list[tuple[str, ...]]:
-    """Name, ends and number of values of each axis."""
+    """One row for each axis: name, ends and number of values, unit and meaning of its number."""
     rows = []
-    axes: Mapping[str, tuple[float, ...]] = study.axes
-    for name, values in axes.items():
-        number = study.numbers[name]
+    for name, values in study.axes.items():
         text = f"{min(values):g} to {max(values):g}, {len(values)} values"
-        rows.append(number_row(number, text))
+        rows.append(number_row(study.numbers[name], text))
     return rows

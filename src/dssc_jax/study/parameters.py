@@ -1,7 +1,8 @@
-"""Named numbers: the table ``[parameters]``, and expressions of them in place of a number.
+"""Parameters of a study, the named numbers of ``[parameters]``, and expressions of them in place of a number.
 
-A parameter is a number, a law, or an expression of other parameters. An expression stays in the study's template like a
-law does, and :meth:`dssc_jax.study.Study.params` computes it from each draw's values.
+A parameter is a number, a law, or an expression of other parameters. If a parameter has a law, an expression of it
+stays in the template of the loop, as a law does, and :meth:`dssc_jax.study.Study.params` evaluates it from each draw's
+values.
 """
 
 import ast
@@ -25,12 +26,13 @@ from dssc_jax.study.expressions import (
     names_of,
     parse_expression,
 )
-from dssc_jax.study.laws import LAWS, Law, Uncertain, is_law, is_number, parse_law
+from dssc_jax.study.laws import LAWS, Law, UncertainValue, is_law, is_number, parse_law
 from dssc_jax.study.schema import LONGEST_PHRASE, unit_text
+from dssc_jax.study.table_errors import value_errors_at
 from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
 
 TEXTS = ("name", "description", "units")
-"""Entries of a study that hold no numbers, and no expressions."""
+"""Entries of a study without numbers and expressions."""
 MOST_PARAMETERS = 200
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 FORMS = "a number, a law, an expression, or a table such as { value = 1e-5, unit = 'H', meaning = 'inductance' }"
@@ -41,28 +43,29 @@ Content: TypeAlias = float | Law | str
 
 T = TypeVar("T")
 Evaluation: TypeAlias = Callable[[ast.expr, Callable[[str], T]], T]
-"""The value of a parsed expression, from those of its parameters by name."""
+"""(tree of an expression, value of a parameter by name) -> value of the expression."""
 
 
 class Parameter(NamedTuple):
-    """A parameter with its content."""
+    """A parameter: its name in expressions, and its content."""
 
     name: str
     content: Content
 
     @property
-    def dotted(self) -> str:
-        """Its name in the study."""
+    def dotted_name(self) -> str:
+        """Dotted name of the parameter in the study."""
         return f"{PARAMETERS}.{self.name}"
 
 
 @dataclass(frozen=True, repr=False)
-class Expression(Uncertain):
-    """An expression of parameters.
+class Expression(UncertainValue):
+    """An expression of parameters, with all that is needed to evaluate it.
 
     Args:
-        text: Its text, as in the study file.
-        parameters: Parameters that it depends on, each after those that it depends on itself.
+        text: Text in the study file.
+        parameters: Parameters that the expression depends on, directly or through others, in an order in which each
+            depends on earlier ones only.
     """
 
     text: str
@@ -76,28 +79,33 @@ class Expression(Uncertain):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dotted names of the parameters that it depends on."""
-        return tuple(parameter.dotted for parameter in self.parameters)
+        """Dotted names of the parameters that the expression depends on."""
+        return tuple(parameter.dotted_name for parameter in self.parameters)
 
     @cached_property
     def laws(self) -> dict[str, Law]:
-        """The laws of the parameters that it depends on, by dotted name."""
-        return {p.dotted: p.content for p in self.parameters if isinstance(p.content, Law)}
+        """Laws of the parameters that the expression depends on, by dotted name."""
+        return {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, Law)}
 
     def at(self, values: Mapping[str, Numeric]) -> Numeric:
-        """Its value where parameters have the given values, by dotted name; a missing one without a law has its own."""
+        """Value of the expression for values of its parameters.
+
+        Args:
+            values: Numbers, arrays or traced values by dotted name. Every parameter with a law must be among them; one
+                without keeps the study's value if it is missing.
+        """
         return self._evaluated(values, evaluate_numbers, float)
 
     def between(self, ends: Mapping[str, Interval]) -> Interval:
-        """An interval that holds its values where parameters lie between the given ends, by dotted name."""
+        """Interval that contains all values of the expression, for intervals of its parameters by dotted name."""
         return self._evaluated(ends, evaluate_intervals, lambda number: Interval.of(number, number))
 
     def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
-        """The expression in numbers or intervals; every parameter with a law that it depends on is in ``values``."""
+        """Value of the expression in numbers or intervals; ``exact`` makes one of a plain number."""
         operands: dict[str, T] = {}
         for parameter in self.parameters:
-            if parameter.dotted in values:
-                operands[parameter.name] = values[parameter.dotted]
+            if parameter.dotted_name in values:
+                operands[parameter.name] = values[parameter.dotted_name]
             elif isinstance(parameter.content, str):
                 operands[parameter.name] = evaluate(parse_expression(parameter.content), operands.__getitem__)
             elif isinstance(parameter.content, float):
@@ -106,27 +114,27 @@ class Expression(Uncertain):
 
     @property
     def median(self) -> float:
-        """Its value where every law has its median."""
+        """Value of the expression with every law at its median."""
         return float(self.at({name: law.median for name, law in self.laws.items()}))
 
     @property
     def nominal(self) -> float:
-        """Its value where every law has its nominal value."""
+        """Value of the expression with every law at its nominal value."""
         return float(self.at({name: law.nominal for name, law in self.laws.items()}))
 
     @property
     def support(self) -> tuple[float, float]:
-        """Ends between which all its values lie, near the least and the greatest one.
+        """Bounds of all values of the expression, near the least and the greatest value.
 
         Raises:
-            ValueError: It may have no finite value.
+            ValueError: The expression may have no finite value.
         """
         return support_of(self)
 
-    def place_of(self, point: tuple[float, ...]) -> str:
-        """Where it has no value, as the end of a sentence."""
+    def undefined_at(self, point: tuple[float, ...]) -> str:
+        """End of a message: the parameters at which the expression has no value; ``point`` has those with laws."""
         values = dict(zip(self.laws, point, strict=True)) if point else {}
-        values |= {p.dotted: p.content for p in self.parameters if isinstance(p.content, float)}
+        values |= {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, float)}
         if not values:
             return ""
         value_text = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
@@ -134,18 +142,18 @@ class Expression(Uncertain):
 
     @property
     def leaf(self) -> "float | Expression":
-        """What stands in the loop's template: the value if no parameter has a law, else the expression itself."""
+        """Leaf in the template of the loop: the value if no parameter has a law, otherwise the expression."""
         return self if self.laws else self.support[0]
 
 
 @lru_cache(maxsize=4096)
 def support_of(expression: Expression) -> tuple[float, float]:
-    """See :attr:`Expression.support`; a study and its variants share the work."""
+    """Compute :attr:`Expression.support`; the cache serves all variants of a study."""
     text = repr(expression.text)
     if not expression.laws:
         value = expression.median
         if not math.isfinite(value):
-            raise ValueError(f"{text} has no finite value{expression.place_of(())}")
+            raise ValueError(f"{text} has no finite value{expression.undefined_at(())}")
         return value, value
     names = list(expression.laws)
 
@@ -155,7 +163,7 @@ def support_of(expression: Expression) -> tuple[float, float]:
     value_range = range_of(values, [law.support for law in expression.laws.values()])
     has_finite_support = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
     if value_range.undefined is not None:
-        raise ValueError(f"{text} has no finite value{expression.place_of(value_range.undefined)}")
+        raise ValueError(f"{text} has no finite value{expression.undefined_at(value_range.undefined)}")
     if has_finite_support and not math.isfinite(value_range.low - value_range.high):
         raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
     return value_range.low, value_range.high
@@ -163,12 +171,12 @@ def support_of(expression: Expression) -> tuple[float, float]:
 
 @dataclass
 class ParameterTable:
-    """The parameters of a study, of which its expressions are made.
+    """The parameters of a study, and the parser of its expressions.
 
     Args:
-        contents: Content of each parameter, after those that it depends on.
-        quantities: Unit and meaning of each.
-        plain: The parameters that something needs as plain numbers before tracing, and the first such place.
+        contents: Content of each parameter by name, in an order in which each depends on earlier ones only.
+        quantities: Unit and meaning of each parameter by name.
+        plain: Parameters whose plain value some place of the study needs before tracing, and the first such place.
     """
 
     contents: dict[str, Content]
@@ -177,7 +185,7 @@ class ParameterTable:
 
     @classmethod
     def of(cls, table: TomlTable) -> "ParameterTable":
-        """Read ``[parameters]``.
+        """Parse the table ``[parameters]``.
 
         Raises:
             ConfigError: A name, a number, a law or an expression is not valid, or parameters depend on one another.
@@ -187,37 +195,33 @@ class ParameterTable:
         entries = {}
         parameters = cls({}, {})
         for name, value in table.items():
-            check_name(name)
+            require_name(name)
             entries[name], parameters.quantities[name] = described_content(name, value)
-        for name in in_order(entries):
+        for name in dependency_order(entries):
             parameters.contents[name] = parameters.content(name, entries[name])
         return parameters
 
     def content(self, name: str, value: Any) -> Content:
-        """Parse the content of a parameter; those that it depends on are known.
+        """Parse the content of a parameter; the parameters that it depends on must have been parsed.
 
         Raises:
-            ConfigError: it is not valid.
+            ConfigError: The content is not valid.
         """
         place = f"{PARAMETERS}.{name}"
-        try:
+        with value_errors_at(place):
             if is_expression(value):
                 return self.expression(value).text
             if isinstance(value, dict):
-                return parse_law(self.substitute(value, place, self.expression))
-        except ConfigError:
-            raise
-        except ValueError as error:
-            raise ConfigError(place, str(error)) from None
+                return parse_law(self.resolved(value, place))
         if not is_number(value):
             raise ConfigError(place, f"must be {FORMS}; got {value!r}")
         return float(value)
 
     def expression(self, text: str) -> Expression:
-        """Parse an expression; it has a finite value for all values of its parameters.
+        """Parse an expression, which must have a finite value for all values of its parameters.
 
         Raises:
-            ValueError: it is not valid.
+            ValueError: The text is no expression, or names no parameter, or may have no finite value.
         """
         needed_names: set[str] = set()
         pending_names = list(names_of(parse_expression(text)))
@@ -237,10 +241,14 @@ class ParameterTable:
         return expression
 
     def constant(self, text: str, place: str) -> float:
-        """The value of an expression that must be known before tracing.
+        """Value of an expression that is needed before tracing.
+
+        Args:
+            text: Text of the expression.
+            place: Place of the study that needs the value.
 
         Raises:
-            ValueError: it is not valid, or depends on a law.
+            ValueError: The expression is not valid, or depends on a law.
         """
         expression = self.expression(text)
         require_plain(expression)
@@ -249,31 +257,36 @@ class ParameterTable:
         return int(value) if value.is_integer() and abs(value) < 2.0**53 else value
 
     def note_plain(self, expression: Expression, place: str) -> None:
-        """Note that a place needs the value of an expression before tracing."""
+        """Record in :attr:`plain` that a place needs the value of an expression before tracing."""
         for parameter in expression.parameters:
             self.plain.setdefault(parameter.name, place)
 
     def resolved(self, value: object, place: str) -> Any:
-        """A part of a study's table with an :class:`Expression` in place of the text of each.
+        """Part of a study's table in which the text of each expression has become an :class:`Expression`.
 
         Raises:
-            ConfigError: one is not valid.
+            ConfigError: An expression is not valid.
         """
         return self.substitute(value, place, self.expression)
 
     def constants(self, value: object, place: str) -> Any:
-        """A part of a study's table with a number in place of each expression.
+        """Part of a study's table in which each expression has become a plain number.
 
         Raises:
-            ConfigError: one is not valid, or depends on a law.
+            ConfigError: An expression is not valid, or depends on a law.
         """
         return self.substitute(value, place, lambda text: self.constant(text, place))
 
     def substitute(self, value: object, place: str, value_of: Callable[[str], object]) -> Any:
-        """Replace each expression in a part of a study's table; arguments of laws become plain numbers.
+        """Replace each expression in a part of a study's table; arguments of laws always become plain numbers.
+
+        Args:
+            value: Part of the table.
+            place: Dotted name of the part, for messages.
+            value_of: Replacement for the text of an expression.
 
         Raises:
-            ConfigError: one is not valid.
+            ConfigError: An expression is not valid.
         """
         if is_law(value):
             return {kind: self.constants(arguments, place) for kind, arguments in value.items()}
@@ -285,28 +298,26 @@ class ParameterTable:
             return [self.substitute(item, f"{place}.{index}", value_of) for index, item in enumerate(value)]
         if not is_expression(value):
             return value
-        try:
+        with value_errors_at(place):
             return value_of(value)
-        except ValueError as error:
-            raise ConfigError(place, str(error)) from None
 
 
 def require_plain(expression: Expression) -> None:
     """Require that no parameter of an expression has a law.
 
     Raises:
-        ValueError: one has.
+        ValueError: A parameter has one.
     """
     if expression.laws:
         name = next(iter(expression.laws))
         raise ValueError(f"must be known before tracing, and {expression.text!r} depends on the law of {name}")
 
 
-def check_name(name: str) -> None:
-    """Require that a name can stand in an expression.
+def require_name(name: str) -> None:
+    """Require that the name of a parameter can be used in expressions.
 
     Raises:
-        ConfigError: it cannot.
+        ConfigError: It cannot.
     """
     place = f"{PARAMETERS}.{name}"
     if not NAME.fullmatch(name):
@@ -320,10 +331,10 @@ def check_name(name: str) -> None:
 
 
 def described_content(name: str, value: object) -> tuple[object, Quantity]:
-    """The content of a parameter as in the file, with its unit and meaning.
+    """Split a parameter in a study file into its content, which is not yet parsed, and its unit and meaning.
 
     Raises:
-        ConfigError: the table is none of a parameter.
+        ConfigError: The value is a table with invalid entries.
     """
     place = f"{PARAMETERS}.{name}"
     if not isinstance(value, dict):
@@ -336,30 +347,28 @@ def described_content(name: str, value: object) -> tuple[object, Quantity]:
             raise ConfigError(f"{place}.{unknown[0]}", f"is no entry of a parameter; {valid}")
         if list(content) != ["value"]:
             raise ConfigError(place, f"must be {FORMS}; got {value!r}")
-    try:
+    with value_errors_at(f"{place}.unit"):
         unit = unit_text(value.get("unit", "SI"))
-    except ValueError as error:
-        raise ConfigError(f"{place}.unit", str(error)) from None
     meaning = value.get("meaning", f"parameter {name}")
     if not isinstance(meaning, str) or not meaning.isprintable() or not 0 < len(meaning) <= LONGEST_PHRASE:
         raise ConfigError(f"{place}.meaning", f"must be a text of 1 to {LONGEST_PHRASE} characters, got {meaning!r}")
     return content.get("value", content), Quantity(unit, meaning)
 
 
-def in_order(entries: Mapping[str, object]) -> list[str]:
-    """The parameters, each after those that it depends on.
+def dependency_order(entries: Mapping[str, object]) -> list[str]:
+    """Names of the parameters in an order in which each depends on earlier ones only.
 
     Raises:
-        ConfigError: an expression is not valid, or parameters depend on one another.
+        ConfigError: An expression is not valid, or parameters depend on one another.
     """
     order: list[str] = []
     for root in entries:
         path: list[str] = [root]
         while path:
             name = path[-1]
-            missing = [
-                parent for parent in dependencies(name, entries[name]) if parent in entries and parent not in order
-            ]
+            with value_errors_at(f"{PARAMETERS}.{name}"):
+                names = [parent for parent in names_within(entries[name]) if parent in entries]
+            missing = [parent for parent in names if parent not in order]
             if name in order or not missing:
                 path.pop()
                 if name not in order:
@@ -373,23 +382,11 @@ def in_order(entries: Mapping[str, object]) -> list[str]:
     return order
 
 
-def dependencies(name: str, value: object) -> Iterator[str]:
-    """The names in the expressions of a parameter's content.
-
-    Raises:
-        ConfigError: an expression is not valid.
-    """
-    try:
-        yield from names_within(value)
-    except ValueError as error:
-        raise ConfigError(f"{PARAMETERS}.{name}", str(error)) from None
-
-
 def names_within(value: object) -> Iterator[str]:
-    """The names in the expressions of a part of a study's table.
+    """Names of parameters in the expressions of a part of a study's table.
 
     Raises:
-        ValueError: an expression is not valid.
+        ValueError: An expression is not valid.
     """
     if isinstance(value, Mapping):
         value = list(value.values())

@@ -1,4 +1,4 @@
-"""Parsing of a sweep's values, and of the intervals and limits of tuning."""
+"""Parsing of the values of a sweep, and of the intervals and limits of a tuning."""
 
 from typing import Any
 
@@ -12,10 +12,10 @@ AXES = ("linspace", "logspace", "values")
 
 
 def parse_axis(value: object) -> tuple[float, ...]:
-    """Values of a sweep axis: a list, ``{ values = [...] }``, ``{ linspace = [lo, hi, n] }`` or ``logspace``.
+    """Parse the values of a sweep axis: a list, ``{ values = [...] }``, or ``{ linspace | logspace = [lo, hi, n] }``.
 
     Raises:
-        ValueError: the rule that is broken, and the value found.
+        ValueError: The value is none of these, or has invalid ends or too many values.
     """
     if isinstance(value, list | tuple):
         value = {"values": list(value)}
@@ -43,10 +43,10 @@ def parse_axis(value: object) -> tuple[float, ...]:
 
 
 def parse_range(value: object) -> tuple[float, float]:
-    """The interval ``[low, high]`` of a positive number.
+    """Parse the interval ``[low, high]`` of a positive number.
 
     Raises:
-        ValueError: the rule that is broken, and the value found.
+        ValueError: The value is no such interval.
     """
     if not isinstance(value, list | tuple) or len(value) != 2 or not all(is_number(end) for end in value):
         raise ValueError(f"must be [low, high], got {value!r}")
@@ -56,7 +56,11 @@ def parse_range(value: object) -> tuple[float, float]:
 
 
 def parse_free(value: object) -> tuple[float, float] | float:
-    """A free parameter's interval, or the positive number at which it is fixed."""
+    """Parse the interval of a free parameter of Theorem 1, or the positive number at which it is fixed.
+
+    Raises:
+        ValueError: The value is neither.
+    """
     if isinstance(value, list | tuple):
         return parse_range(value)
     if not is_number(value) or not value > 0:
@@ -65,7 +69,11 @@ def parse_free(value: object) -> tuple[float, float] | float:
 
 
 def parse_limit(value: Any) -> float | str:
-    """A bound > 0, or the word ``start``."""
+    """Parse the limit of a metric in a tuning: a bound > 0, or the word ``start`` for the metric's first value.
+
+    Raises:
+        ValueError: The value is neither.
+    """
     if value != "start" and (not is_number(value) or not value > 0):
         raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
     return value if value == "start" else float(value)

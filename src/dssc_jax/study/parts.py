@@ -1,4 +1,4 @@
-"""The parts of a loop, parsed from the tables of a study, and the rules between them."""
+"""All parts of a loop, parsed from the tables of a study, and the rules between the parts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.components import Component
 from dssc_jax.study.measures import require_signals
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.numbers import dotted_name
 from dssc_jax.study.schema import LoopTable
 from dssc_jax.study.slots import (
     PER_CHANNEL,
@@ -25,10 +25,10 @@ from dssc_jax.study.slots import (
 
 
 def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
-    """The plant, whose software on board can run at the study's clock.
+    """Parse the plant, and check that its software on board can run at the study's clock.
 
     Raises:
-        ConfigError: The table is not valid, or the software cannot.
+        ConfigError: The table is not valid, or the software cannot run at this clock.
     """
     plant = parse_whole(table, "plant")
     if plant.model.software is not None:
@@ -40,7 +40,16 @@ def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
 def parse_single_parts(
     tables: TomlTable, plant: Component, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> dict[str, Component]:
-    """The parts that a loop has once, whatever its channels: plant, reference and wind.
+    """Parse the parts that a loop has once: reference and wind, besides the plant.
+
+    Args:
+        tables: Table of each slot.
+        plant: The plant, parsed.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Units and meanings of each channel.
+
+    Returns:
+        Plant, reference and wind by slot.
 
     Raises:
         ConfigError: A table is not valid, or a plant that does not fly has a wind.
@@ -60,13 +69,16 @@ def parse_single_parts(
 def parse_columns(
     tables: TomlTable, inputs: Sequence[NamedSignal], channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> dict[str, list[Component]]:
-    """The parts of each channel by slot, and the disturbance of each named input under ``inputs``.
+    """Parse the parts that a loop has once for each channel, and the disturbance of each named input.
 
     Args:
-        tables: The table of each slot.
-        inputs: The plant's named disturbance inputs.
+        tables: Table of each slot.
+        inputs: Named disturbance inputs of the plant.
         channels: Names of the channels; one empty name for a plant with one channel.
-        units: Their units and meanings.
+        units: Units and meanings of each channel.
+
+    Returns:
+        The part of each channel by slot, and under ``inputs`` the disturbance of each named input.
 
     Raises:
         ConfigError: A table is not valid.
@@ -90,24 +102,24 @@ def parse_columns(
 def require_controllers(
     controllers: Sequence[Component], channels: Sequence[str], measures: tuple[NamedSignal, ...]
 ) -> None:
-    """Require that each channel's controller gets the measured signals that it takes, and has the gain l0.
+    """Require that each controller gets the measured signals that it takes, and has the gain l0.
 
     Raises:
-        ConfigError: It lacks a signal, or has no l0.
+        ConfigError: A controller lacks a signal, or has no l0.
     """
     for part in controllers:
         require_signals(part.model, part.params, measures)
     for channel, part in zip(channels, controllers, strict=True):
         if "l0" not in part.params._fields:
             rule = "the gains need the field l0, which defines sigma = e' + l0 e"
-            raise ConfigError(dotted("controller", channel), rule)
+            raise ConfigError(dotted_name("controller", channel), rule)
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
-    """Limit the jitter of the sensors that have one to one sample; axes and margins respect the limit, too.
+    """Limit the jitter of sensors to the sample time [s], also in sweeps and margins.
 
     Raises:
-        ConfigError: A jitter may exceed the sampling period.
+        ConfigError: A jitter may exceed the sample time.
     """
     bounded_sensors = []
     for sensor, channel in zip(sensors, channels, strict=True):
@@ -115,7 +127,7 @@ def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], s
         longest = 0.0 if jitter is None else extent(jitter)[1]
         if longest > sample_time:
             rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
-            raise ConfigError(dotted(dotted("sensor", channel), "jitter"), rule)
+            raise ConfigError(dotted_name("sensor", channel, "jitter"), rule)
         numbers = []
         for number in sensor.numbers:
             if number.name.endswith(".jitter"):

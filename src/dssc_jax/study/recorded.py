@@ -1,6 +1,6 @@
-"""Columns of CSV and Parquet files in a study: they become part of the study when its file is read.
+"""Recorded signals: columns of CSV and Parquet files become part of a study when its file is read.
 
-A results folder therefore contains the data that it was computed with, and reading it opens no other file.
+So a results folder contains the data with which it was computed, and reading the folder opens no other file.
 """
 
 import codecs
@@ -18,38 +18,44 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.csv_files import NO_NUMBERS, csv_form, csv_header, csv_lines, whole_rows
 
 FIELDS = ("file", "column", "columns", "time_column", "rate_file", "rate_column")
-SLOTS = ("reference", "disturbance", "wind", "sensor")
-"""The slots that may follow a record."""
-SEVERAL = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
-"""The slots whose record has several columns, and what these become."""
-RATED = "reference"
-"""The slot whose record may have the rate of its values."""
+"""Fields that name files and columns in a table with a record."""
+RECORD_SLOTS = ("reference", "disturbance", "wind", "sensor")
+"""Slots that may have a record."""
+COLUMN_FIELDS = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
+"""Fields of the slots whose record has several columns; the field of all other slots is ``value``."""
+RATE_SLOT = "reference"
+"""Slot whose record may also have the rate of its values."""
 TIME = "t"
+"""Default name of the column of times."""
 PARQUET = (".parquet", ".pq")
 ULOG = b"ULog\x01\x12\x35"
 """First bytes of a log of PX4."""
-LARGEST_RECORD = 2**27  # bytes of a file
+LARGEST_RECORD = 2**27  # most bytes of a file
 MOST_COLUMNS = 10_000
-"""Columns of a file; a table of more takes minutes to read."""
+"""Most columns of a file; a table with more takes minutes to read."""
 
 
 def with_records(table: Mapping[str, object], folder: Path) -> TomlTable:
     """A study's table with the times and values of each record in place of its file.
 
     Args:
-        table: The study's table.
-        folder: The folder that names of files are relative to.
+        table: Table of the study.
+        folder: Folder to which the names of files are relative.
 
     Raises:
-        ConfigError: a file cannot be read, or does not have the column.
+        ConfigError: A file cannot be read, or lacks a column.
     """
-    return {**table, **{slot: recorded_slot(table[slot], folder, slot) for slot in SLOTS if slot in table}}
+    content = dict(table)
+    for slot in RECORD_SLOTS:
+        if slot in table:
+            content[slot] = slot_with_records(table[slot], folder, slot)
+    return content
 
 
-def recorded_slot(value: object, folder: Path, slot: str) -> Any:
-    """A slot's table, each of its channels' tables, or each table of a list, with records in place of files."""
+def slot_with_records(value: object, folder: Path, slot: str) -> Any:
+    """Content of a slot with records in place of files: of its table, its channels' tables, or a list of tables."""
     if isinstance(value, list):
-        return [recorded_slot(item, folder, f"{slot}.{index}") for index, item in enumerate(value)]
+        return [slot_with_records(item, folder, f"{slot}.{index}") for index, item in enumerate(value)]
     if not isinstance(value, Mapping):
         return value
     with errors_under(slot):
@@ -57,39 +63,52 @@ def recorded_slot(value: object, folder: Path, slot: str) -> Any:
         for name, item in value.items():
             if isinstance(item, Mapping) and "file" in item:
                 with errors_under(name):
-                    channels[name] = inlined(item, folder, slot)
-        inlined_table = inlined(value, folder, slot) if "file" in value else dict(value)
-    return inlined_table | channels
+                    channels[name] = table_with_record(item, folder, slot)
+        table = table_with_record(value, folder, slot) if "file" in value else dict(value)
+    return table | channels
 
 
-def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
-    """A table with the record's times and values in place of the names of files and columns in :data:`FIELDS`."""
-    components = SEVERAL.get(slot.partition(".")[0])
-    targets = components or ("value",)
-    for name in ("time", *targets):
+def table_with_record(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
+    """A part's table with the times and values of its record in place of the names in :data:`FIELDS`.
+
+    Args:
+        part: Table with a file.
+        folder: Folder to which the names of files are relative.
+        slot: Slot of the part, and its index in a list.
+
+    Raises:
+        ConfigError: The table is not valid, or as in :func:`recorded_columns`.
+    """
+    fields = COLUMN_FIELDS.get(slot.partition(".")[0], ("value",))
+    for name in ("time", *fields):
         if name in part:
             raise ConfigError(name, "is given by the file; give a file, or the values themselves")
     for name in ("file", "column", "time_column", "rate_file", "rate_column"):
         if not isinstance(part.get(name, TIME), str):
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
-    if components:
+    if len(fields) > 1:
         names = part.get("columns")
-        if not isinstance(names, list) or len(names) != len(components) or not all(isinstance(n, str) for n in names):
-            raise ConfigError("columns", f"must be the file's columns with {', '.join(components)}, got {names!r}")
+        if not isinstance(names, list) or len(names) != len(fields) or not all(isinstance(n, str) for n in names):
+            raise ConfigError("columns", f"must be the file's columns with {', '.join(fields)}, got {names!r}")
     elif "column" in part:
         names = [part["column"]]
     else:
         raise ConfigError("column", "is required and missing: the column with the values")
     columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), *names])
-    other_entries = {name: value for name, value in part.items() if name not in FIELDS}
-    return other_entries | dict(zip(("time", *targets), columns, strict=True)) | inlined_rate(part, folder, slot)
+    table = {name: value for name, value in part.items() if name not in FIELDS}
+    table |= dict(zip(("time", *fields), columns, strict=True))
+    return table | rate_fields(part, folder, slot)
 
 
-def inlined_rate(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
-    """The times and values of a record's rate; nothing if the table names no column of it."""
+def rate_fields(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
+    """The fields ``rate_time`` and ``rate`` of a record; empty if its table names no column of rates.
+
+    Raises:
+        ConfigError: The table is not valid, or as in :func:`recorded_columns`.
+    """
     if not {"rate_column", "rate_file"} & set(part):
         return {}
-    if slot != RATED:
+    if slot != RATE_SLOT:
         name = "rate_column" if "rate_column" in part else "rate_file"
         raise ConfigError(name, f"is of a recorded reference; a recorded {slot.partition('.')[0]} has no rate")
     for name in ("rate", "rate_time"):
@@ -103,16 +122,19 @@ def inlined_rate(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
 
 
 def recorded_columns(path: Path, names: list[str], label: str = "column") -> list[list[float]]:
-    """Columns of a CSV or Parquet file, as numbers; rows in which a cell is empty are left out.
+    """Read columns of a CSV or Parquet file as numbers; rows with an empty cell are left out.
 
     Args:
         path: The file.
-        names: Names of the columns; the first one is the time's.
-        label: The field of the study that names the others.
+        names: Names of the columns, that of the times first.
+        label: Field of the study that names the other columns, for messages.
+
+    Returns:
+        Values of each column, shape (columns, rows).
 
     Raises:
-        ConfigError: the file cannot be read, a column is absent, a cell is no finite number, the times do not rise, or
-            no row is left. The message has the line of a CSV file, or the row of a Parquet file.
+        ConfigError: The file cannot be read, a column is absent, a cell is no finite number, the times do not rise, or
+            no row remains. The message has the line of a CSV file, or the row of a Parquet file.
     """
     frame = recorded_frame(path)
     for name in names:
@@ -130,23 +152,28 @@ def recorded_columns(path: Path, names: list[str], label: str = "column") -> lis
         raise ConfigError("file", f"'{path.name}' has no row with numbers in {', '.join(map(repr, names))}")
     infinite_rows = complete_rows[np.any(np.isinf(table[:, complete_rows]), axis=0)]
     if infinite_rows.size:
-        place = place_of(path, int(infinite_rows[0]))
+        place = row_place(path, int(infinite_rows[0]))
         raise ConfigError(label, f"'{path.name}' must hold finite numbers; {place} does not")
     times = table[0, complete_rows]
     decreasing = np.flatnonzero(np.diff(times) <= 0.0)
     if decreasing.size:
         before, after = times[decreasing[0] : decreasing[0] + 2]
-        place = place_of(path, int(complete_rows[decreasing[0] + 1]))
+        place = row_place(path, int(complete_rows[decreasing[0] + 1]))
         rule = f"{after:g} s comes after {before:g} s in {place}"
         raise ConfigError("time_column", f"'{path.name}' must have rising times; {rule}")
     return table[:, complete_rows].tolist()
 
 
 def numbers_of(column: Any, path: Path, field: str) -> list[float]:
-    """The cells of a column as numbers, NaN for those that are missing.
+    """Cells of a column as numbers, NaN for empty ones.
+
+    Args:
+        column: Column of a data frame.
+        path: The file, for messages.
+        field: Field of the study that names the column, for messages.
 
     Raises:
-        ConfigError: a cell is no number.
+        ConfigError: A cell is no number.
     """
     text = first_text(column, path)
     if text:
@@ -155,36 +182,36 @@ def numbers_of(column: Any, path: Path, field: str) -> list[float]:
 
 
 def first_text(column: Any, path: Path) -> str:
-    """The place and the content of the first cell of a column that is no number, in words; empty if there is none."""
+    """Place and content of the first cell of a column that is no number, in words; empty if there is none."""
     for row, cell in enumerate(column):
         try:
             float(cell)
         except (TypeError, ValueError):
-            return f"{place_of(path, row)} has {cell!r}"
+            return f"{row_place(path, row)} has {cell!r}"
     return ""
 
 
-def place_of(path: Path, row: int) -> str:
-    """Where a row stands in a file, in words."""
-    if path.suffix.lower() in PARQUET:
+def row_place(path: Path, row: int) -> str:
+    """Place of a row of the data frame in its file, in words: the line of a CSV file, or the row."""
+    if is_parquet(path):
         return f"row {row + 1}"
     lines = list(csv_lines(record_content(path)))[1:]
     return f"line {lines[row].number}" if row < len(lines) else f"row {row + 1}"
 
 
 def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -> None:
-    """Require that the missing cells of a CSV file are empty, and not written as no number.
+    """Require that the missing cells of a CSV file are empty, rather than texts such as ``nan``.
 
     Args:
-        path: The file; one of Parquet has missing cells of its own.
+        path: The file; a Parquet file marks its missing cells.
         places: Indices of the columns.
-        rows: Rows with a missing cell.
-        count: Number of rows.
+        rows: Indices of the rows with a missing cell.
+        count: Number of all rows.
 
     Raises:
-        ConfigError: one is written, as ``nan``.
+        ConfigError: A missing cell has a text.
     """
-    if path.suffix.lower() in PARQUET or not rows.size:
+    if is_parquet(path) or not rows.size:
         return
     content = record_content(path)
     form = csv_form(path, content)
@@ -195,13 +222,18 @@ def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -
         texts = lines[row].text.decode(errors="replace").split(form.separator)
         cells = [text.strip().strip('"').replace(form.decimal, ".") for text in texts]
         for place in places:
-            if place < len(cells) and cells[place] and not is_number(cells[place]):
+            if place < len(cells) and cells[place] and not is_numeric(cells[place]):
                 text = f"'{path.name}' must hold numbers or empty cells; line {lines[row].number} has {cells[place]!r}"
                 raise ConfigError("column", text)
 
 
-def is_number(text: str) -> bool:
-    """Whether a text is a number, NaN excepted."""
+def is_parquet(path: Path) -> bool:
+    """Whether a file is a Parquet file, by its name."""
+    return path.suffix.lower() in PARQUET
+
+
+def is_numeric(text: str) -> bool:
+    """Whether a text is a number other than NaN."""
     try:
         return not math.isnan(float(text))
     except ValueError:
@@ -209,11 +241,11 @@ def is_number(text: str) -> bool:
 
 
 def record_content(path: Path) -> bytes:
-    """The content of a record's file.
+    """Read the file of a record.
 
     Raises:
-        ConfigError: it is too large.
-        OSError: it cannot be read, or is no regular file.
+        ConfigError: The file is too large.
+        OSError: The file cannot be read, or is no regular file.
     """
     content = files.read_bytes(path, LARGEST_RECORD + 1)
     if len(content) > LARGEST_RECORD:
@@ -221,22 +253,30 @@ def record_content(path: Path) -> bytes:
     return content
 
 
-def parquet_columns(content: bytes) -> int:
-    """The number of columns of a Parquet file."""
+def parquet_column_count(content: bytes) -> int:
+    """Number of columns of a Parquet file, without reading them."""
     from pyarrow import parquet
 
     return parquet.ParquetFile(io.BytesIO(content)).metadata.num_columns
 
 
 def require_few_columns(path: Path, count: int) -> None:
-    """Require that a file has no more columns than a record can have; raises ConfigError."""
+    """Require that a file has at most :data:`MOST_COLUMNS` columns.
+
+    Raises:
+        ConfigError: It has more.
+    """
     if count > MOST_COLUMNS:
         raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
 
 
 def require_header(path: Path, names: list[str]) -> None:
-    """Require names in a file's first line, no two of them the same; raises ConfigError."""
-    if all(is_number(name) for name in names):
+    """Require that a file's first line has names, and no name twice.
+
+    Raises:
+        ConfigError: It has numbers, or a name twice.
+    """
+    if all(is_numeric(name) for name in names):
         raise ConfigError(
             "file", f"'{path}' has no header: its first line holds numbers; write the columns' names there"
         )
@@ -246,16 +286,16 @@ def require_header(path: Path, names: list[str]) -> None:
 
 
 def recorded_frame(path: Path) -> Any:
-    """The table of a CSV or Parquet file, as a data frame of pandas.
+    """Read a CSV or Parquet file as a data frame of pandas.
 
-    Dates and time spans of a Parquet file are in seconds: dates since the beginning of 1970, UTC unless they say else.
+    Dates and time spans of a Parquet file become seconds. Dates count from the beginning of 1970, and are in UTC unless
+    they have a time zone.
 
     Raises:
-        ConfigError: the file cannot be read.
+        ConfigError: The file cannot be read.
     """
-    import pandas as pd  # slow to load, and few studies follow a record
+    import pandas as pd  # slow to load, and few studies have a record
 
-    parquet = path.suffix.lower() in PARQUET
     try:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")
@@ -266,8 +306,8 @@ def recorded_frame(path: Path) -> Any:
             raise ConfigError("file", f"'{path}' is text in UTF-16; save it as UTF-8")
         if content.startswith(ULOG):
             raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
-        if parquet:
-            require_few_columns(path, parquet_columns(content))
+        if is_parquet(path):
+            require_few_columns(path, parquet_column_count(content))
             return with_seconds(pd.read_parquet(io.BytesIO(content)))
         form = csv_form(path, content)
         header = csv_header(content).decode(errors="replace").split(form.separator)
@@ -286,7 +326,7 @@ def recorded_frame(path: Path) -> Any:
 
 
 def with_seconds(frame: Any) -> Any:
-    """A data frame whose dates and time spans are numbers of seconds, NaN where one is missing."""
+    """A data frame in which dates and time spans have become numbers of seconds, NaN for missing ones."""
     spans = frame.select_dtypes("timedelta")
     dates = frame.select_dtypes(["datetime", "datetimetz"])
     epoch = np.datetime64(0, "s")

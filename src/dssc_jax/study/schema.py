@@ -18,7 +18,7 @@ STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 def finite_number(value: object) -> float:
-    """A finite number."""
+    """Validate a finite number; raises ValueError."""
     if not is_number(value):
         raise ValueError(f"must be a finite number, got {value!r}")
     return float(value)
@@ -33,7 +33,7 @@ OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
 
 
 class SettledTable(BaseModel):
-    """``[loop.settled]``: when a settled draw ends before its full duration."""
+    """``[loop.settled]``: the rule that ends a settled draw before its full duration."""
 
     model_config = STRICT
     error: Finite = Field(gt=0.0, description="largest |e| of a settled loop, in the output's unit")
@@ -42,7 +42,7 @@ class SettledTable(BaseModel):
 
 
 class LoopTable(BaseModel):
-    """``[loop]``: the clock."""
+    """``[loop]``: duration, sampling, integration and precision."""
 
     model_config = STRICT
     duration: Finite = Field(gt=0.0, description="simulated time [s]")
@@ -55,7 +55,7 @@ class LoopTable(BaseModel):
     settled: SettledTable | None = Field(default=None, description="rule that ends a draw which has settled")
 
     @model_validator(mode="after")
-    def _clock(self) -> "LoopTable":
+    def _check_clock(self) -> "LoopTable":
         if self.sample_time > self.duration:
             raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
         ratio = self.duration / self.sample_time
@@ -75,7 +75,7 @@ class LoopTable(BaseModel):
 
 
 def window_fields(absent: bool) -> dict[str, Any]:
-    """Fields of a table for the entries of a window; with ``absent`` they may be left to ``[metrics]``."""
+    """Pydantic's fields for the entries of a window; with ``absent``, they default to those of ``[metrics]``."""
     defaults = window_defaults()
     fields = {}
     for entry in window_entries().values():
@@ -89,14 +89,12 @@ def window_fields(absent: bool) -> dict[str, Any]:
     return fields
 
 
-def bound(value: object) -> float | str:
-    """A finite number, or a number with a unit as text."""
-    if isinstance(value, str):
-        return value
-    return finite_number(value)
+def finite_number_or_text(value: object) -> float | str:
+    """Validate a finite number, or a text, which may be a number with a unit; raises ValueError."""
+    return value if isinstance(value, str) else finite_number(value)
 
 
-Bound = Annotated[float | str, BeforeValidator(bound)]
+Bound = Annotated[float | str, BeforeValidator(finite_number_or_text)]
 
 
 class BoundedMetric(BaseModel):
@@ -136,7 +134,7 @@ class MetricsTable(UsualWindow):
 
     @property
     def window(self) -> Window:
-        """The window of all metrics that are not required with their own."""
+        """Window of all metrics, except those of requirements with a window of their own."""
         return Window.of(self.model_dump())
 
 
@@ -145,17 +143,17 @@ SUBJECTS = {
     "formula": ({"formula", "name", "smoothing"}, "a formula holds its own times and bounds"),
     "margin": ({"margin", "at", "max", "min"}, "a margin is that of the linearised loop, before the flight"),
 }
-"""What a requirement may be about: the entries that belong to it, and why others do not."""
+"""Possible subjects of a requirement: the entries that belong to each, and why others do not."""
 
 
 class RequirementTable(RequiredWindow):
-    """``[[requirement]]``: a bound on a metric or a margin, or a formula. Field names are those of the file."""
+    """``[[requirement]]``: a bound of a metric or a margin, or a formula that must be true."""
 
     max: Bound | None = Field(default=None, description='upper bound; of a margin also with a unit, as `"6 dB"`')
     min: Bound | None = Field(default=None, description="lower bound; of a margin also with a unit")
 
     @model_validator(mode="after")
-    def _one_bound(self) -> "RequirementTable":
+    def _check_subject(self) -> "RequirementTable":
         subjects = [name for name in SUBJECTS if getattr(self, name) is not None]
         if len(subjects) != 1:
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
@@ -177,20 +175,21 @@ class RequirementTable(RequiredWindow):
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Upper and lower bound of a metric."""
-        upper, lower = ((None if value is None else float(value)) for value in (self.max, self.min))
+        """Upper and lower bound of a metric; None for an absent one."""
+        upper = None if self.max is None else float(self.max)
+        lower = None if self.min is None else float(self.min)
         return upper, lower
 
     def window(self, usual: Window) -> Window:
-        """The requirement's window; ``usual`` is that of ``[metrics]``."""
+        """Window of the requirement, with the entries of ``usual``, the window of ``[metrics]``, for absent ones."""
         return Window.of(self.model_dump(), usual)
 
 
 def unit_text(value: object) -> str:
-    """A unit as a product of powers.
+    """Validate the text of a unit, a product of powers such as ``kg m^2/s``.
 
     Raises:
-        ValueError: it is something else.
+        ValueError: The value is something else.
     """
     if not isinstance(value, str) or len(value) > LONGEST_UNIT:
         raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
@@ -202,13 +201,16 @@ Unit = Annotated[str, BeforeValidator(unit_text)]
 
 
 def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
-    """The points ``[[time, value], ...]`` of a bound over time.
+    """Parse the points ``[[time, value], ...]`` of a bound over time [s].
 
     Raises:
-        ValueError: they are not two or more pairs of numbers, or a time lies before the one above it.
+        ValueError: They are not at least two pairs of numbers, or the times fall.
     """
-    pairs = isinstance(value, list | tuple) and len(value) >= 2
-    if not pairs or not all(isinstance(p, list | tuple) and len(p) == 2 and all(map(is_number, p)) for p in value):
+
+    def is_point(item: object) -> bool:
+        return isinstance(item, list | tuple) and len(item) == 2 and all(map(is_number, item))
+
+    if not isinstance(value, list | tuple) or len(value) < 2 or not all(map(is_point, value)):
         raise ValueError(f"must be two or more points [time, value], got {value!r}")
     if len(value) > MOST_POINTS:
         raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
@@ -220,7 +222,7 @@ def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
 
 
 class EnvelopeTable(BaseModel):
-    """``[[envelope]]``: bounds of a signal over time, straight between their points; a requirement of its own."""
+    """``[[envelope]]``: bounds of a signal over time, straight between their points, which every draw must keep."""
 
     model_config = STRICT
     signal: Literal["y", "e", "sigma", "u", "u_total"] = Field(default="y", description="the bounded signal")
@@ -233,17 +235,17 @@ class EnvelopeTable(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _bounds(self) -> "EnvelopeTable":
+    def _check_bounds(self) -> "EnvelopeTable":
         if not self.upper and not self.lower:
             raise ValueError("needs upper or lower, or both")
-        at = crossing(self.lower, self.upper)
-        if at is not None:
-            raise ValueError(f"the lower bound must not exceed the upper one, which it does at {at:g} s")
+        crossing_time = crossing(self.lower, self.upper)
+        if crossing_time is not None:
+            raise ValueError(f"the lower bound must not exceed the upper one, which it does at {crossing_time:g} s")
         return self
 
 
 class UnitsTable(BaseModel):
-    """``[units]``: units and meanings of the plant's output and command; `[units.z]` holds for one channel."""
+    """``[units]``: units and meanings of the plant's output and command; ``[units.z]`` is for channel z alone."""
 
     model_config = STRICT
     output: Unit | None = Field(default=None, description="unit of the output y; absent: the plant's own")
@@ -253,7 +255,7 @@ class UnitsTable(BaseModel):
 
 
 class PlotTable(BaseModel):
-    """``[plot]``: the content of the sweep's figure."""
+    """``[plot]``: content of the figure of a sweep."""
 
     model_config = STRICT
     metric: str | None = Field(default=None, description="the metric to show; absent: that of the first requirement")
@@ -264,11 +266,7 @@ MOST_LANES = 10**9
 
 
 class TuneTable(BaseModel):
-    """``[tune]``: the numbers to tune, their objective and limits, and the search.
-
-    ``slack`` is the relative slack that Theorem 1's inequalities must keep. ``smoothing`` [m/s] is the initial width
-    of the smoothed sign in the program for derivatives. ``derivatives`` is the method for computing them.
-    """
+    """``[tune]``: the numbers to tune, their objective and limits, and the search."""
 
     model_config = STRICT
     parameters: dict[str, Annotated[tuple[float, float], BeforeValidator(parse_range)]] = Field(
@@ -317,7 +315,7 @@ class TuneTable(BaseModel):
 
 
 class StudyTable(BaseModel):
-    """The whole file. Tables of models are not validated here; the registries define their fields."""
+    """The whole study file. The tables of models are validated later, since their kinds define their fields."""
 
     model_config = STRICT
     name: str = Field(
@@ -365,7 +363,7 @@ class StudyTable(BaseModel):
     plot: PlotTable = Field(default=PlotTable(), description="figure of a sweep")
 
     @model_validator(mode="after")
-    def _size(self) -> "StudyTable":
+    def _check_size(self) -> "StudyTable":
         lanes = self.draws * math.prod(len(values) for values in self.sweep.values())
         if lanes > MOST_LANES:
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
@@ -373,11 +371,11 @@ class StudyTable(BaseModel):
 
     @property
     def independent(self) -> bool:
-        """Whether draws are independent; with ``auto`` they are, unless a run chooses a design."""
+        """Whether draws are independent; with ``auto`` they are unless a run chooses another design."""
         return self.sampling in ("random", "auto")
 
     @model_validator(mode="after")
-    def _design(self) -> "StudyTable":
+    def _check_design(self) -> "StudyTable":
         if self.independent:
             if "replicates" in self.model_fields_set:
                 remedy = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"

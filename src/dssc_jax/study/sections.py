@@ -1,4 +1,4 @@
-"""A hint for a frequent mistake: a name in the wrong section of a study."""
+"""Hint for a frequent mistake: a name in the wrong section of a study."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
-from dssc_jax.study.components import field_specs
+from dssc_jax.study.fields import field_specs
 from dssc_jax.study.table_errors import UNKNOWN_NAME
 
 TOP = "at the top of the file, above the first [section]"
@@ -21,13 +21,16 @@ def with_section(
     fixed: Mapping[str, type[BaseModel]],
     registries: Mapping[str, Registry],
 ) -> ConfigError:
-    """The error with the section in which an unknown name is valid, if it is valid in another one.
+    """Name the right section in the error of an unknown name, if the name is valid in another section.
 
     Args:
         error: Any error of a study's table.
-        table: The study's table.
-        fixed: The fixed tables by their place; the whole file's has an empty one.
-        registries: The kinds of each slot.
+        table: Table of the study.
+        fixed: Fixed tables by their section; the section of the whole file is empty.
+        registries: Kinds of each slot.
+
+    Returns:
+        The new error; any other error as it is.
     """
     section, _, name = error.where.rpartition(".")
     if not error.rule.startswith(UNKNOWN_NAME):
@@ -42,45 +45,44 @@ def with_section(
 def sections_of(
     name: str, table: Mapping[str, object], fixed: Mapping[str, type[BaseModel]], registries: Mapping[str, Registry]
 ) -> list[str]:
-    """Every place in which a study of these kinds may have the name, as the end of a sentence."""
+    """Sections in which a study with these kinds may have a name, in words; without any, those of other kinds."""
     places = [f"in [{place}]" if place else TOP for place, model in fixed.items() if name in model.model_fields]
     for slot, registry in registries.items():
         part = table.get(slot)
         kind = part.get("kind") if isinstance(part, Mapping) else None
-        entries = {kind: registry[kind]} if isinstance(kind, str) and kind in registry else {}
-        for entry in entries.values():
-            places += [f"in [{place}]" for place, field in places_in(entry, slot, part) if field == name]
+        if isinstance(kind, str) and kind in registry:
+            places += [f"in [{place}]" for place, field in places_in(registry[kind], slot, part) if field == name]
     if not places:
-        places = [
-            f'in [{slot}] of kind "{kind}"'
-            for slot, registry in registries.items()
-            for kind, entry in registry.items()
-            if has_field(params_of(entry), name)
-        ]
+        for slot, registry in registries.items():
+            for kind, entry in registry.items():
+                if has_field(params_of(entry), name):
+                    places.append(f'in [{slot}] of kind "{kind}"')
     return list(dict.fromkeys(places))
 
 
 def has_field(params: type, name: str) -> bool:
-    """Whether a parameter type has a field of a name that a study writes; the values of a record come from a file."""
+    """Whether a parameter type has a field with a name that a study may state."""
     spec = field_specs(params).get(name)
-    return spec is not None and not (isinstance(spec.mark, Quantity) and spec.mark.data)
+    if spec is None:
+        return False
+    return not (isinstance(spec.mark, Quantity) and spec.mark.data)  # the values of a record come from its file
 
 
 def params_of(entry: Entry) -> Any:
-    """The parameter type of a registry row; options do not change it."""
+    """Parameter type of a registry row, which is the same for all values of its option."""
     member = next(iter(entry.members.values()))
     return getattr(member, "params", member)
 
 
 def places_in(entry: Entry, section: str, table: Any) -> Iterator[tuple[str, str]]:
-    """Each section of a kind, and a field that it may have."""
+    """Pairs of a section and a field that it may have, for a part of this kind and all parts within it."""
     yield from fields_in(params_of(entry), section, table if isinstance(table, Mapping) else {})
     if entry.option:
         yield section, entry.option
 
 
 def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Each section of a parameter type, and a field that it may have."""
+    """Pairs of a section and a field that it may have, for a parameter type and all parts within it."""
     for name, spec in field_specs(params).items():
         inner = table.get(name)
         inner = {"kind": inner} if isinstance(inner, str) else inner
@@ -89,7 +91,7 @@ def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterat
             entry = spec.mark.registry.get(inner.get("kind", spec.mark.default) or "")
             if entry is not None:
                 yield from places_in(entry, f"{section}.{name}", inner)
-        elif spec.nested or spec.listed is not None:
-            yield from fields_in(spec.listed or spec.core, f"{section}.{name}", inner)
-        elif not spec.derived:
+        elif spec.is_nested or spec.item_type is not None:
+            yield from fields_in(spec.item_type or spec.hint, f"{section}.{name}", inner)
+        elif not spec.is_derived:
             yield section, name

@@ -5,12 +5,15 @@ import re
 SEPARATORS = re.compile(r"\s*(?::|,|;|\.\.+|\bto\b|\s)\s*")
 
 
-def separated(text: str, parts: int) -> str:
-    """The end of a message about ``NAME=A:B:...``: the text with the right separators, if only these are wrong.
+def separator_hint(text: str, parts: int) -> str:
+    """Hint for a wrong option ``NAME=A:B:...``: the text with the right separators, if only these are wrong.
 
     Args:
-        text: As typed.
-        parts: Numbers that must follow the name, at least.
+        text: Text of the option, as typed.
+        parts: Number of numbers that must follow the name.
+
+    Returns:
+        End of a message; empty without a hint.
     """
     match = re.fullmatch(r"\s*([^\s=:]+)\s*[=:\s]\s*(.+?)\s*", text)
     if match is None:
@@ -21,13 +24,23 @@ def separated(text: str, parts: int) -> str:
     if values[-1:] == ["log"]:
         values = values[:-1]
         ending = ":log"
-    numeric = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
+    are_numbers = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
     corrected_text = f"{name}={':'.join(values)}{ending}"
-    return f"; did you mean '{corrected_text}'?" if numeric and len(values) == parts and corrected_text != text else ""
+    if not are_numbers or len(values) != parts or corrected_text == text:
+        return ""
+    return f"; did you mean '{corrected_text}'?"
 
 
 def toml_hint(text: str, complaint: str) -> str:
-    """The line of a TOML file that does not parse, and the separator that it lacks, if any."""
+    """Hint for a TOML file that does not parse: the line, and the separator that it lacks.
+
+    Args:
+        text: Content of the file.
+        complaint: Message of the parser, with ``at line N``.
+
+    Returns:
+        End of a message; empty if the complaint names no line.
+    """
     match = re.search(r"at line (\d+)", complaint)
     lines = text.splitlines()
     if match is None or int(match.group(1)) > len(lines):

@@ -1,4 +1,4 @@
-"""Parsing of the loop's slots: one part for the whole loop, a sum of winds, a reference, or one part a channel."""
+"""Parsing of the loop's slots: a single part, a sum of winds, a reference, or one part for each channel."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -28,7 +28,7 @@ from dssc_jax.models.wind import WINDS
 from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.events import EVENT
-from dssc_jax.study.numbers import dotted
+from dssc_jax.study.numbers import Number, dotted_name
 from dssc_jax.study.tables import channel_table, has_dotted, stands_alone
 
 REGISTRIES = {
@@ -43,6 +43,7 @@ REGISTRIES = {
     "wind": WINDS,
     "event": EVENTS,
 }
+"""The kinds of each slot."""
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
 TABLES = (*SLOTS, ACTUATOR, EVENT)
@@ -50,19 +51,21 @@ TABLES = (*SLOTS, ACTUATOR, EVENT)
 
 
 def with_units(component: Component, units: ChannelUnits) -> Component:
-    """The component whose numbers have the channel's own units."""
-    numbers = (replace(n, quantity=replace(n.quantity, unit=units.of(n.quantity.unit))) for n in component.numbers)
+    """The component with the units of a channel in place of the symbols y and u in the units of its numbers."""
+    numbers = []
+    for number in component.numbers:
+        quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
+        numbers.append(replace(number, quantity=quantity))
     return replace(component, numbers=tuple(numbers))
 
 
 def parse_whole(table: TomlTable, slot: str, registry: Registry | None = None) -> Component:
-    """Parse the component of a slot that the loop has once; without a registry, from that of the slot."""
-    component = parse_component(table, REGISTRIES[slot] if registry is None else registry, slot)
-    return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+    """Parse the table of a slot that the loop has once; ``registry`` replaces the kinds of the slot."""
+    return parse_component(table, REGISTRIES[slot] if registry is None else registry, slot).under(slot, slot)
 
 
 def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
-    """Parse the wind, or the sum of the winds in a list; a number of the second one is called ``wind.1.speed``.
+    """Parse the wind, or the sum of several winds, of which the second has numbers such as ``wind.1.speed``.
 
     Raises:
         ConfigError: The list is empty, or a wind is not valid.
@@ -74,17 +77,21 @@ def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
     parts = []
     for index, part in enumerate(table):
         name = f"wind.{index}"
-        component = parse_component(part, REGISTRIES["wind"], name)
-        parts.append(replace(component, numbers=tuple(number.under(name, name) for number in component.numbers)))
-    model = sum_of_winds(tuple(part.model for part in parts))
-    numbers = tuple(chain.from_iterable(part.numbers for part in parts))
-    return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
+        parts.append(parse_component(part, REGISTRIES["wind"], name).under(name, name))
+    return Component(
+        kind=" + ".join(part.kind for part in parts),
+        model=sum_of_winds(tuple(part.model for part in parts)),
+        params=tuple(part.params for part in parts),
+        numbers=tuple(chain.from_iterable(part.numbers for part in parts)),
+    )
 
 
-def of_angles(registry: Registry) -> Registry:
-    """The references of a registry in their forms for an output that is an angle."""
+def reference_kinds(is_angle: bool) -> Registry:
+    """Kinds of references for one channel, in their forms for an angle if the output is one."""
+    if not is_angle:
+        return REFERENCES
     entries = {}
-    for kind, entry in registry.items():
+    for kind, entry in REFERENCES.items():
         members = {option: model.of_angle or model for option, model in entry.members.items()}
         entries[kind] = entry._replace(members=members)
     return entries
@@ -93,17 +100,21 @@ def of_angles(registry: Registry) -> Registry:
 def parse_reference(
     table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...], angles: Collection[str]
 ) -> Component:
-    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x.
+    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces the signal of channel x.
 
-    ``angles`` are the channels whose output is an angle.
+    The package's trajectories have a signal for each channel of the vehicle. A plant with fewer channels takes the
+    first signals, and further channels of a plant with more stay at zero. A user's trajectory has a signal for each
+    channel of the plant.
 
-    The package's trajectories have a point for each of the vehicle's channels. A plant with fewer channels takes the
-    first points; further channels of a plant with more stay at zero. A trajectory of the user's has a point for each of
-    the plant's channels.
+    Args:
+        table: Table of the reference.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Units and meanings of each channel.
+        angles: Names of the channels whose output is an angle.
     """
     slot = "reference"
     if len(channels) == 1:
-        registry = of_angles(REFERENCES) if channels[0] in angles else REFERENCES
+        registry = reference_kinds(is_angle=channels[0] in angles)
         return with_units(parse_whole(table, slot, registry), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
@@ -111,15 +122,15 @@ def parse_reference(
         joint = replace(joint, model=with_channel_count(joint.model, len(channels)))
     replaced_channels = [channel for channel in channels if channel in table]
     if not replaced_channels:
-        return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))
+        return joint.under(slot, slot)
     replacements = {}
     for channel in replaced_channels:
-        registry = of_angles(REFERENCES) if channel in angles else REFERENCES
-        replacements[channel] = parse_component(table[channel], registry, dotted(slot, channel))
-    numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
+        registry = reference_kinds(is_angle=channel in angles)
+        replacements[channel] = parse_component(table[channel], registry, dotted_name(slot, channel))
+    numbers = list(joint.under(f"{slot}.joint", slot).numbers)
     for place, (channel, part) in enumerate(replacements.items()):
-        numbers_of_part = with_units(part, units[channels.index(channel)]).numbers
-        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in numbers_of_part]
+        part_with_units = with_units(part, units[channels.index(channel)])
+        numbers += part_with_units.under(f"{slot}.replaced.{place}", dotted_name(slot, channel)).numbers
     models = {channels.index(channel): part.model for channel, part in replacements.items()}
     model = replace_channels(joint.model, models)
     params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
@@ -127,39 +138,48 @@ def parse_reference(
 
 
 def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tuple[str, ...]) -> list[Component]:
-    """Parse one component per channel; a list is the chain ``[[actuator]]``.
+    """Parse one component for each channel; a list is the chain ``[[actuator]]``.
 
-    A table ``[controller.x]`` overrides ``[controller]``, which applies to all; one of another kind replaces it.
-    A number that no channel overrides is one number for all channels: one draw of its law, one axis.
+    A table such as ``[controller.x]`` overrides the common ``[controller]``, or replaces it if the kind differs. A
+    number that no channel overrides is one number of all channels: one draw of its law, one axis.
+
+    Raises:
+        ConfigError: A table is not valid.
     """
     if isinstance(table, list):
         return parse_chain(table, channels)
     common = {name: value for name, value in table.items() if name not in channels}
     components = []
     for index, channel in enumerate(channels):
-        channel_path = dotted(slot, channel)
+        channel_path = dotted_name(slot, channel)
         override = as_table(table.get(channel, {}), channel_path) if channel else {}
         is_alone = stands_alone(override, common)
         with errors_under(channel_path):
             channel_content = channel_table(common, override)
         component = parse_component(channel_content, REGISTRIES[slot], channel_path if override else slot)
-        numbers = tuple(
-            number.under(f"{slot}.{index}", channel_path if is_alone or has_dotted(override, number.name) else slot)
-            for number in component.numbers
-        )
-        components.append(replace(component, numbers=numbers))
+        numbers = []
+        for number in component.numbers:
+            is_of_channel = is_alone or has_dotted(override, number.name)
+            numbers.append(number.under(f"{slot}.{index}", channel_path if is_of_channel else slot))
+        components.append(replace(component, numbers=tuple(numbers)))
     return components
 
 
 COMMAND = "command"
-"""The place of a disturbance at the plant's command, if the plant has one channel."""
+"""Value of ``input`` for a disturbance that adds to the command of a plant with one channel."""
 
 
-def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
-    """The place at which a disturbance acts: a channel's name, empty for the only one, or an input's.
+def disturbance_place(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
+    """Place at which a disturbance acts: the name of a channel, empty for the only one, or that of an input.
+
+    Args:
+        table: Table of the disturbance.
+        path: Dotted path of the table, for messages.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
 
     Raises:
-        ConfigError: the plant has no such place.
+        ConfigError: The plant has no such place.
     """
     places = {channel or COMMAND: channel for channel in channels} | {name: name for name in inputs}
     input_name = table.get("input", COMMAND if channels == ("",) else None)
@@ -172,34 +192,38 @@ def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Seque
 def placed_disturbances(
     table: TomlTable | list[TomlTable], channels: Sequence[str], inputs: Sequence[str]
 ) -> dict[str, list[Component]]:
-    """The disturbances of ``[[disturbance]]`` by their places; of one table with ``input``, the single one.
+    """Parse ``[[disturbance]]``, or a single table with ``input``, into the disturbances at each place of the plant.
+
+    The paths of their numbers are still those within the disturbance; :func:`disturbance_sum` completes them.
 
     Raises:
-        ConfigError: one is not valid.
+        ConfigError: A disturbance is not valid.
     """
-    parts = {"disturbance": table} if isinstance(table, dict) else {f"disturbance.{i}": t for i, t in enumerate(table)}
+    if isinstance(table, dict):
+        parts = {"disturbance": table}
+    else:
+        parts = {f"disturbance.{index}": item for index, item in enumerate(table)}
     disturbances_by_place: dict[str, list[Component]] = {place: [] for place in (*channels, *inputs)}
     for path, part in parts.items():
         entries = as_table(part, path)
-        place = place_of(entries, path, channels, inputs)
+        place = disturbance_place(entries, path, channels, inputs)
         entries.pop("input", None)
-        disturbances_by_place[place].append(parse_component(entries, DISTURBANCES, path))
-        component = disturbances_by_place[place][-1]
-        numbers = tuple(number.under("", path) for number in component.numbers)
-        disturbances_by_place[place][-1] = replace(component, numbers=numbers)
+        disturbances_by_place[place].append(parse_component(entries, DISTURBANCES, path).under("", path))
     return disturbances_by_place
 
 
 def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
-    """The sum of the disturbances at one place, whose parameters are at a path."""
+    """Sum of the disturbances at one place of the plant.
+
+    Args:
+        parts: The disturbances, from :func:`placed_disturbances`; without any, the kind of the sum is ``none``.
+        path: Path of the sum in the loop's parameters.
+    """
     if not parts:
         return parse_component({"kind": "none"}, DISTURBANCES)
-    numbers = []
+    numbers: list[Number] = []
     for index, part in enumerate(parts):
-        parent_path = path if len(parts) == 1 else f"{path}.{index}"
-        numbers += [
-            replace(n, paths=tuple(dotted(parent_path, inner_path) for inner_path in n.paths)) for n in part.numbers
-        ]
+        numbers += part.under(path if len(parts) == 1 else f"{path}.{index}", "").numbers
     params = parts[0].params if len(parts) == 1 else tuple(part.params for part in parts)
     kind = " + ".join(part.kind for part in parts)
     return Component(kind, sum_of_disturbances(tuple(part.model for part in parts)), params, tuple(numbers))
@@ -208,10 +232,10 @@ def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
 def parse_disturbances(
     table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
 ) -> list[Component]:
-    """The disturbance of each channel: by its table, or the sum of those of ``[[disturbance]]`` at its command.
+    """Parse the disturbance at the command of each channel, from ``[disturbance]`` or ``[[disturbance]]``.
 
     Raises:
-        ConfigError: one is not valid.
+        ConfigError: A disturbance is not valid.
     """
     if isinstance(table, dict) and "input" not in table:
         return parse_channels(table, "disturbance", channels)
@@ -225,7 +249,11 @@ def parse_disturbances(
 def parse_inputs(
     table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
 ) -> list[Component]:
-    """The disturbance at each input that the plant names; see :func:`parse_disturbances`."""
+    """Parse the disturbance at each named input of the plant; only tables with ``input`` have any.
+
+    Raises:
+        ConfigError: A disturbance is not valid.
+    """
     if isinstance(table, dict) and "input" not in table:
         return [disturbance_sum([], "") for _ in inputs]
     disturbances_by_place = placed_disturbances(table, channels, inputs)

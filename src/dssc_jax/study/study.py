@@ -19,25 +19,29 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
-from dssc_jax.study.correlation import matrix, paired, require_correlation
+from dssc_jax.study.correlation import correlated_names, correlation_matrix, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
-from dssc_jax.study.formulas import tokens_of
-from dssc_jax.study.laws import Law, RangedLaw, Uncertain
-from dssc_jax.study.library import find
+from dssc_jax.study.formula_tokens import tokens_of
+from dssc_jax.study.laws import Law, RangedLaw, UncertainValue
+from dssc_jax.study.library import find_study
 from dssc_jax.study.native import with_digests, without_old_digests
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, names_within
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import PARAMETERS, changed, read_toml
+from dssc_jax.study.tables import PARAMETERS, read_toml, with_changes
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
 
 
 def with_files(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table with the content of recorded signals and the digests of native code, in place of files alone.
+    """A study's table with the content of its recorded signals and the digests of its native code.
+
+    Args:
+        table: Table of the study.
+        folder: Folder to which the names of files are relative.
 
     Raises:
         ConfigError: A file cannot be read.
@@ -46,24 +50,24 @@ def with_files(table: Mapping[str, object], folder: Path) -> TomlTable:
 
 
 def hash_of(table: Mapping[str, object]) -> str:
-    """Hash of a study's table."""
+    """SHA-256 hash of a study's table, by which equal studies are recognised."""
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, repr=False)
 class Study:
-    """A validated study.
+    """A validated study: one closed loop, the laws of its numbers, its sweep and its requirements.
 
     Args:
-        table: The study file's content, including overrides, as stored in the manifest.
-        source: Its origin, for messages.
-        config: The fixed tables.
-        loop: The models in their slots, and the clock.
-        template: Parameters of the loop; leaves are numbers, or laws for uncertain numbers.
+        table: Content of the study file with all overrides, as stored in the manifest.
+        source: Origin of the study, such as its file, for messages.
+        config: Fixed tables of the study.
+        loop: Models in their slots, and the clock.
+        template: Parameters of the loop; the leaves are numbers, laws, and expressions of parameters with laws.
         units: Units and meanings of each channel's output and command, in the order of the channels.
-        numbers: Every number of the loop by dotted name: meaning, value or law, and its paths in the template.
-        measures: The metrics to compute.
-        requirements: The requirements.
+        numbers: Record of each number of the loop by dotted name: meaning, value or law, and paths in the template.
+        measures: Metrics to compute.
+        requirements: Requirements that a draw must meet.
     """
 
     table: TomlTable
@@ -91,26 +95,30 @@ class Study:
         have been loaded before (:func:`dssc_jax.allow_native`).
 
         Args:
-            path: A TOML file, or the name of a packaged study, as on the command line.
+            path: TOML file, or the name of a packaged study, as on the command line.
 
         Raises:
-            ConfigError: File, dotted path, rule and value of the first error.
+            ConfigError: The study is not valid; the message has file, dotted path, rule and value of the first error.
         """
-        file = find(str(path))
+        file = find_study(str(path))
         return cls.from_table(with_files(read_toml(file), file.parent), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, object], source: str = "study") -> "Study":
-        """Build a study from the content of a study file; models it refers to as ``module:object`` are imported.
+        """Build a study from the content of a study file; models that it refers to are imported.
+
+        Args:
+            table: Content of a study file.
+            source: Origin of the table, for messages.
 
         Raises:
             ConfigError: As in :meth:`load`.
         """
-        content = changed(table, {}, source)
+        content = with_changes(table, {}, source)
         try:
             study = cls(table=content, source=source, **build(content)._asdict())
-            uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
-            require_correlation(study.config.correlation, uncertain, study.axes)
+            names_of_laws = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
+            require_correlation(study.config.correlation, names_of_laws, study.axes)
             for name in study.ranged_laws.keys() & set(study.correlated):
                 rule = f"the arguments of the law of {name} are ranges; such a number cannot be correlated"
                 raise ConfigError("correlation", rule)
@@ -119,12 +127,14 @@ class Study:
             raise error.within(source) from None
 
     def override(self, changes: Mapping[str, object]) -> "Study":
-        """Return the study with other values, by dotted name: ``{"controller.functions.tau_av": 0.05}``.
+        """Return the study with other values by dotted name, such as ``{"controller.functions.tau_av": 0.05}``.
 
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        table = with_files(changed(self.table, without_old_digests(changes), self.source), Path(self.source).parent)
+        table = with_files(
+            with_changes(self.table, without_old_digests(changes), self.source), Path(self.source).parent
+        )
         return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":
@@ -138,37 +148,37 @@ class Study:
 
     @property
     def axes(self) -> dict[str, tuple[float, ...]]:
-        """Values of each swept parameter."""
+        """Values of each swept number by dotted name, in the order of the sweep."""
         return dict(self.config.sweep)
 
     @property
     def written_laws(self) -> dict[str, Law]:
-        """The law of each uncertain number that is not swept; a swept value replaces the law.
+        """Law of each uncertain number by dotted name, without swept numbers, whose values replace their laws.
 
-        The arguments of some may be ranges; see :attr:`laws` for what can be drawn.
+        The arguments of some laws may be ranges; :attr:`laws` admits only laws from which draws can be made.
         """
         return {name: leaf for name, leaf in self.leaves().items() if isinstance(leaf, Law) and name not in self.axes}
 
     @property
     def ranged_laws(self) -> dict[str, RangedLaw]:
-        """The laws whose arguments are ranges."""
+        """Those of :attr:`written_laws` whose arguments are ranges."""
         return {name: law for name, law in self.written_laws.items() if isinstance(law, RangedLaw)}
 
     @property
     def laws(self) -> dict[str, Law]:
-        """The law of each uncertain number that is not swept, from which draws are made.
+        """Law of each uncertain number by dotted name, from which draws are made, without swept numbers.
 
         Raises:
-            ConfigError: The arguments of one are ranges.
+            ConfigError: The arguments of a law are ranges.
         """
         self.require_single_laws()
         return self.written_laws
 
     def require_single_laws(self) -> None:
-        """Require a single law of every uncertain number, from which draws can be made.
+        """Require that every law is a single one, from which draws can be made.
 
         Raises:
-            ConfigError: The arguments of one are ranges.
+            ConfigError: The arguments of a law are ranges.
         """
         for name, law in self.ranged_laws.items():
             rule = (
@@ -179,7 +189,7 @@ class Study:
             raise ConfigError(self.source, rule)
 
     def with_laws(self, laws: Mapping[str, Law]) -> "Study":
-        """Return the study with other laws of some numbers, by dotted name.
+        """Return the study with other laws of numbers, by dotted name.
 
         Raises:
             ConfigError: The changed study is not valid.
@@ -188,22 +198,22 @@ class Study:
 
     @property
     def correlated(self) -> tuple[str, ...]:
-        """The uncertain numbers that are not independent of all others."""
-        return paired(self.config.correlation)
+        """Dotted names of the uncertain numbers that are correlated with others."""
+        return correlated_names(self.config.correlation)
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation matrix of the normal variables for :attr:`correlated`."""
-        return matrix(self.config.correlation, self.correlated)
+        """Correlation matrix of the copula's normal variables, for the numbers :attr:`correlated`, shape (n, n)."""
+        return correlation_matrix(self.config.correlation, self.correlated)
 
     @property
     def hash(self) -> str:
-        """Hash of everything that determines the result."""
+        """Hash of the study's table, which determines all results."""
         return hash_of(self.table)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """Meaning of each number by dotted name."""
+        """Unit, meaning and admissible interval of each number by dotted name."""
         return {name: number.quantity for name, number in self.numbers.items()}
 
     @property
@@ -213,11 +223,12 @@ class Study:
         return tuple(name for name, number in self.numbers.items() if laws & {name, *number.sources})
 
     def followers(self, name: str) -> tuple[str, ...]:
-        """Dotted names of the loop's numbers that a number decides: itself, or those that follow from a parameter."""
-        if name not in self.parameter_names:
+        """Dotted names of the loop's numbers that a number sets: itself, or all that follow from it if a parameter."""
+        parameter_names = self.parameter_names
+        if name not in parameter_names:
             return (name,)
-        follower_names = (number.name for number in self.numbers.values() if name in number.sources)
-        return tuple(follower for follower in follower_names if follower not in self.parameter_names)
+        follower_names = [number.name for number in self.numbers.values() if name in number.sources]
+        return tuple(follower for follower in follower_names if follower not in parameter_names)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -225,17 +236,17 @@ class Study:
         return tuple(f"{PARAMETERS}.{name}" for name in self.config.parameters)
 
     def unused_parameters(self) -> tuple[str, ...]:
-        """Dotted names of the parameters that nothing in the study names."""
+        """Dotted names of the parameters that no expression and no formula of the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
         words = {token.text for table in self.config.requirement for token in tokens_of(table.formula or "")}
         named_parameters = {f"{PARAMETERS}.{name}" for name in {*names_within(content), *words}}
         return tuple(name for name in self.parameter_names if name not in named_parameters)
 
     def require_free(self, name: str) -> None:
-        """Require that a number has a value of its own, and does not follow from parameters.
+        """Require that a number can be changed, because it does not follow from parameters by an expression.
 
         Raises:
-            ConfigError: It follows from them.
+            ConfigError: It follows from parameters.
         """
         number = self.numbers.get(name)
         if number and number.expression:
@@ -247,9 +258,14 @@ class Study:
             raise ConfigError(name, f"is the expression {entry!r} in this study; give it a number of its own first")
 
     def derived(self, values: Mapping[str, Numeric]) -> dict[str, Numeric]:
-        """The numbers that follow from parameters with the given values, by dotted name; an array for arrays.
+        """Values of the numbers that follow from parameters, by dotted name.
 
-        A number that follows from a law without a value is left out.
+        Args:
+            values: Numbers, arrays or traced values of parameters, by dotted name.
+
+        Returns:
+            One value, or array, for each number whose expression names one of these parameters. A number that also
+            depends on the law of another parameter is left out.
         """
         values_by_name = {}
         for name, number in self.numbers.items():
@@ -259,13 +275,15 @@ class Study:
         return values_by_name
 
     def violations(self, values: Mapping[str, Numeric]) -> dict[str, str]:
-        """The numbers outside of their intervals at the given values, by dotted name: the rule and the values found.
+        """The numbers that would not be admissible at these values, with the rule that each breaks, in words.
 
-        Numbers that follow from the given ones are among them.
+        Args:
+            values: Values, or arrays of values, by dotted name; numbers that follow from them are checked too.
         """
         rules_by_name = {}
         for name, column in (dict(values) | self.derived(values)).items():
-            low, high = float(np.min(column)), float(np.max(column))
+            low = float(np.min(column))
+            high = float(np.max(column))
             quantity = self.numbers[name].quantity
             rule = quantity.violated_by(low, high)
             if rule is None and quantity.whole and np.any(np.mod(column, 1.0)):
@@ -276,24 +294,23 @@ class Study:
                 rules_by_name[name] = f"{rule}, got [{low:.4g}, {high:.4g}]"
         return rules_by_name
 
-    def leaves(self) -> dict[str, float | Uncertain]:
-        """Value or law of each number by dotted name; of one that follows from laws, its expression."""
+    def leaves(self) -> dict[str, float | UncertainValue]:
+        """Value, law or expression of each number by dotted name."""
         return {name: number.value for name, number in self.numbers.items()}
 
     def params(self, values: Mapping[str, Numeric]) -> LoopParams:
-        """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers.
+        """The loop's parameters with values in place of laws and swept numbers.
 
-        What follows from parameters is computed from their values. A leaf that is not a number of the study, but is
-        computed from such numbers, is given by its own dotted path.
+        Args:
+            values: Numbers or traced values by dotted name; numbers that follow from them are computed. A leaf that is
+                no number of the study, such as one that ``prepare`` computes, has its dotted path as its name.
         """
-        known_values = self.derived(values) | dict(values)
+        all_values = self.derived(values) | dict(values)
         leaves, tree = tree_flatten(self.template)
-        return tree.unflatten(
-            known_values.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True)
-        )
+        return tree.unflatten(all_values.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True))
 
     def leaf_names(self) -> list[str]:
-        """The name of the number at each leaf of the template; of one that is no number, its dotted path."""
+        """Name of the number at each leaf of the template; the dotted path of a leaf that is no number."""
         names = {path: name for name, number in self.numbers.items() for path in number.paths}
         paths = [keystr(path, simple=True, separator=".") for path, _ in tree_flatten_with_path(self.template)[0]]
         return [names.get(path, path) for path in paths]
@@ -302,7 +319,7 @@ class Study:
 def takes_file(
     function: Callable[Concatenate[Study, Arguments], Answer],
 ) -> Callable[Concatenate[Study | str | Path, Arguments], Answer]:
-    """Let a function of a study also take the study's file, or the name of a packaged study."""
+    """Decorator that lets a function of a study also take the study's file, or the name of a packaged study."""
 
     @wraps(function)
     def loading(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:

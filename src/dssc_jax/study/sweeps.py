@@ -1,4 +1,4 @@
-"""Checks of a study's axes: each is a number of the loop, and the rules of its part hold for all values."""
+"""Checks of a study's axes: each is a number of the loop, and its part is valid for all values."""
 
 import copy
 from collections.abc import Mapping
@@ -10,8 +10,8 @@ from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.actuators import ACTUATOR
-from dssc_jax.study.components import field_specs
 from dssc_jax.study.events import EVENT, parse_events, vehicle_events
+from dssc_jax.study.fields import field_specs
 from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
@@ -28,14 +28,15 @@ from dssc_jax.study.slots import (
     parse_whole,
     parse_winds,
 )
+from dssc_jax.study.table_errors import value_errors_at
 from dssc_jax.study.tables import PARAMETERS, set_dotted
 
 
 def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
-    """Require that every axis is a number of the loop, and every value of it admissible.
+    """Require that every axis is a number of the loop that may be swept, with admissible values.
 
     Raises:
-        ConfigError: otherwise.
+        ConfigError: An axis is no such number, or a value is not admissible.
     """
     for name, values in config.sweep.items():
         with errors_under(f"sweep.{name}"):
@@ -48,14 +49,12 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
             if not numbers[name].quantity.law:
                 raise ConfigError("", "is fixed before tracing; run once per value")
             for value in values if numbers[name].quantity.whole else (min(values), max(values)):
-                try:
+                with value_errors_at(""):
                     parse_number(value, numbers[name].quantity)
-                except ValueError as error:
-                    raise ConfigError("", str(error)) from None
 
 
 def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
-    """Return the end of the message about an unknown number: its part has no numbers, or the nearest name."""
+    """End of the message about an unknown number: that its part has no numbers, or the nearest name."""
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
     if isinstance(table, Mapping) and not any(number_name.startswith(f"{slot}.") for number_name in numbers):
@@ -64,24 +63,32 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
         remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
     parent, _, last = name.rpartition(".")
-    is_of_empty_list = last.isdecimal() and not any(number_name.startswith(f"{parent}.") for number_name in numbers)
-    remedy = f"; if {parent} is a list that is empty, state it in the study first" if is_of_empty_list else ""
-    return nearest(name, numbers) + remedy
+    has_items = any(number_name.startswith(f"{parent}.") for number_name in numbers)
+    if not last.isdecimal() or has_items:
+        return nearest(name, numbers)
+    return f"{nearest(name, numbers)}; if {parent} is a list that is empty, state it in the study first"
 
 
 def check_swept_parts(
     table: TomlTable,
     config: StudyTable,
     loop: Loop,
-    measurable_signals: Mapping[str, NamedSignal],
+    measurable: Mapping[str, NamedSignal],
     numbers: Mapping[str, Number],
 ) -> None:
-    """Require that the rules spanning several fields of a part hold for all swept values.
+    """Require that the rules of parts that concern several of their fields hold for all swept values.
 
     The parts are parsed once more, with a law of the swept values in place of each swept number.
 
+    Args:
+        table: Table of the study.
+        config: Fixed tables of the study.
+        loop: The loop.
+        measurable: Signals that sensors can measure, by name.
+        numbers: Numbers of the loop by name.
+
     Raises:
-        ConfigError: a rule does not hold, or a swept number is used up before tracing.
+        ConfigError: A rule does not hold, or a part needs a swept number before tracing.
     """
     if not config.sweep:
         return
@@ -94,7 +101,7 @@ def check_swept_parts(
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
-            parse_slot(slot, parameters.resolved(table[slot], slot), loop, measurable_signals)
+            parse_slot(slot, parameters.resolved(table[slot], slot), loop, measurable)
         if loop.events:
             check_swept_events(table, parameters, loop.channels)
         check_expressions(parameters, config, numbers)
@@ -102,14 +109,14 @@ def check_swept_parts(
         raise error.within("sweep") from None
 
 
-def parse_slot(slot: str, table: Any, loop: Loop, measurable_signals: Mapping[str, NamedSignal]) -> None:
-    """Parse the table of a slot, as for a study, to find what breaks a rule.
+def parse_slot(slot: str, table: Any, loop: Loop, measurable: Mapping[str, NamedSignal]) -> None:
+    """Parse the table of a slot only to check its rules.
 
     Args:
         slot: Name of the slot.
-        table: Its table; laws may take the place of numbers.
+        table: Table of the slot, with laws in place of swept numbers.
         loop: The loop, for its channels and inputs.
-        measurable_signals: Signals that sensors may measure.
+        measurable: Signals that sensors can measure, by name.
 
     Raises:
         ConfigError: A rule does not hold.
@@ -120,9 +127,9 @@ def parse_slot(slot: str, table: Any, loop: Loop, measurable_signals: Mapping[st
             parse_disturbances(table, channels, loop.input_names)
             parse_inputs(table, channels, loop.input_names)
         case "sensor":
-            sensors = sensor_tables(table, measurable_signals)
+            sensors = sensor_tables(table, measurable)
             parse_channels(sensors.channels, slot, channels)
-            parse_signal_sensors(sensors, measurable_signals)
+            parse_signal_sensors(sensors, measurable)
         case "reference":
             parse_reference(table, channels, (UNNAMED_UNITS,) * len(channels), loop.plant.angles)
         case "wind":
@@ -136,30 +143,27 @@ def parse_slot(slot: str, table: Any, loop: Loop, measurable_signals: Mapping[st
 
 
 def check_swept_events(table: TomlTable, parameters: ParameterTable, channels: tuple[str, ...]) -> None:
-    """Require that the events of the vehicle are possible for all swept values of them and of the vehicle.
+    """Require that the events of a vehicle are possible for all swept values of the events and of the vehicle.
 
     Raises:
-        ConfigError: a rotor does not exist, or nothing remains of the mass.
+        ConfigError: A rotor does not exist, or no mass may remain.
     """
     plant = parse_whole(parameters.resolved(table["plant"], "plant"), "plant")
     vehicle_events(parse_events(parameters.resolved(table[EVENT], EVENT), channels), plant.params.vehicle)
 
 
 def check_expressions(parameters: ParameterTable, config: StudyTable, numbers: Mapping[str, Number]) -> None:
-    """Require that the numbers that follow from swept parameters are admissible for all swept values.
+    """Require that numbers which follow from swept parameters are admissible for all swept values.
 
     Args:
-        parameters: The parameters, with a law of the swept values in place of each swept one.
-        config: The study's tables.
-        numbers: The numbers of the loop, with the intervals that their parts require.
+        parameters: Parameters, with a law of the swept values in place of each swept parameter.
+        config: Fixed tables of the study.
+        numbers: Numbers of the loop by name.
 
     Raises:
-        ConfigError: one is not.
+        ConfigError: A number is not admissible.
     """
     for name, number in numbers.items():
         if number.expression and config.sweep.keys() & set(number.expression.names):
-            with errors_under(name):
-                try:
-                    parse_number(parameters.expression(number.expression.text), number.quantity)
-                except ValueError as error:
-                    raise ConfigError("", str(error)) from None
+            with value_errors_at(name):
+                parse_number(parameters.expression(number.expression.text), number.quantity)

@@ -10,9 +10,9 @@ from dssc_jax.models.plants.linear import DELAYED_BY_A_SAMPLE
 
 
 def plant_table(system: Any) -> TomlTable:
-    """The ``[plant]`` table of a linear system, of kind ``state_space`` or ``transfer_function``.
+    """Table ``[plant]`` of a linear system, of kind ``state_space`` or ``transfer_function``.
 
-    The study then contains the system's numbers, and no reference to code. Any of them may be replaced by a law.
+    The table contains the numbers of the system and no reference to code. A law may replace any of the numbers.
 
     Args:
         system: A continuous-time system with one input and one output: ``scipy.signal.StateSpace``,
@@ -53,10 +53,14 @@ def plant_table(system: Any) -> TomlTable:
 
 
 def coefficients(polynomial: Any, name: str) -> list[float]:
-    """A polynomial without its leading zeros; python-control has one for each pair of output and input.
+    """Coefficients of a polynomial, the highest power first, without leading zeros.
+
+    Args:
+        polynomial: Array of coefficients, or python-control's nested lists of one for each output and input.
+        name: Type of the system, for messages.
 
     Raises:
-        ConfigError: There are several.
+        ConfigError: The system has several inputs or outputs.
     """
     while isinstance(polynomial, list | np.ndarray) and len(polynomial) and np.ndim(polynomial[0]) > 0:
         if len(polynomial) != 1:

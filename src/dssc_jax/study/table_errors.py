@@ -1,6 +1,7 @@
-"""What is wrong with a study's table, in one line: path, rule, value, and the nearest valid name."""
+"""Errors of a study's table in one line: path, rule, value, and the nearest valid name."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 
 from pydantic import ValidationError
 
@@ -14,28 +15,43 @@ NOT_SET = (
 )
 
 
-def explain(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
-    """The first error of pydantic as an error of this package; a misspelt name goes before all others.
+@contextmanager
+def value_errors_at(place: str) -> Iterator[None]:
+    """Report a ``ValueError`` raised inside as a ``ConfigError`` at a place of the study.
 
-    A name is misspelt if it is unknown and resembles one that is required and missing.
+    Raises:
+        ConfigError: The error with the place; a ``ConfigError`` raised inside has its own and passes unchanged.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(place, str(error)) from None
+
+
+def first_error(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
+    """Translate the first of pydantic's errors into an error of this package; a misspelt name precedes all others.
+
+    A name counts as misspelt if it is unknown and resembles one that is required and missing.
 
     Args:
-        error: What pydantic found in the table.
-        names: The valid names of the table.
-        computed: Names of what its part computes, which a table must not set.
+        error: Errors that pydantic found in the table.
+        names: Valid names of the table.
+        computed: Names of fields that the part computes, which a table must not set.
     """
     errors = error.errors()
-    missing_names = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
-    unknown_errors = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt_errors = [problem for problem in unknown_errors if close_names(str(problem["loc"][-1]), missing_names)]
-    first_error = misspelt_errors[0] if misspelt_errors else errors[0]
-    path_parts = [str(part) for part in first_error["loc"]]  # none of a rule on several entries of the study
+    missing_names = [str(item["loc"][-1]) for item in errors if item["type"] == "missing"]
+    unknown_errors = [item for item in errors if item["type"] == "extra_forbidden"]
+    misspelt_errors = [item for item in unknown_errors if close_names(str(item["loc"][-1]), missing_names)]
+    problem = misspelt_errors[0] if misspelt_errors else errors[0]
+    path_parts = [str(part) for part in problem["loc"]]  # empty for a rule on several entries of the study
     path = ".".join(path_parts)
-    value = first_error.get("input")
+    value = problem.get("input")
     hint = quotes_hint(".".join(path_parts[:-1]), path_parts[-1], value) if path_parts else ""
     if hint:
         return ConfigError(path, f"has no valid value{hint}")
-    match first_error["type"]:
+    match problem["type"]:
         case "extra_forbidden" if path_parts[-1] in computed:
             return ConfigError(path, NOT_SET)
         case "extra_forbidden":
@@ -43,11 +59,11 @@ def explain(error: ValidationError, names: Iterable[str], computed: Collection[s
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
-            return ConfigError(path, str(first_error.get("ctx", {}).get("error")))
+            return ConfigError(path, str(problem.get("ctx", {}).get("error")))
         case "list_type" if isinstance(value, dict):
             return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
         case "literal_error":
-            expected = str(first_error.get("ctx", {}).get("expected")).replace("'", "")
+            expected = str(problem.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
-            return ConfigError(path, f"{first_error['msg'][0].lower()}{first_error['msg'][1:]}, got {value!r}")
+            return ConfigError(path, f"{problem['msg'][0].lower()}{problem['msg'][1:]}, got {value!r}")

@@ -1,4 +1,4 @@
-"""Study files as plain tables: reading, overriding by dotted name, merging."""
+"""Study files as plain tables: reading, writing, changes by dotted name, merging."""
 
 import copy
 import re
@@ -18,70 +18,82 @@ from dssc_jax.study.separators import toml_hint
 
 PARAMETERS = "parameters"
 DESCRIPTION = ("unit", "meaning")
-"""What the table of a parameter holds besides its content."""
+"""Entries of a parameter's table besides its value."""
 KEYED_BY_NAMES = ("sweep", "correlation", "tune.parameters", "tune.objective", "tune.limits", "tune.over")
-"""Tables whose keys are dotted names, which TOML wants in quotes."""
+"""Tables whose keys are dotted names themselves, which TOML requires in quotes."""
 LARGEST_FILE = 2**20  # bytes of a study file
-DEEPEST = 32  # tables within tables, and names in a dotted name
+DEEPEST = 32  # most levels of tables within tables, and most parts of a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
 LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
-"""Detected before parsing, because the parser's time grows with the square of a dotted name's length."""
+"""A dotted name that is too long. It is refused before parsing, whose time grows with the square of its length."""
 
 
 def read_toml(path: str | Path) -> TomlTable:
-    """The content of a TOML file.
+    """Read and parse a TOML file.
 
     Raises:
-        ConfigError: it cannot be read, is too large, or is not TOML.
+        ConfigError: The file cannot be read, is too large, or is not TOML.
     """
-    text = ""
+    place = str(path)
+    text = toml_text(path)
+    if LONG_NAME.search(text):
+        raise ConfigError(place, f"has a dotted name of more than {DEEPEST} parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(place, f"is nested too deeply, at most {DEEPEST} levels are taken") from None
+    except ValueError as error:  # TOMLDecodeError, or the error of an integer with too many digits
+        raise ConfigError(place, f"is not valid TOML: {error}{toml_hint(text, str(error))}") from error
+
+
+def toml_text(path: str | Path) -> str:
+    """Text of a TOML file, with plain line ends.
+
+    Raises:
+        ConfigError: The file cannot be read, is too large, or is not UTF-8.
+    """
+    place = str(path)
     try:
         content = files.read_bytes(path, LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise ConfigError(str(path), f"is larger than a study can be ({LARGEST_FILE} bytes)")
-        text = content.decode("utf-8").replace("\r\n", "\n")
-        if LONG_NAME.search(text):
-            raise ConfigError(str(path), f"has a dotted name of more than {DEEPEST} parts")
-        table = tomllib.loads(text)
     except OSError as error:
-        raise ConfigError(str(path), f"cannot be read: {error.strerror or error}") from error
+        raise ConfigError(place, f"cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # a null character in the path
+        raise ConfigError(place, f"cannot be read: {error}") from error
+    if len(content) > LARGEST_FILE:
+        raise ConfigError(place, f"is larger than a study can be ({LARGEST_FILE} bytes)")
+    try:
+        return content.decode("utf-8").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise ConfigError(str(path), f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
-    except RecursionError:
-        raise ConfigError(str(path), f"is nested too deeply, at most {DEEPEST} levels are taken") from None
-    except ConfigError:
-        raise
-    except ValueError as error:  # TOMLDecodeError is one, so are integers too long
-        raise ConfigError(str(path), f"is not valid TOML: {error}{toml_hint(text, str(error))}") from error
-    return table
+        raise ConfigError(place, f"is not UTF-8 text: {error.reason} at byte {error.start}") from error
 
 
 def require_shallow(table: Mapping[str, object]) -> None:
-    """Require that tables and lists are not nested too deeply.
+    """Require that tables and lists are nested at most :data:`DEEPEST` levels deep.
 
     Raises:
-        ConfigError: They are.
+        ConfigError: They are nested deeper.
     """
-    values: list[Any] = [table]
+    level: list[Any] = [table]
     for _ in range(DEEPEST):
-        values = [
-            inner
-            for value in values
-            if isinstance(value, Mapping | list | tuple)
-            for inner in (value.values() if isinstance(value, Mapping) else value)
-        ]
-        if not values:
+        next_level: list[Any] = []
+        for value in level:
+            if isinstance(value, Mapping):
+                next_level.extend(value.values())
+            elif isinstance(value, list | tuple):
+                next_level.extend(value)
+        if not next_level:
             return
+        level = next_level
     raise ConfigError("", f"is nested too deeply, at most {DEEPEST} levels are taken")
 
 
 def to_toml(table: Mapping[str, object]) -> str:
-    """A study's table as the text of a study file."""
+    """Text of the study file with this table."""
     return tomli_w.dumps(dict(table))
 
 
 def inline_toml(value: object) -> str:
-    """A value of a study's table as TOML on one line."""
+    """TOML of a value on one line, tables and lists included."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(toml_entry(name, inner) for name, inner in value.items())} }}"
     if isinstance(value, list | tuple):
@@ -90,14 +102,19 @@ def inline_toml(value: object) -> str:
 
 
 def toml_entry(name: str, value: object) -> str:
-    """``name = value`` on one line."""
+    """TOML of an entry on one line: ``name = value``."""
     if isinstance(value, Mapping | list | tuple):
         return f"{tomli_w.dumps({name: 0}).partition(' = ')[0]} = {inline_toml(value)}"
     return tomli_w.dumps({name: value}).strip()
 
 
 def toml_entries(table: Mapping[str, object], section: str = "") -> str:
-    """A table as TOML with one line for each law, list or number, under the header of its section."""
+    """TOML of a table and the tables within it, with one line for each law, list or number.
+
+    Args:
+        table: Content of the section.
+        section: Dotted name of the section, for its header; empty for the top of the file.
+    """
     tables = {name: inner for name, inner in table.items() if isinstance(inner, Mapping) and not is_law(inner)}
     lines = [toml_entry(name, value) for name, value in table.items() if name not in tables]
     if lines and section:
@@ -108,12 +125,12 @@ def toml_entries(table: Mapping[str, object], section: str = "") -> str:
 
 
 def is_index(part: str) -> bool:
-    """Whether a part of a name is a plain decimal number."""
+    """Whether a part of a dotted name is a plain decimal number, such as ``0`` or ``12``."""
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
 def index_in(container: object, part: str) -> int | None:
-    """The item of a list that a part of a dotted name gives; None if it gives none, or there is no list."""
+    """Index in a list that a part of a dotted name stands for: an index, or the ``name`` of an item; else None."""
     if not isinstance(container, list):
         return None
     for index, item in enumerate(container):
@@ -123,13 +140,13 @@ def index_in(container: object, part: str) -> int | None:
 
 
 def set_dotted(table: TomlTable, name: str, value: object) -> None:
-    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created.
+    """Set ``table[a][b][c]`` for the name ``a.b.c``, in place; missing tables are created.
 
-    Items of a list are given by index, or by the entry ``name`` of a table in it. Of a list that the table does not
-    state, a table takes the items; the part that has the list adds its defaults (see :func:`with_default`).
+    Items of a list are given by index, or by the entry ``name`` of a table in it. If the table does not state the list,
+    a table of items by index takes its place, which :func:`with_default` merges with the default list later.
 
     Raises:
-        ConfigError: The name has an empty part, or passes through a number, or beyond a list's end.
+        ConfigError: The name has an empty part, or leads through a number or beyond the end of a list.
     """
     for section in KEYED_BY_NAMES:
         if name.startswith(f"{section}."):
@@ -137,7 +154,7 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
             return
     first_part, _, remainder = name.partition(".")
     if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
-        value = described_like(value, table[first_part].get(remainder))
+        value = with_description(value, table[first_part].get(remainder))
     *parents, key = name.split(".")
     if not all([*parents, key]):
         raise ConfigError(name, "has an empty part; a single dot stands between two parts")
@@ -154,10 +171,10 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
 
 
 def set_by_name(table: TomlTable, section: str, key: str, value: object) -> None:
-    """Set an entry of a section whose keys are dotted names themselves.
+    """Set an entry of a section whose keys are dotted names themselves, in place.
 
     Raises:
-        ConfigError: The section, or one that holds it, is no table.
+        ConfigError: The section, or a table around it, is no table.
     """
     inner_table: Any = table
     for part in section.split("."):
@@ -168,23 +185,29 @@ def set_by_name(table: TomlTable, section: str, key: str, value: object) -> None
 
 
 def entry_or_new_table(container: Any, part: str, parents: Sequence[str], name: str) -> Any:
-    """What a container holds under a part of a dotted name; a missing entry of a table is created as a table.
+    """Content of a table or list under one part of a dotted name; a missing entry becomes an empty table.
+
+    Args:
+        container: Table or list.
+        part: Part of the name.
+        parents: Parts before it, for messages.
+        name: Whole name, for messages.
 
     Raises:
-        ConfigError: The container is no table, and no list with such an item.
+        ConfigError: The container is neither a table nor a list with such an item.
     """
     index = index_in(container, part)
     if index is not None:
         return container[index]
     if not isinstance(container, dict):
         raise ConfigError(name, no_such_part(container, parents, part))
-    if isinstance(container.get(part), str):  # the name of a kind alone, in place of its table
+    if isinstance(container.get(part), str):  # a kind that is stated without a table
         container[part] = {"kind": container[part]}
     return container.setdefault(part, {})
 
 
 def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
-    """The rule that a part of a dotted name breaks, which the content of its parents does not have."""
+    """Rule for messages: a container has nothing under a part of a dotted name; ``parents`` are the parts before."""
     if not isinstance(container, list):
         return f"leads nowhere: '{part}' is not in a table"
     names = [str(item["name"]) for item in container if isinstance(item, Mapping) and "name" in item]
@@ -193,7 +216,7 @@ def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
 
 
 def indices_text(count: int) -> str:
-    """How many entries a list has, and their indices, in words."""
+    """Number of entries of a list, and their indices, in words."""
     match count:
         case 0:
             return "no entry"
@@ -204,12 +227,12 @@ def indices_text(count: int) -> str:
 
 
 def is_entries(value: object) -> bool:
-    """Whether a table holds entries of a list by their indices."""
+    """Whether a value is a table of list entries by index: its keys are all decimal numbers."""
     return isinstance(value, Mapping) and bool(value) and all(is_index(str(key)) for key in value)
 
 
 def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]:
-    """A list with other entries, by index; so are those of its rows and tables.
+    """A list in which some entries, given by index, are merged into those at their index.
 
     Raises:
         ConfigError: The list has no such index.
@@ -220,12 +243,12 @@ def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]
         if index >= len(new_values):
             raise ConfigError("", f"has {indices_text(len(new_values))}; got '{key}'")
         with errors_under(key):
-            new_values[index] = merged_value(new_values[index], entry)
+            new_values[index] = merge_values(new_values[index], entry)
     return new_values
 
 
 def with_default(value: Any, default: Any) -> Any:
-    """A value of a study's table; entries by index alone change the default, if this is a list.
+    """The value of a field: entries by index change a default list, any other value replaces the default.
 
     Raises:
         ConfigError: The default list has no such index.
@@ -238,12 +261,15 @@ def with_default(value: Any, default: Any) -> Any:
 
 
 def quotes_hint(section: str, key: str, value: object) -> str:
-    """The end of a message where a name with dots was not quoted, so that TOML read it as tables; else empty.
+    """Hint for a name with dots that was not quoted, so that TOML read it as tables.
 
     Args:
         section: Dotted name of the table.
-        key: The key that has no valid value.
-        value: What it has.
+        key: Key without a valid value.
+        value: Value of the key.
+
+    Returns:
+        End of a message with the quoted entry; empty without a hint.
     """
     if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
         return ""
@@ -259,23 +285,30 @@ def quotes_hint(section: str, key: str, value: object) -> str:
     return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"
 
 
-def described_like(value: object, former_content: object) -> object:
-    """A new content of a parameter with the unit and the meaning of the earlier one, if it has none of its own."""
-    description = (
-        {key: former_content[key] for key in DESCRIPTION if key in former_content}
-        if isinstance(former_content, dict)
-        else {}
-    )
-    if not description or (isinstance(value, dict) and not is_law(value)):
+def with_description(value: object, former_content: object) -> object:
+    """The new content of a parameter, with the unit and the meaning of its former content.
+
+    A new content that is a table other than a law states its own unit and meaning.
+    """
+    if not isinstance(former_content, dict) or (isinstance(value, dict) and not is_law(value)):
         return value
-    return (dict(value) if isinstance(value, dict) else {"value": value}) | description
+    description = {key: former_content[key] for key in DESCRIPTION if key in former_content}
+    if not description:
+        return value
+    content = dict(value) if isinstance(value, dict) else {"value": value}
+    return content | description
 
 
-def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
-    """A copy of a table from ``source`` with other values, by dotted name.
+def with_changes(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
+    """A copy of a study's table with other values, by dotted name.
+
+    Args:
+        table: Table of the study.
+        changes: New values by dotted name, such as ``{"plant.k_p": 2.0}``.
+        source: Origin of the table, for messages.
 
     Raises:
-        ConfigError: the table nests too deeply, or a name leads nowhere.
+        ConfigError: The table is nested too deeply, or a name leads nowhere.
     """
     try:
         require_shallow(table)
@@ -287,48 +320,51 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
     return new_table
 
 
-def merged(common: TomlTable, override: TomlTable) -> TomlTable:
-    """``common`` with the values of ``override``; see :func:`merged_value`."""
+def merge_tables(common: TomlTable, override: TomlTable) -> TomlTable:
+    """A copy of ``common`` into which the entries of ``override`` are merged by :func:`merge_values`."""
     result = dict(common)
     for name, value in override.items():
         with errors_under(name):
-            result[name] = merged_value(result.get(name), value)
+            result[name] = merge_values(result.get(name), value)
     return result
 
 
-def merged_value(inherited: Any, value: Any) -> Any:
-    """A value that overrides an inherited one: a table changes a table of its kind, entries by index change a list.
+def merge_values(inherited: Any, value: Any) -> Any:
+    """Merge a value into an inherited one.
 
-    Any other value replaces the inherited one.
+    A table is merged into a table of the same kind, and entries by index into a list. Any other value replaces the
+    inherited one.
 
     Raises:
         ConfigError: The list has no such index.
     """
     if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-        return merged(inherited, value) if has_kind_of(value, inherited) else value
+        return merge_tables(inherited, value) if has_kind_of(value, inherited) else value
     return with_default(value, inherited)
 
 
 def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
-    """Whether a table keeps the kind of the one that it overrides."""
+    """Whether a table has the kind of the table that it overrides, or states none."""
     return override.get("kind", inherited.get("kind")) == inherited.get("kind")
 
 
 def stands_alone(override: TomlTable, common: TomlTable) -> bool:
-    """Whether a channel's table replaces the common one, because it has another kind.
+    """Whether a channel's table replaces the common table of all channels, because it has another kind.
 
-    A common table without a kind holds what channels of several kinds share.
+    A common table without a kind contains the values that channels of several kinds share.
     """
     return "kind" in common and not has_kind_of(override, common)
 
 
 def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
-    """The table of a channel: the common one with the channel's values, or a table of another kind alone."""
-    return dict(override) if stands_alone(override, common) else merged(common, override)
+    """Table of one channel: its own values merged into the common table, or its own table if the kind differs."""
+    if stands_alone(override, common):
+        return dict(override)
+    return merge_tables(common, override)
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:
-    """Whether a table contains the dotted name, or a part of it that is not a table."""
+    """Whether a table has an entry with the dotted name, or one on the way to it that is no table."""
     node: Any = table
     for part in name.split("."):
         if not isinstance(node, dict):
@@ -340,7 +376,7 @@ def has_dotted(table: TomlTable, name: str) -> bool:
 
 
 def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
-    """Dotted name and content of the outermost list that contains the dotted name; None if there is none."""
+    """Dotted name and content of the outermost list on the way to a dotted name; None if there is no list."""
     node: Any = table
     parts = name.split(".")
     for depth, part in enumerate(parts):

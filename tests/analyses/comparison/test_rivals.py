@@ -8,7 +8,7 @@ from dssc_jax.analyses.comparison import controller_table, switching_kinds
 from dssc_jax.analyses.comparison.tuning import ranges
 from dssc_jax.core.registry import single
 from dssc_jax.models.controllers import CONTROLLERS
-from dssc_jax.study.tables import merged
+from dssc_jax.study.tables import merge_tables
 
 FUNCTIONS = {
     "square_root": {"kappa_o": 20.0, "kappa_m": 2.0, "delta_o": 0.5, "delta_m": 0.5, "tau_av": 0.02},
@@ -127,10 +127,10 @@ def test_controllers_of_the_channels_need_no_common_kind():
     study = dj.Study.load("studies/paper_case1.toml")
     channels = study.loop.channels
     common = {name: value for name, value in study.config.controller.items() if name not in channels}
-    parts = {name: merged(common, study.config.controller.get(name, {})) for name in channels}
+    parts = {name: merge_tables(common, study.config.controller.get(name, {})) for name in channels}
     faster = {"x": {"l0": 0.9}}
     study = study.override({"controller": parts, "compare": {"faster": faster}})
-    assert controller_table(study, "faster") == merged(parts, faster)
+    assert controller_table(study, "faster") == merge_tables(parts, faster)
     assert controller_table(study, "dssc") == parts
     assert controller_table(study, "sta")["x"]["kappa1"] == pytest.approx(2.0 / (110.651 * 0.03))
     with pytest.raises(dj.ConfigError, match="cannot be derived from 'dssc'"):

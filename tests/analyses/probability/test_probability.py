@@ -12,7 +12,7 @@ from dssc_jax import ConfigError
 from dssc_jax.analyses.probability.strata import strata_edges, stratified_probability
 from dssc_jax.analyses.probability.surrogate import SMOOTHING, interpolation
 from dssc_jax.statistics import clopper_pearson
-from dssc_jax.statistics.stratified import allocation, stratified_interval
+from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 from tests.analyses.test_one_shape import TABLE
 
 P = 0.05
@@ -80,11 +80,11 @@ def test_single_failures_of_several_strata_add_up_as_one_count():
 def test_the_allocation_reaches_the_width_and_prefers_doubt():
     weights = np.array([0.05, 0.05, 0.9])
     shares = np.array([0.99, 0.5, 1e-4])
-    draws = allocation(weights, shares, 0.01, 10**6)
+    draws = allocate_draws(weights, shares, 0.01, 10**6)
     low, high = stratified_interval(np.tile(weights, (16, 1)), np.round(shares * draws).astype(int), draws)
     assert 0.008 < high - low <= 0.0102
     assert draws[1] > 2 * draws[0]
-    assert allocation(weights, shares, 0.0001, 10**4).sum() < 1.1e4
+    assert allocate_draws(weights, shares, 0.0001, 10**4).sum() < 1.1e4
 
 
 def test_edges_lie_densely_at_the_border():

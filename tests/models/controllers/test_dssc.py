@@ -262,9 +262,9 @@ def test_predictor_start_matters(case_2):
 def test_residual_scales_with_phi_b():
     """Theorem 1: the residual |sigma| falls as 1/phi_b^2."""
     from dssc_jax.plotting import fitted_slope
-    from dssc_jax.study.library import find
+    from dssc_jax.study.library import find_study
 
-    result = dj.run(dj.Study.load(find("residual_scaling")))
+    result = dj.run(dj.Study.load(find_study("residual_scaling")))
     phi_b = result.dataset["controller.functions.phi_b"].values
     slope, _ = fitted_slope(phi_b, result.dataset["sigma_max"].values[:, 0])
     print(f"\nresidual against phi_b: slope {slope:.3f}")

@@ -18,9 +18,10 @@ from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.components import field_specs, lookup
-from dssc_jax.study.laws import Uncertain
-from dssc_jax.study.tables import channel_table, merged
+from dssc_jax.study.components import lookup
+from dssc_jax.study.fields import field_specs
+from dssc_jax.study.laws import UncertainValue
+from dssc_jax.study.tables import channel_table, merge_tables
 
 ControllerTable = TomlTable
 LIMITED = "limited"
@@ -66,7 +67,7 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
     for name in names:
         stated_table = study.config.compare.get(name, {})
         if ":" in name and name != kind_of_all(study) and "kind" not in stated_table:
-            tables[name] = merged({"kind": name, **common_gains(study, name)}, stated_table)
+            tables[name] = merge_tables({"kind": name, **common_gains(study, name)}, stated_table)
     return study.override({"compare": {**study.config.compare, **tables}}) if tables else study
 
 
@@ -108,8 +109,8 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     controller = study.config.controller
     table = {key: value for key, value in stated_table.items() if key != "tune"}
     if "kind" in table:
-        return merged(controller, table) if table["kind"] == kind_of_all(study) else table
-    return table_by_name(study, name, table) if name in rival_names() else merged(controller, table)
+        return merge_tables(controller, table) if table["kind"] == kind_of_all(study) else table
+    return table_by_name(study, name, table) if name in rival_names() else merge_tables(controller, table)
 
 
 def corresponding_table(study: Study, name: str) -> ControllerTable:
@@ -158,8 +159,8 @@ def table_by_name(study: Study, name: str, changes: ControllerTable) -> Controll
     if rival.kind != kind_of_all(study):  # each channel has all gains, so that common changes go to each
         channels = study.loop.channels
         common_changes = {key: value for key, value in changes.items() if key not in channels}
-        table |= {channel: merged(table[channel], common_changes) for channel in channels if channel in table}
-    return merged(table, changes)
+        table |= {channel: merge_tables(table[channel], common_changes) for channel in channels if channel in table}
+    return merge_tables(table, changes)
 
 
 def derived(study: Study, name: str, kind: str) -> ControllerTable:
@@ -192,7 +193,7 @@ def plain(gains: DsscGains) -> DsscGains:
     Raises:
         ConfigError: a gain is a law.
     """
-    if any(isinstance(value, Uncertain) for value in gains.functions):
+    if any(isinstance(value, UncertainValue) for value in gains.functions):
         raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
     return gains
 
@@ -214,4 +215,4 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
         if not isinstance(gains, DsscGains):
             raise ConfigError(f"compare.{name}", "rho is DSSC's; give [compare.NAME] with a limit")
         limits[channel] = {limit: switching_gain(gains)}
-    return merged(table, limits.get("", limits))
+    return merge_tables(table, limits.get("", limits))

@@ -60,7 +60,7 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
 
     @lru_cache
     def failures(size: float) -> int:
-        return fresh.failures(draws.change.changed(size * direction, fresh.scores))
+        return fresh.failures(draws.change.apply(size * direction, fresh.scores))
 
     def upper(size: float) -> float:
         return float(clopper_pearson(failures(size), fresh.count, draws.confidence)[1])

@@ -253,13 +253,13 @@ def laws(
         shifts,
         largest_change(shifts, limit),
         guaranteed.mean_shift,
-        lambda size: bounds.shifted(free, size)[1],
+        lambda size: bounds.interval_after_shift(free, size)[1],
     )
     widening_of_all = AllChanges(
         widenings,
         largest_change(widenings, limit),
         math.log(guaranteed.widening or 1.0),
-        lambda size: (bounds.widened(free, math.exp(size)) or (0.0, math.nan))[1],
+        lambda size: (bounds.interval_after_widening(free, math.exp(size)) or (0.0, math.nan))[1],
     )
     changes = (shift_of_all, widening_of_all)
     new = FreshDraws(study, len(draws.failed), fresh, progress)

@@ -11,7 +11,7 @@ from dssc_jax.analyses.laws.all_changes import AllChanges
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.order import quantile_interval
-from dssc_jax.statistics.partition import known_part
+from dssc_jax.statistics.partition import part_information
 from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
 
 TABLE = "number"
@@ -99,7 +99,7 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
     columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING, *MEDIAN_ENDS)}
     for name in draws.names:
         levels = special.ndtr(draws.scores[:, laws.index(name)])
-        part = known_part(levels, draws.failed, limit, confidence)
+        part = part_information(levels, draws.failed, limit, confidence)
         numbers = (0, *[np.nan] * 6)
         if part is not None:
             numbers = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)

@@ -15,7 +15,7 @@ from dssc_jax.analyses.rare_events.estimate import Counter, SlackFunction
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator, inside_cube, sobol_points
 from dssc_jax.statistics import CONFIDENCE
-from dssc_jax.statistics.stratified import allocation, stratified_interval
+from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 
 PILOT = 256  # plain draws
 MOST_EXTRA_DRAWS = 512  # largest number of draws near the border that improve the prediction
@@ -134,7 +134,7 @@ def planned_strata(
     stratum = np.searchsorted(edges, predictions)
     weights = np.bincount(stratum, minlength=len(edges) + 1) / len(predictions)
     shares = np.bincount(stratum, surrogate.failing(predictions), len(edges) + 1) / (weights * len(predictions))
-    return edges, allocation(weights, shares, RESERVE * width, most)
+    return edges, allocate_draws(weights, shares, RESERVE * width, most)
 
 
 def points_in_strata(

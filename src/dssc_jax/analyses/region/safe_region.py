@@ -30,7 +30,7 @@ from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
-from dssc_jax.statistics.order import first
+from dssc_jax.statistics.order import first_integer
 from dssc_jax.study import Study, takes_file
 
 PASSING = 0.95  # share of all plants that has to meet the requirements
@@ -254,7 +254,7 @@ def region(
         raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
     count = COARSE * 2**halvings + 1
     if thresholds(study.config.draws, count**2)[0] < 0:
-        least_draws = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
+        least_draws = first_integer(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
         raise ConfigError(
             "draws", f"must be at least {least_draws} to decide a point of {count**2}, got {study.config.draws}"
         )

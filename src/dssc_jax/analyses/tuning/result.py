@@ -31,7 +31,7 @@ from dssc_jax.results.manifest import write_json
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
-from dssc_jax.study.tables import changed
+from dssc_jax.study.tables import with_changes
 
 LOOKED = {
     "step": "step of the search",
@@ -214,7 +214,7 @@ class Tuned(Analysis):
             objective=ObjectiveAnswer(table.objective, table.aggregate, table.level),
             start=self.start,
             tuned=self.values,
-            controller=changed(self.study.table, self.numbers, self.study.source)["controller"],
+            controller=with_changes(self.study.table, self.numbers, self.study.source)["controller"],
             verdict=VerdictAnswer(self.verdict, self.verdict.within, CONFIDENCE),
             gradients=gradients,
             draws=TuningDraws(table.draws, table.validation, seed_of(self.study, table)),

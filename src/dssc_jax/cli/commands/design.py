@@ -19,7 +19,7 @@ from dssc_jax.design.files import design_toml, load_design
 from dssc_jax.design.first_gains import FirstController, FirstGains, first_gains
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study import Study, read_toml
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 from dssc_jax.study.tables import to_toml, toml_entries
 
 
@@ -46,7 +46,7 @@ def run(options: Design) -> int:
 
 def is_study(path: Path) -> bool:
     """Whether a name is that of a packaged study, or a file with a plant."""
-    file = find(str(path))
+    file = find_study(str(path))
     return "plant" in read_toml(file)
 
 

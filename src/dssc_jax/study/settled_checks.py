@@ -1,0 +1,77 @@
+"""Checks of a study whose draws end early once they have settled, by ``[loop.settled]``."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from dssc_jax.closed_loop.loop import Loop
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.spans import first_sample
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import extent
+from dssc_jax.study.numbers import Number
+from dssc_jax.study.schema import EnvelopeTable, StudyTable
+
+
+def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence[EnvelopeTable]) -> None:
+    """Require that metrics and envelopes have their values of the whole run, even if a draw ends as settled.
+
+    Args:
+        loop: The loop.
+        measures: All metrics.
+        envelopes: Tables of the envelopes.
+
+    Raises:
+        ConfigError: A window begins, or an envelope ends, after a draw may have ended; or a draw may end outside of the
+            band in which a metric counts it as settled.
+    """
+    settled = loop.settled
+    if settled is None:
+        return
+    latest = max(measures, key=lambda measure: measure.window.after)
+    if first_sample(settled.after, loop.sample_time) < first_sample(latest.window.after, loop.sample_time):
+        rule = f"must be >= {latest.window.after:g} s, where the window of {latest.name} begins"
+        raise ConfigError("loop.settled.after", f"{rule}; got {settled.after:g}")
+    for index, envelope in enumerate(envelopes):
+        end = max(point[0] for point in (*envelope.lower, *envelope.upper))
+        if settled.after < min(end, loop.steps * loop.sample_time):
+            raise ConfigError(
+                f"envelope.{index}",
+                f"bounds '{envelope.signal}' up to {end:g} s, and [loop.settled] may end a draw from "
+                f"{settled.after:g} s on; let it begin after the envelope, or take it out",
+            )
+    for measure in measures:
+        if measure.metric.settled_within is None:
+            continue
+        band = measure.metric.settled_within(measure.window)
+        if math.isnan(band):
+            rule = f"may end a draw outside of the band of {measure.name}, which is a share of the draw's own step"
+            raise ConfigError("loop.settled", f"{rule}; take it out, or take settling_time in place of that metric")
+        if settled.error > band:
+            rule = f"must be <= {band:g}, the band of {measure.name}, outside of which a draw would end"
+            remedy = "lower it, raise the metric's settling_band, or list metrics.names without that metric"
+            raise ConfigError("loop.settled.error", f"{rule}; got {settled.error:g}. Remedy: {remedy}")
+
+
+def require_changes_before_settling(config: StudyTable, numbers: Mapping[str, Number]) -> None:
+    """Require that nothing in the study begins or ends after a draw may have ended as settled.
+
+    Args:
+        config: Fixed tables of the study.
+        numbers: Numbers of the loop by name, with the times of steps, winds and events.
+
+    Raises:
+        ConfigError: A step, a wind or an event may come later.
+    """
+    settled = config.loop.settled
+    if settled is None:
+        return
+    for name, number in numbers.items():
+        if not number.quantity.begins and not number.quantity.ends:
+            continue
+        times = config.sweep.get(name) or extent(number.value)
+        latest = min(max(times), config.loop.duration)
+        if min(times) < config.loop.duration and latest > settled.after:
+            change = "begins" if number.quantity.begins else "ends"
+            rule = f"must be >= {latest:g} s, since {name} is a time at which something {change}"
+            remedy = "a draw that ends as settled before it would never show it"
+            raise ConfigError("loop.settled.after", f"{rule}: {remedy}; got {settled.after:g}")
