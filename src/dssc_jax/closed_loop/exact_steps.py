@@ -18,10 +18,10 @@ from dssc_jax.closed_loop.held_parts import (
     HeldParts,
     States,
     apply_movers,
-    term_count,
     movers_of,
-    repeat_substeps,
     polynomial_terms,
+    repeat_substeps,
+    term_count,
 )
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Variation

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.metrics import (
     Course,
     Instant,
@@ -125,7 +126,7 @@ def sampled_signals(
     for index, (channel, fields) in enumerate(controller_fields.items()):
         for name, signal in channel_signals(index, fields, units[index], reports[index]).items():
             periodic = channel in angles and name in WITHIN_A_TURN
-            signals[f"{channel}_{name}" if channel else name] = signal._replace(periodic=periodic)
+            signals[signal_name(channel, name)] = signal._replace(periodic=periodic)
     for index, measure in enumerate(measured):
         meaning = f"measured {measure.quantity.meaning}"
         signals[f"measured_{measure.name}"] = SampledSignal(

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
+from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
@@ -180,7 +181,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
             "u_total": sample.u_total,
             **signals_in(sample.info),
         }
-        columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
+        columns |= {signal_name(channel, name): values for name, values in signals.items()}
     for signal, values in zip(study.loop.measures, instant.measured, strict=True):
         columns[f"measured_{signal.name}"] = values
     return columns | signals_in(instant.plant)

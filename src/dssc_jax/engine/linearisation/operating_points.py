@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.break_points import break_points, sample_map, undisturbed
+from dssc_jax.closed_loop.break_points import place_names, sample_map, undisturbed
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
@@ -78,7 +78,7 @@ class Linearisation:
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
         self.places = places
-        self.points = len(break_points(study.loop))
+        self.points = len(place_names(study.loop.channels))
 
         def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
             state = vectors["state"]
@@ -231,7 +231,7 @@ class RestingLoop:
         """The state after as many samples as the study has, at a constant reference."""
         loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
-        quiet = jnp.zeros(len(break_points(loop)))
+        quiet = jnp.zeros(len(place_names(loop.channels)))
         steps = self.study.loop.steps
         return (jax.lax.fori_loop(0, steps, lambda _, at: sample(at, quiet)[0], vectors["state"]),)
 

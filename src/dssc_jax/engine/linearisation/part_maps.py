@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.sample import (
     actuate,
     measure,
     plant_input,
-    sampled_command,
+    receive_command,
     step,
 )
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
@@ -75,7 +75,7 @@ class OperatingPoint(NamedTuple):
 
     def stream(self, slot: str, name: str) -> jax.Array:
         """The random key that a part draws from at this sample, by its slot and the name of its channel or signal."""
-        return jax.random.fold_in(self.loop.key(self.key, slot, name), self.k + 1)
+        return self.loop.key_at(self.key, slot, name, self.k + 1)
 
 
 def part_maps(
@@ -86,7 +86,7 @@ def part_maps(
     commands = tuple(channel.u_total for channel in recorded.instant.channels)
     sampled_commands = []
     for i, channel in enumerate(state.channels):
-        sampled_commands.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
+        sampled_commands.append(receive_command(loop, params, key, channel.unmodelled, i, commands[i], k))
     actuation = actuate(loop, params, tuple(sampled_commands), commands)
     drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, actuation, k * loop.sample_time)
     point = OperatingPoint(loop, params, key, state, k, recorded, commands, drive)

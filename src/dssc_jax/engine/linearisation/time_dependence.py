@@ -3,10 +3,9 @@
 import jax
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.signals import PlantInput, Scalar, Signals, State
+from dssc_jax.core.signals import Scalar, State
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.fitting import nominal_params
@@ -28,8 +27,7 @@ def require_timeless(study: Study) -> None:
     if ":" not in kind or plant.begin is not None or kind_in(study.config, "wind") != "none":
         return
     params = nominal_params(study.template).plant
-    channels = (0.0,) * len(study.loop.channels)
-    drive: PlantInput[Signals] = PlantInput(channels, channels, None, quiet_inputs(study.loop.plant, params))
+    drive = study.loop.zero_input(params)
 
     def slopes(t: Scalar) -> list[State]:
         state = plant.init(params)
