@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from dssc_jax.closed_loop.metrics import Instant
+from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.core.signals import Scalar
 
 

@@ -40,7 +40,8 @@ from dssc_jax.closed_loop.formula_tree import (
     horizon,
     parts_of,
 )
-from dssc_jax.closed_loop.metrics import Instant, Metric, Scope, Span
+from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.metrics import Metric, Scope, Span
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.signals import Scalar
 

@@ -6,18 +6,17 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.instants import Instant, Sample
 from dssc_jax.closed_loop.metrics import (
     RISES,
     SAMPLING,
     Course,
-    Instant,
     Metric,
-    Sample,
     Scope,
     Span,
     Window,
-    itself,
-    peak,
+    final_value,
+    largest_size,
     total,
 )
 from dssc_jax.core.numerics import at_least, root_abs, sign
@@ -164,7 +163,7 @@ def smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
 
 
 PERFORMANCE: dict[str, Metric] = {
-    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself, course=RISES, least=0.0),
+    "error_rate_max": largest_size("y/s", "largest |e'|", lambda s: s.e_dot),
     "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES, least=0.0),
     "itae": Metric(
         "y s^2", "integral of time, from the window's start, times |e|", timed_error, integral, course=RISES, least=0.0
@@ -210,31 +209,13 @@ PERFORMANCE: dict[str, Metric] = {
     "total_command_tv": Metric(
         "u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path(), course=RISES, least=0.0
     ),
-    "roll_max": Metric(
-        "rad",
-        "largest |roll|",
-        peak(lambda i: i.plant.phi),
-        itself,
-        needs=("phi",),
-        scope=Scope.VEHICLE,
-        course=RISES,
-        least=0.0,
-    ),
-    "pitch_max": Metric(
-        "rad",
-        "largest |pitch|",
-        peak(lambda i: i.plant.theta),
-        itself,
-        needs=("theta",),
-        scope=Scope.VEHICLE,
-        course=RISES,
-        least=0.0,
-    ),
+    "roll_max": largest_size("rad", "largest |roll|", lambda i: i.plant.phi, ("phi",), Scope.VEHICLE),
+    "pitch_max": largest_size("rad", "largest |pitch|", lambda i: i.plant.theta, ("theta",), Scope.VEHICLE),
     "rotor_thrust_max": Metric(
         "N",
         "largest commanded thrust of a rotor",
         largest_thrust,
-        itself,
+        final_value,
         needs=("rotor_1",),
         scope=Scope.VEHICLE,
         course=RISES,
@@ -243,7 +224,7 @@ PERFORMANCE: dict[str, Metric] = {
         "N",
         "smallest commanded thrust of a rotor",
         smallest_thrust,
-        itself,
+        final_value,
         needs=("rotor_1",),
         scope=Scope.VEHICLE,
         start=math.inf,

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
 from dssc_jax.closed_loop.repeatability import first_difference
-from dssc_jax.closed_loop.sample import LoopState, actuate, initial_state, plant_input, step
+from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Command, Measurement, State

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.metrics import (
     Course,
-    Instant,
     Metric,
     Scope,
     Span,
-    itself,
+    final_value,
     mean,
     peak,
     root_mean,
@@ -216,7 +216,7 @@ class SignalMetric(NamedTuple):
 
     meaning: str
     update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]]
-    value: Callable[..., Scalar] = itself
+    value: Callable[..., Scalar] = final_value
     start: object = 0.0
     course: Course = Course.OPEN
     least: float = -math.inf

@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
-from dssc_jax.closed_loop.spans import first_sample
+from dssc_jax.closed_loop.window import first_sample
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator

@@ -6,16 +6,9 @@ from typing import NamedTuple
 import jax
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import signal_values
-from dssc_jax.closed_loop.sample import (
-    LoopState,
-    Recorded,
-    actuate,
-    measure,
-    plant_input,
-    receive_command,
-    step,
-)
+from dssc_jax.closed_loop.sample import LoopState, Recorded, measure, step
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.signals import (
     Command,
