@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import jax
 
+from dssc_jax.closed_loop.control import measure
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import signal_values
-from dssc_jax.closed_loop.sample import LoopState, Recorded, measure, step
+from dssc_jax.closed_loop.sample import LoopState, Recorded, step
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.signals import (
     Command,
