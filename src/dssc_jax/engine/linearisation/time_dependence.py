@@ -1,4 +1,4 @@
-"""Whether a plant of one's own changes with time, so that it has no equilibrium."""
+"""A check whether a user-defined plant changes with time, so that it has no equilibrium."""
 
 import jax
 from jax.interpreters.partial_eval import dce_jaxpr
@@ -12,15 +12,12 @@ from dssc_jax.study.fitting import nominal_params
 
 
 def require_timeless(study: Study) -> None:
-    """Require by its program that the slopes of a user's plant do not depend on the time.
+    """Require that the derivatives of a user-defined plant do not depend on the time, by its traced program.
 
     Those of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
 
-    Args:
-        study: The study.
-
     Raises:
-        ConfigError: They depend on it.
+        ConfigError: A derivative depends on the time.
     """
     kind = str(study.config.plant.get("kind", ""))
     plant = study.loop.mimo_plant
