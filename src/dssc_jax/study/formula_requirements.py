@@ -5,7 +5,8 @@ from functools import partial
 from typing import TypeAlias
 
 from dssc_jax.closed_loop.formulas import formula_metric, memory_size
-from dssc_jax.closed_loop.metrics import Instant, Measure
+from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN

@@ -9,7 +9,7 @@ import numpy as np
 from dssc_jax.analyses.loop_margins.multiloop import multiloop_margins
 from dssc_jax.analyses.loop_margins.operation import operation
 from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
-from dssc_jax.closed_loop.break_points import break_points
+from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -109,7 +109,7 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     """The relevant part of the loop at each break point; break points without effect are left out."""
     matrices = operating.matrices
     parts = {}
-    for point, name in enumerate(break_points(study.loop)):
+    for point, name in enumerate(place_names(study.loop.channels)):
         closed = operating.closed(point)
         state_indices = matrices.loop_states(point, closed)
         if state_indices.size:

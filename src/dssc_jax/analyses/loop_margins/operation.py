@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state
+from dssc_jax.closed_loop.break_points import place_names, sample_map, start_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.linearisation.matrices import Operating
@@ -130,7 +130,7 @@ def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tup
 
     def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
         sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
-        return sample(state, jnp.zeros(len(break_points(study.loop)), state.dtype))[0]
+        return sample(state, jnp.zeros(len(place_names(study.loop.channels)), state.dtype))[0]
 
     states = []
     with arithmetic():

@@ -25,7 +25,7 @@ from dssc_jax.analyses.worst_loop.search import (
     radii_of,
     worst_margins,
 )
-from dssc_jax.closed_loop.break_points import BreakPoint, break_points
+from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -146,7 +146,7 @@ def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, 
     Raises:
         ConfigError: The loop has no break point of a name.
     """
-    names = break_points(study.loop)
+    names = place_names(study.loop.channels)
     for name in broken_at:
         if name not in names:
             raise ConfigError(
@@ -187,7 +187,7 @@ def loops_broken_at(
     Raises:
         ConfigError: None has an effect, or no uncertain number changes one of the loops.
     """
-    all_names = break_points(study.loop)
+    all_names = place_names(study.loop.channels)
     broken_loops = {}
     for name in names:
         index = all_names.index(name)
