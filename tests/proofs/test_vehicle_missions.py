@@ -19,7 +19,6 @@ from dssc_jax.proofs.search.vehicle.bounds import linear_channels
 from dssc_jax.proofs.search.vehicle.deviations import points_of
 from dssc_jax.proofs.search.vehicle.nominal import answer_of, drives_of
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
-from dssc_jax.proofs.vehicle_problem import vehicle_problem_from
 from dssc_jax.proofs.vehicle_words import vehicle_in_words
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.deviations import deviations_of
@@ -30,7 +29,7 @@ from dssc_jax.proofs.verifier.vehicle.responses import PHASES, observe_channel
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.test_vehicle_remainders import random_case
 from tests.proofs.test_vehicle_verifier import linear_proof, middles, sampled_numbers
-from tests.proofs.vehicle_cases import HOVER, problem
+from tests.proofs.vehicle_cases import HOVER, problem, vehicle_problem_from
 from tests.proofs.vehicle_model import commanded, plane_remainders, signals_and_remainders, turned
 
 REFERENCE = {"x": [2.0, 4.0, 0.3], "y": [1.5, 4.0, 1.9], "z": [0.5, 3.0, 0.0], "psi": [-0.4, 4.0, 0.5]}

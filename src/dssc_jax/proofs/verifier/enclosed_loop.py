@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, matrix_of_columns, maximum
+from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, matrix_of_columns, maximum, unit_rows
 from dssc_jax.proofs.verifier.certificate import Box, Problem
 from dssc_jax.proofs.verifier.held_plant import companion_form, flows, generator_over, memory_weights, state_places
 
@@ -66,11 +66,6 @@ def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
             maximum(bound.upper(), largest) for bound, largest in zip(bounds, largest_bounds, strict=True)
         ]
     return SignalBounds(*largest_bounds)
-
-
-def unit_rows(n: int) -> list[arb_mat]:
-    """The rows of the unit matrix."""
-    return [arb_mat([[int(i == place) for i in range(n)]]) for place in range(n)]
 
 
 def signal_rows(problem: Problem) -> SignalRows:

@@ -71,10 +71,14 @@ def companion_form(problem: Problem) -> CompanionForm:
     return CompanionForm(a, output, direct)
 
 
-def delay_weights(problem: Problem) -> list[arb]:
-    """Weights of the commands of ages 0, 1, ... samples in what acts on the plant."""
-    samples = math.floor(problem["delay"])
-    fraction = arb(problem["delay"]) - samples
+def delay_weights(delay: float) -> list[arb]:
+    """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant.
+
+    Args:
+        delay: Delay of the command, in samples; a fraction divides a sample between two commands.
+    """
+    samples = math.floor(delay)
+    fraction = arb(delay) - samples
     weights = [arb(0)] * samples + [1 - fraction]
     return [*weights, fraction] if fraction > 0 else weights
 
@@ -95,7 +99,7 @@ def held_generator(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
         for i, a in enumerate(problem["zero_a"]):
             f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
     if not problem["denominator"]:
-        f[1][-1], *weights = delay_weights(problem)
+        f[1][-1], *weights = delay_weights(problem["delay"])
         for i, weight in zip(zeta, weights, strict=True):
             f[1][i] = weight
         return arb_mat(f)

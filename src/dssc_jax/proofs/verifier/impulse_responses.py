@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, total
+from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, stack, total
 
 SIDE = 32
 """Root of the number of samples of a block."""
@@ -77,9 +77,9 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
         p: V = z'Pz, which falls.
     """
     n, m = a.nrows(), rows.nrows()
-    short = stack_rows(powers(rows, a))
+    short = stack(powers(rows, a))
     jumps = powers(identity(n), a**SIDE)
-    long = stack_rows(jumps)
+    long = stack(jumps)
     block_jump = jumps[-1] * a**SIDE
     short_middles = middles(short)
     long_middles = middles(long).reshape(SIDE, n, n)
@@ -155,11 +155,6 @@ def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
     for _ in range(SIDE - 1):
         result.append(result[-1] * a)
     return result
-
-
-def stack_rows(matrices: list[arb_mat]) -> arb_mat:
-    """Matrices below one another."""
-    return arb_mat([row for matrix in matrices for row in matrix.tolist()])
 
 
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:

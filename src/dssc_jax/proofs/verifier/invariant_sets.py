@@ -1,6 +1,5 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
 
-from functools import reduce
 from itertools import pairwise, product
 
 from flint import arb, arb_mat
@@ -136,7 +135,7 @@ def check_sliding(
         middle = gains["mean"].mid()
         u_av_row = u_av_row + rows.s * middle
         distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
-        room = room - reduce(maximum, distances)
+        room = room - maximum(*distances)
     if problem["form"] == "conservative":
         if is_integrated:
             room = room - abs(gains["slide_e"]).upper() * error_change

@@ -21,6 +21,7 @@ from dssc_jax.proofs.verifier.balls import (
     identity,
     matrix_of_columns,
     maximum,
+    minimum_bound,
     positive_definite,
     require_premise,
     side_by_side,
@@ -224,9 +225,9 @@ def law_deviations(
         by_ratio = by_ratio + increment_error(problem, 0.0, change_bound) / arb(change_bound) * change
     distances = function_distances(problem, stage["sigma"], stage["e"], centre, change=change_bound)
     return LawDeviations(
-        minimum(t * distances["phi_2"], by_ratio),
-        minimum(distances["both"], (gain_distances["mean"] + gain_distances["k_n"]) * sigma),
-        slide + minimum(distances["phi_1"], gain_distances["mean"] * sigma),
+        minimum_bound(t * distances["phi_2"], by_ratio),
+        minimum_bound(distances["both"], (gain_distances["mean"] + gain_distances["k_n"]) * sigma),
+        slide + minimum_bound(distances["phi_1"], gain_distances["mean"] * sigma),
     )
 
 
@@ -237,12 +238,6 @@ def slide_deviation(
     by_e = abs(gains.get("slide_e", arb(0))).upper()
     slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], error_change)
     return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * error_change
-
-
-def minimum(a: arb, b: arb) -> arb:
-    """An upper bound of the smaller of two numbers."""
-    a_end, b_end = a.upper(), b.upper()
-    return a_end if a_end <= b_end else b_end
 
 
 def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:

@@ -150,14 +150,19 @@ def require_problem(content: object) -> Problem:
     require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
     if problem["rho"] is not None:
         require_positive(problem["rho"], "rho")
-    if problem["nominal"] is not None:
-        require_list(problem["nominal"], 3, "nominal")
-        a, k, predictor_term = problem["nominal"]
-        require_finite(a, "nominal")
-        require_positive(k, "nominal")
-        require_shape(type(predictor_term) is bool, "nominal", "is not true or false")
+    require_nominal(problem["nominal"], "nominal")
     require_functions(problem["functions"], problem["form"])
     return cast(Problem, content)
+
+
+def require_nominal(content: object, place: str) -> None:
+    """Reject anything but a_n, k_n > 0 and whether the nominal control has its term 1/tau_m, or None."""
+    if content is None:
+        return
+    a, k, has_predictor_term = require_list(content, 3, place)
+    require_finite(a, place)
+    require_positive(k, place)
+    require_shape(type(has_predictor_term) is bool, place, "is not true or false")
 
 
 def require_unmodelled(problem: dict[str, Any]) -> None:

@@ -171,7 +171,7 @@ def with_slopes(
 def largest_bounds(bounds: Sequence[SignalBalls]) -> dict[str, Balls]:
     """The largest of each signal over the cells."""
     return {
-        name: {signal: largest([y[name][signal] for y in bounds]) for signal in bounds[0][name]} for name in CHANNELS
+        name: {signal: maximum(*[y[name][signal] for y in bounds]) for signal in bounds[0][name]} for name in CHANNELS
     }
 
 
@@ -180,30 +180,19 @@ def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
     rests = [cell.remainders for cell in inputs]
     channels = {
         name: {
-            remainder: largest([cell.channels[name][remainder] for cell in rests])
+            remainder: maximum(*[cell.channels[name][remainder] for cell in rests])
             for remainder in rests[0].channels[name]
         }
         for name in CHANNELS
     }
     rotors = Rotors(
-        -largest([-cell.rotors.smallest for cell in rests]),
-        largest([cell.rotors.largest for cell in rests]),
-        largest([cell.rotors.difference for cell in rests]),
-        largest([cell.rotors.sum for cell in rests]),
+        -maximum(*[-cell.rotors.smallest for cell in rests]),
+        maximum(*[cell.rotors.largest for cell in rests]),
+        maximum(*[cell.rotors.difference for cell in rests]),
+        maximum(*[cell.rotors.sum for cell in rests]),
     )
-    tilt = largest([cell.tilt for cell in rests])
-    behind_by = largest([cell.behind_by for cell in rests])
-    laws = {
-        name: Deviations(*map(largest, zip(*[cell.deviations[name] for cell in inputs], strict=True)))
-        for name in CHANNELS
-    }
-    sigma = {name: largest([cell.sigma[name] for cell in inputs]) for name in CHANNELS}
+    tilt = maximum(*[cell.tilt for cell in rests])
+    behind_by = maximum(*[cell.behind_by for cell in rests])
+    laws = {name: Deviations(*map(maximum, *[cell.deviations[name] for cell in inputs])) for name in CHANNELS}
+    sigma = {name: maximum(*[cell.sigma[name] for cell in inputs]) for name in CHANNELS}
     return Inputs(Remainders(channels, rests[0].constant, tilt, rotors, behind_by), laws, sigma)
-
-
-def largest(values: Sequence[arb]) -> arb:
-    """The largest of exact numbers."""
-    result, *following = values
-    for value in following:
-        result = maximum(result, value)
-    return result

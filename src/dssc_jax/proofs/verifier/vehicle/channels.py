@@ -5,12 +5,12 @@ have z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import identity
+from dssc_jax.proofs.verifier.balls import identity, stack, unit_rows
+from dssc_jax.proofs.verifier.held_plant import delay_weights
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 
 EQUIVALENT = "u_av"
@@ -146,11 +146,6 @@ def rotor_rate(problem: VehicleProblem) -> arb | None:
     return 1 / arb(problem["rotor_lag"]) if problem["rotor_lag"] > 0 else None
 
 
-def unit_rows(count: int) -> list[arb_mat]:
-    """The unit rows."""
-    return [arb_mat([row]) for row in identity(count).tolist()]
-
-
 def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
     """The rows of the signals that the controller measures."""
     return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
@@ -160,11 +155,6 @@ def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
     """The unit columns of the remainders, by the states whose slopes they join."""
     units = identity(order).tolist()
     return {name: arb_mat([units[place]]).transpose() for name, place in places.items()}
-
-
-def stack(rows: Sequence[arb_mat]) -> arb_mat:
-    """Rows below one another."""
-    return arb_mat([row for matrix in rows for row in matrix.tolist()])
 
 
 def flow(channel: Channel, time: arb) -> arb_mat:
@@ -212,7 +202,7 @@ def sampled_channel(
         l0 = arb(controller["l0"])
         lead = arb(a_n) - l0
         command = command - (e * (lead * l0) - sigma * lead) * (1 / arb(k_n))
-    fresh, weights = delay_weights(delay)
+    fresh, *weights = delay_weights(delay)
     acting = command * fresh
     for unit, weight in zip(units[n:], weights, strict=True):
         acting = acting + unit * weight
@@ -235,17 +225,6 @@ def sampled_channel(
         equivalent=equivalent,
         sigma=sigma,
     )
-
-
-def delay_weights(delay: float) -> tuple[arb, list[arb]]:
-    """The weights of u_k, and of u_(k-1), ..., u_(k-D), in the command that acts."""
-    integer = math.floor(delay)
-    fraction = arb(delay) - integer
-    weights = [arb(0)] * (math.ceil(delay) + 1)
-    weights[integer] = 1 - fraction
-    if fraction > 0:
-        weights[integer + 1] = fraction
-    return weights[0], weights[1:]
 
 
 def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:

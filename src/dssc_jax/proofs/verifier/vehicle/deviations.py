@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, minimum_bound
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.function_distances import function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
@@ -44,27 +44,21 @@ class Deviations(NamedTuple):
 
     def of_command(self, sigma: arb) -> arb:
         """Bound of |omega_u|."""
-        return least(self.d_b, self.share_b * sigma)
+        return minimum_bound(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
         """Bound of |omega_r|."""
-        return least(self.d_2, self.share_2 * sigma)
+        return minimum_bound(self.d_2, self.share_2 * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
         """Bound of the deviation of the first sum q, at the first |sigma|; ``midpoint`` takes all of omega_q."""
         if start == "zero":
             return arb(0)
-        result = least(self.d_1, self.share_1 * sigma)
+        result = minimum_bound(self.d_1, self.share_1 * sigma)
         if start == "midpoint":
             integral = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
             result = result + sample_time / 2 * integral
         return result.upper()
-
-
-def least(a: arb, b: arb) -> arb:
-    """An upper bound of the smaller of two numbers."""
-    a_end, b_end = a.upper(), b.upper()
-    return a_end if a_end <= b_end else b_end
 
 
 def deviations_in_regions(

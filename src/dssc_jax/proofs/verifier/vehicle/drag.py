@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import maximum, require_premise
+from dssc_jax.proofs.verifier.balls import maximum, minimum, require_premise
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, outwards
 
 CELLS = 4096
@@ -57,7 +57,7 @@ def vertical_drag(region: DragRegion) -> arb:
     """
     speed, wind, damping = region.speed, region.wind, region.damping
     sum_of_speeds = speed + wind
-    against = smaller(speed, wind)
+    against = minimum(speed, wind)
     remaining = wind - against
     candidates = [
         steepest(region, wind) * wind,
@@ -133,8 +133,3 @@ def enclosing_interval(value: arb) -> Intervals:
     middle = np.asarray(np.float64(float(value.mid())))
     radius = np.asarray(np.float64(float(value.rad())))
     return outwards(middle - radius, middle + radius)
-
-
-def smaller(a: arb, b: arb) -> arb:
-    """The smaller of two exact numbers."""
-    return a if a <= b else b

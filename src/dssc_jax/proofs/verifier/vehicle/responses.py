@@ -23,6 +23,7 @@ from dssc_jax.proofs.verifier.balls import (
     positive_definite,
     require_premise,
     side_by_side,
+    stack,
     symmetric_matrix,
     total,
 )
@@ -38,7 +39,6 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     forced_response,
     row_at,
     sampled_channel,
-    stack,
     with_zeros,
 )
 from dssc_jax.proofs.verifier.vehicle.nominal import channel_flight
@@ -151,12 +151,12 @@ def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> C
     if problem["reference"] is not None:
         phases = [t * phase.numerator / phase.denominator for phase in PHASES]
         flight, known_starts = channel_flight(problem, name, proof, channel, sampled, phases)
-        starts = beside([starts, *known_starts])
+        starts = side_by_side(starts, *known_starts)
         offsets = side_by_side(offsets, arb_mat(len(sights), len(known_starts)))
     columns = [sampled.by_command, sampled.by_integral]
     for curve in curves.values():
         columns += [extended_column(column_block, sampled) for column_block in (*curve.points, curve.bend)]
-    inputs = beside([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
+    inputs = side_by_side(*columns, first_columns(identity(sampled.a.nrows()), channel.order))
     rows = stack([sight.row for sight in sights])
     return ChannelObservation(
         channel=channel,
@@ -259,14 +259,6 @@ def first_columns(matrix: arb_mat, count: int) -> arb_mat:
     return arb_mat([row[:count] for row in matrix.tolist()])
 
 
-def beside(columns: Sequence[arb_mat]) -> arb_mat:
-    """Matrices beside each other."""
-    result, *following = columns
-    for column_block in following:
-        result = side_by_side(result, column_block)
-    return result
-
-
 def extended_column(column_block: arb_mat, sampled: SampledChannel) -> arb_mat:
     """A column over chi as one over z, (m, 1)."""
     remainder = sampled.a.nrows() - column_block.nrows()
@@ -292,7 +284,7 @@ def start_columns(
     offsets = arb_mat(len(sights), 4)
     b = channel.constant
     if b is None:
-        return beside([*columns, arb_mat(m, 1)]), offsets
+        return side_by_side(*columns, arb_mat(m, 1)), offsets
     try:
         remainder = (units - sampled.a).solve(extended_column(forced_response(channel, b, t), sampled))
     except ZeroDivisionError:
@@ -302,7 +294,7 @@ def start_columns(
         if sight.signal != EQUIVALENT:
             within = with_zeros(channel.signals[sight.signal], channel.order, channel.order)
             offsets[i, 3] = offsets[i, 3] + (within * forced_response(channel, b, sight.time))[0, 0]
-    return beside([*columns, -remainder]), offsets
+    return side_by_side(*columns, -remainder), offsets
 
 
 def response_of(

@@ -26,6 +26,7 @@ from dssc_jax.proofs.verifier.well_formed import (
     require_functions,
     require_interval,
     require_list,
+    require_nominal,
     require_not_negative,
     require_numbers,
     require_positive,
@@ -122,11 +123,7 @@ def require_channel(content: object, name: str) -> None:
     require_functions(channel["functions"], "conservative")
     is_covered = channel["functions"]["kind"] not in NOT_COVERED
     require_shape(is_covered, f"{name}.functions", "depend on e, which is not covered")
-    if channel["nominal"] is not None:
-        a, k, has_predictor_term = require_list(channel["nominal"], 3, f"{name}.nominal")
-        require_finite(a, f"{name}.nominal")
-        require_positive(k, f"{name}.nominal")
-        require_shape(type(has_predictor_term) is bool, f"{name}.nominal", "is not true or false")
+    require_nominal(channel["nominal"], f"{name}.nominal")
     require_shape(channel["start"] in STARTS, f"{name}.start", f"is none of {', '.join(STARTS)}")
     require_sizes(channel["initial"], 2, f"{name}.initial")
 
