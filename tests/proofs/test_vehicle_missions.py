@@ -22,7 +22,7 @@ from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
 from dssc_jax.proofs.vehicle_words import vehicle_in_words
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.deviations import deviations_of
-from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
+from dssc_jax.proofs.verifier.vehicle.flight import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import PHASES, observe_channel

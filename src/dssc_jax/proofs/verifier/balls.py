@@ -71,9 +71,12 @@ def maximum(*numbers: arb) -> arb:
     return largest
 
 
-def minimum(a: arb, b: arb) -> arb:
-    """The smaller of two exact numbers."""
-    return a if a <= b else b
+def minimum(*numbers: arb) -> arb:
+    """The smallest of exact numbers."""
+    smallest, *candidates = numbers
+    for number in candidates:
+        smallest = smallest if smallest <= number else number
+    return smallest
 
 
 def minimum_bound(a: arb, b: arb) -> arb:

@@ -16,7 +16,7 @@ from dssc_jax.proofs.verifier.vehicle.certificate import (
 )
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
 from dssc_jax.proofs.verifier.vehicle.premises import with_premise
-from dssc_jax.proofs.verifier.vehicle.remainders import LEAST_ROTORS
+from dssc_jax.proofs.verifier.vehicle.rotors import LEAST_ROTORS
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
     STARTS,
