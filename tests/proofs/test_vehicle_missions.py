@@ -17,7 +17,7 @@ from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
 from dssc_jax.proofs.search.vehicle.bounds import linear_channels
 from dssc_jax.proofs.search.vehicle.deviations import points_of
-from dssc_jax.proofs.search.vehicle.nominal import answer_of, drives_of
+from dssc_jax.proofs.search.vehicle.nominal import steady_response, axis_inputs_of
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
 from dssc_jax.proofs.vehicle_words import vehicle_in_words
 from dssc_jax.proofs.verifier.balls import Rejected
@@ -342,11 +342,11 @@ def nominal_samples(content, name, axis, count):
     proofs = content["proof"]["channels"]
     damping = (proofs["x"]["drag_damping"], proofs["z"]["drag_damping"])
     slopes = (*proofs[name]["slopes"], proofs[name]["share"])
-    drive = drives_of(vehicle, damping[0])[axis]
+    inputs = axis_inputs_of(vehicle, damping[0])[axis]
     linear = linear_channels(vehicle, damping)[name]
     t = vehicle.sample_time * np.arange(count)
     result = np.zeros((count, 2))
-    for frequency in drive.frequencies:
-        state = answer_of(vehicle, name, linear, slopes, drive, frequency).state[:2]
+    for frequency in inputs.frequencies:
+        state = steady_response(vehicle, name, linear, slopes, inputs, frequency).state[:2]
         result += np.real(np.exp(2j * np.pi * float(frequency) * t)[:, None] * state)
     return result

@@ -17,6 +17,7 @@ from flint import arb, arb_mat
 from dssc_jax.proofs.verifier.balls import (
     ENTERED,
     Balls,
+    Rejected,
     StageLimits,
     identity,
     matrix_of_columns,
@@ -180,8 +181,8 @@ def implied_bounds(
         ratio = enclosed_start_ratio(problem, is_integrated=coordinate == "phi_1")
         starts = start_columns(problem, box, ratio)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
-    require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
-    assert responses is not None
+    if responses is None:
+        raise Rejected(f"P7: the responses decay too slowly in {label}")
     law = law_deviations(problem, stage, gains, centre, bounds)
     command = bounds[COMMAND] + law.integral + law.command
     error_change = arb(0)

@@ -225,27 +225,39 @@ def require_stage(problem: Problem, content: object) -> None:
     method = content.get("method")
     if not isinstance(method, str) or method not in STAGE_TYPES:
         raise Rejected("P0: method is unknown")
-    stage = require_entries(content, STAGE_TYPES[method].__required_keys__, "a stage")
+    stage: dict[str, Any] = require_entries(content, STAGE_TYPES[method].__required_keys__, "a stage")
     for name in ("sigma", "e", "rate"):
         require_positive(stage[name], name)
     for name in ("level", "slope"):
         require_not_negative(stage[name], name)
     require_symmetric(stage["p"], n, "p")
-    coordinate = stage["coordinate"]
-    require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
-    is_conservative = problem["form"] == "conservative"
+    require_shape(stage["coordinate"] in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
     if method == SMALL_GAIN:
-        has_known_integral = problem["functions"]["kind"] in KNOWN_INTEGRALS
-        is_allowed = is_conservative or has_known_integral if coordinate == "phi_1" else not is_conservative
-        require_shape(is_allowed, "coordinate", "does not belong to form and functions")
-        require_positive(stage["change"], "change")
-        require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
-        bounds = require_numbers(stage["bounds"], SIGNALS + n, "bounds")
-        require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
-        return
-    require_numbers(stage["multipliers"], 4 + eta, "multipliers")
+        require_small_gain_entries(problem, stage, SIGNALS + n)
+    else:
+        require_set_entries(problem, stage, 4 + eta)
+
+
+def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: int) -> None:
+    """Reject entries that a stage of the method "small gain" cannot have, which bounds ``count`` signals and states."""
+    is_conservative = problem["form"] == "conservative"
+    if stage["coordinate"] == "phi_1":
+        is_allowed = is_conservative or problem["functions"]["kind"] in KNOWN_INTEGRALS
+    else:
+        is_allowed = not is_conservative
+    require_shape(is_allowed, "coordinate", "does not belong to form and functions")
+    require_positive(stage["change"], "change")
+    require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
+    bounds = require_numbers(stage["bounds"], count, "bounds")
+    require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
+
+
+def require_set_entries(problem: Problem, stage: dict[str, Any], inputs: int) -> None:
+    """Reject entries that a stage of the method "invariant set" cannot have, in a loop with so many inputs."""
+    require_numbers(stage["multipliers"], inputs, "multipliers")
     require_not_negative(stage["moved"], "moved")
-    require_shape(coordinate == "u_av" or is_conservative, "coordinate", "does not belong to the form")
+    is_allowed = stage["coordinate"] == "u_av" or problem["form"] == "conservative"
+    require_shape(is_allowed, "coordinate", "does not belong to the form")
     require_count(stage["pieces"], MOST_PIECES, "pieces", "is no number of pieces")
     require_count(stage["degree"], MOST_DEGREE, "degree", "is no degree of a polynomial")
 
