@@ -14,8 +14,8 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.compare import require_names, with_controller
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
-from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, median_texts
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, split_margins
+from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, medians_text
 from dssc_jax.analyses.margins.result import PARAMETER_UNIT
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
@@ -95,7 +95,7 @@ class MarginContest(Analysis):
     @cached_property
     def margins(self) -> dict[str, Margins]:
         """The margins by controller."""
-        return part_margins(self.dataset, "controller", self.parts, self.study_of)
+        return split_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
         """The study with one of the controllers; the study itself if its code is not loaded."""
@@ -129,7 +129,7 @@ class MarginContest(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        return f"median critical {self.answer.parameter}: {median_texts(self.margins)}"
+        return f"median critical {self.answer.parameter}: {medians_text(self.margins)}"
 
     def figure(self) -> Figure:
         """Plot the answer."""

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
-from dssc_jax.analyses.margins.joined import MarginPart, median_texts
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, split_margins
+from dssc_jax.analyses.margins.joined import MarginPart, medians_text
 from dssc_jax.analyses.margins.result import PARAMETER_UNIT, MarginAnswer
 from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_constant_of
 from dssc_jax.analyses.theory.linearised import kind_of
@@ -148,7 +148,7 @@ class Assessment(Analysis):
     @cached_property
     def all_margins(self) -> dict[str, Margins]:
         """Every margin by its name in :attr:`parts`."""
-        return part_margins(self.dataset, "margin", self.parts, lambda _: self.study)
+        return split_margins(self.dataset, "margin", self.parts, lambda _: self.study)
 
     @property
     def performance(self) -> Margins:
@@ -180,7 +180,7 @@ class Assessment(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         margins = {"simulated": self.performance, **{kind.value: part for kind, part in self.local.items()}}
-        return f"median critical {self.performance.parameter}: {median_texts(margins)}"
+        return f"median critical {self.performance.parameter}: {medians_text(margins)}"
 
     def figure(self) -> Figure:
         """Plot the answer."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, search_critical
-from dssc_jax.analyses.margins.simulated import admissible_walk, lane_numbers, require_spread
+from dssc_jax.analyses.margins.simulated import admissible_walk, numbers_along, require_spread
 from dssc_jax.analyses.theory.linearised import (
     AtRest,
     at_rest,
@@ -172,7 +172,7 @@ def local_margin(
         require_spread(study, bounds)
     swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
     draws = study.config.draws
-    numbers_of = lane_numbers(resting, over)
+    numbers_of = numbers_along(resting, over)
     laws = values_of_draws(swept, slice(0, draws))
     eigenvalues_of, notes = spectrum_with_notes(swept, kind)
 
