@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.tuning import candidate_points, derived_medians, ranges
+from dssc_jax.analyses.comparison.tuning import candidate_points, derived_medians, gain_ranges
 from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST_RACED, RACED
 from dssc_jax.analyses.selection.race import Race, race
 from dssc_jax.core.errors import ConfigError
@@ -209,7 +209,7 @@ def select(
 def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
     """The range of each number; raises ConfigError if there is none."""
     if over is None:
-        extents = ranges(study, {}) if len(study.loop.controller) == 1 else {}
+        extents = gain_ranges(study, {}) if len(study.loop.controller) == 1 else {}
         if not extents:
             raise ConfigError(
                 "select",
