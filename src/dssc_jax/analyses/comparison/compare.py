@@ -285,7 +285,7 @@ class Comparison(Analysis):
         return f"failures in {self.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
 
     def figure(self) -> Figure:
-        """Plot failures and metrics of the controllers side by side."""
+        """Plot the controllers' failure probabilities, and their differences from the first one draw by draw."""
         return plotting.comparison(self)
 
     @property

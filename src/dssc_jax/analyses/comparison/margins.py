@@ -132,7 +132,7 @@ class MarginContest(Analysis):
         return f"median critical {self.answer.parameter}: {medians_text(self.margins)}"
 
     def figure(self) -> Figure:
-        """Plot the distributions of the critical values of all controllers."""
+        """Plot the margins of all controllers over the number."""
         return plotting.theory(self.margins)
 
     @property
