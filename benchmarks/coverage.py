@@ -18,13 +18,13 @@ from page import put
 from scipy import integrate, optimize, special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.selection.race import race
 from dssc_jax.analyses.sensitivity.chaos import Chaos
 from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
+from dssc_jax.analyses.slacks import SlackFunction
 from dssc_jax.statistics import (
     CONFIDENCE,
     FixedCount,

@@ -88,7 +88,7 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
 
 
 class BrokenMatrices(NamedTuple):
-    """The closed loops of n draws as x_(k+1) = A x_k + b w_k, v_k = c x_k, with w added behind the signal v at a break point.
+    """The closed loops of n draws as x_(k+1) = A x_k + b w_k, v_k = c x_k; w is added to the signal v at a break point.
 
     Only draws with an operating point within the limits have such a loop, and only states between w and v are kept.
 

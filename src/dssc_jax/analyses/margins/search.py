@@ -16,7 +16,7 @@ from dssc_jax.study import Study
 CLOCK = "loop.sample_time"
 """Dotted name of the sample time, which is fixed before a loop is traced."""
 
-SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+WalkSlack = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(indices of draws, a value for each) -> signed slacks, negative if the draw fails."""
 
 
@@ -120,7 +120,7 @@ class FirstViolated:
         return slack
 
 
-def search_critical(slack_at: SlackFunction, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
     """Find the critical values of all draws at once: the last passing value before the first failure.
 
     Args:
