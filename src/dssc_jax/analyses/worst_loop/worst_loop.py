@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
-from dssc_jax.analyses.loop_margins.operation import resting_operation
+from dssc_jax.analyses.loop_margins.operating_points import equilibria
 from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, RemainingPoints
@@ -92,7 +92,7 @@ def worst_loop(
     if progress:
         progress(0, points)
     resting = RestingLoop(study, places)
-    operating, findings = resting_operation(resting, study.config.draws)
+    operating, findings = equilibria(resting, study.config.draws)
     settled_findings = findings[operating.reached]
     require_one_linear_loop(study, places, settled_findings)
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))

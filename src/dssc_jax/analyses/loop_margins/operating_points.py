@@ -1,4 +1,4 @@
-"""Operating points of an analysis: every draw's equilibrium, or places along its flight."""
+"""Operating points of an analysis: the equilibrium of every draw, or times of its flight."""
 
 from typing import NamedTuple
 
@@ -25,15 +25,20 @@ from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.study import Study
 
 
-class Operation(NamedTuple):
-    """Operating points of a study, by name, and notes on the substitutes for parts that are smooth nowhere."""
+class OperatingPoints(NamedTuple):
+    """The loops of all draws, linearised at each operating point.
+
+    Args:
+        points: The matrices of all draws, by the name of the operating point.
+        notes: Sentences on the substitutes for parts that are smooth nowhere.
+    """
 
     points: dict[str, Operating]
     notes: tuple[str, ...]
 
 
-def operation(study: Study, times: tuple[float, ...]) -> Operation:
-    """Linearise all draws of a study at their equilibrium, or at times of their flight.
+def operating_points(study: Study, times: tuple[float, ...]) -> OperatingPoints:
+    """Linearise the loop of every draw at its equilibrium, or at times of its flight.
 
     Args:
         study: The study, without a sweep.
@@ -43,30 +48,32 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
         ConfigError: a part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
             or a time is outside the flight.
     """
-    places = declared_places(study, moving=bool(times))
-    points = operating_points_in_flight(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
-    return Operation(points, tuple(substitute_notes(places)))
+    parts = declared_places(study, moving=bool(times))
+    if times:
+        points = operating_points_in_flight(study, times, parts)
+    else:
+        points = {EQUILIBRIUM: equilibria(RestingLoop(study, parts), study.config.draws)[0]}
+    return OperatingPoints(points, tuple(substitute_notes(parts)))
 
 
-def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
-    """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
+def equilibria(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
+    """Linearise the loop of every draw at its equilibrium, found by Newton's method from the initial state.
 
     A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
 
-    Raises:
-        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
-    """
-    return resting_operation(RestingLoop(study, places), study.config.draws)[0]
+    Args:
+        resting: The undisturbed loop of a study.
+        draws: Number of draws.
 
-
-def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
-    """Every draw's matrices at its equilibrium, and the findings on the parts there, shape (draws, parts).
+    Returns:
+        The matrices of all draws, and a :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` on each part at
+        each draw's equilibrium, shape (draws, parts).
 
     Raises:
         ConfigError: no draw has an equilibrium, or the loop is not smooth there.
     """
     study = resting.study
-    places = resting.places
+    parts = resting.places
     indices = np.arange(draws)
     values = draw(study, indices)
     states, matrices, is_settled, signal_states = resting.settle(values, indices)
@@ -74,9 +81,9 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    raw_findings = examination(lane_loop(study, places, is_resting=True), places)(values, indices, states, 1)
+    raw_findings = examination(lane_loop(study, parts, is_resting=True), parts)(values, indices, states, 1)
     findings = resting.linearise.resolve_open_loops(values, indices, states, 1, raw_findings)
-    notes = corner_notes(study, places, findings[is_settled], EQUILIBRIUM)
+    notes = corner_notes(study, parts, findings[is_settled], EQUILIBRIUM)
     is_smooth = is_settled & ~np.any((raw_findings == Finding.CORNER) | (raw_findings == Finding.DEFECT), axis=1)
     has_corner = np.any(findings == Finding.CORNER, axis=1)
 
@@ -91,12 +98,20 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
 
 
 def operating_points_in_flight(
-    study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]
+    study: Study, times: tuple[float, ...], parts: tuple[LoopPart, ...]
 ) -> dict[str, Operating]:
-    """Every draw's matrices at the states of its flight at the given times, by name.
+    """Linearise the loop of every draw about the states of its flight at some times.
+
+    Args:
+        study: The study, without a sweep.
+        times: The times [s], ascending.
+        parts: The parts of the loop with their declarations of where they are smooth.
+
+    Returns:
+        The matrices of all draws, by the name of the operating point, ``t = 1.5 s``.
 
     Raises:
-        ConfigError: a time is outside the flight, or they do not ascend.
+        ConfigError: a time is outside the flight, or the times do not ascend.
     """
     samples = tuple(round(t / study.config.loop.sample_time) for t in times)
     if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
@@ -104,9 +119,9 @@ def operating_points_in_flight(
         raise ConfigError("times", rule)
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
-    flight_states = flown_states(study, values, indices, samples)
-    linearise = Linearisation(study, places, is_resting=False)
-    examine = examination(lane_loop(study, places, is_resting=False), places)
+    flight_states = states_in_flight(study, values, indices, samples)
+    linearise = Linearisation(study, parts, is_resting=False)
+    examine = examination(lane_loop(study, parts, is_resting=False), parts)
     operating = {}
     for t, k, states in zip(times, samples, flight_states, strict=True):
         findings = examine(values, indices, states, k)
@@ -114,15 +129,21 @@ def operating_points_in_flight(
         matrices = linearise(values, indices, states, k, findings)
         finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
-        notes = corner_notes(study, places, findings[finite], name)
+        notes = corner_notes(study, parts, findings[finite], name)
         operating[name] = Operating(matrices, finite, np.any(findings == Finding.BEYOND, axis=1), notes)
     return operating
 
 
-def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
-    """The states of all draws before the given samples, each of shape (n, states).
+def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
+    """The states of n draws before some samples of their flights, a list of arrays of shape (n, states).
 
-    The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.
+    The time loop runs in Python: compiling that of a vehicle takes minutes, and its single steps take seconds.
+
+    Args:
+        study: The study, without a sweep.
+        values: Value of each uncertain number, shape (n,) each.
+        indices: Indices of the draws, shape (n,).
+        samples: Indices of the samples, ascending.
     """
 
     def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
@@ -132,12 +153,12 @@ def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tup
         sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
         return sample(state, jnp.zeros(len(place_names(study.loop.channels)), state.dtype))[0]
 
-    states = []
+    recorded = []
     with arithmetic():
-        at = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
-        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
+        states = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
+        advance_all = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
         for k in range(samples[-1] + 1):
             if k in samples:
-                states.append(np.asarray(at))
-            at = program(values, indices, at, k)
-    return states
+                recorded.append(np.asarray(states))
+            states = advance_all(values, indices, states, k)
+    return recorded
