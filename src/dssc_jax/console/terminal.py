@@ -220,11 +220,6 @@ def number_text(value: float | None, form: str = ".3g", missing: str = "none") -
     return missing if value is None or not math.isfinite(value) else format(value, form)
 
 
-def name_with_unit(name: str, unit: str) -> str:
-    """A name followed by its unit in brackets, if it has a unit."""
-    return name if unit in ("", "1") else f"{name} [{unit}]"
-
-
 def values_text(values: Mapping[str, float], form: str = ".6g") -> str:
     """Format numbers by name in one line.
 

@@ -11,7 +11,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.design import noise_warning
 from dssc_jax.engine.reference import VERDICTS
-from dssc_jax.plotting.draws import shown_laws
+from dssc_jax.plotting.draws import drawable_laws
 from dssc_jax.report.elements import (
     LEVEL,
     Section,
@@ -234,7 +234,7 @@ def unit_of(result: Result, measure: Measure) -> str:
 def causes(subject: Subject) -> Section | None:
     """Failures against each uncertain number."""
     result = subject.point_result
-    names = by_influence(result, shown_laws(result))[:MOST_FACTORS]
+    names = by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     failures = int(result.failed.sum())
     if not names or not 0 < failures < result.failed.size:
         return None

@@ -84,9 +84,14 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def units_of(study: Study) -> dict[str, str]:
-    """Unit of each number of a draw by name; those without a unit are left out."""
+    """Unit of each number of a draw by name; variables without a unit, such as the outcome, are left out."""
     by_name = variables(study) | coordinates(study)
     return {name: variable.attributes["units"] for name, variable in by_name.items() if "units" in variable.attributes}
+
+
+def name_with_unit(name: str, unit: str) -> str:
+    """A name followed by its unit in brackets; the name alone if the unit is ``1`` or empty."""
+    return name if unit in ("", "1") else f"{name} [{unit}]"
 
 
 def coordinates(study: Study) -> dict[str, Variable]:
