@@ -16,7 +16,7 @@ from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED
 from dssc_jax.report import analysis_sections
 from dssc_jax.report.elements import table
 from dssc_jax.report.subject import AnalysisSubject
-from dssc_jax.report.vector import inline
+from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.analysis import Analysis
 
 CONDITION = "This is exact for sliders that were set without looking at these flights."
@@ -79,7 +79,7 @@ class LoggedFlights:
         else:
             numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
         headline = f"{analysis.headline}."
-        picture = inline(analysis.figure, headline, "flights")
+        picture = inline_svg(analysis.figure, headline, "flights")
         self.answer.object = markup(h.div(role="status")[h.p[h.strong[headline]], h.p[CONDITION], numbers, picture])
 
     def clear(self) -> None:

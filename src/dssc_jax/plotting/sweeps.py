@@ -240,7 +240,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
 
 
 def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
-    """Draw the median of a metric as a map with contours at the metric's limits; arguments as for the failure map."""
+    """Draw the median of a metric as a map, with contours at its limits; arguments as for :func:`probability_map`."""
     x = result.dataset[across].values
     y = result.dataset[down].values
     metric = result.dataset[measure.name]

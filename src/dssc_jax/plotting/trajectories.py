@@ -201,7 +201,7 @@ def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> No
 
 
 def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
-    """The functions that draw attitude, rotors, wind and thrust of a vehicle over time, if the run has these signals."""
+    """The functions that draw attitude, rotors, wind and thrust of a vehicle, as far as the run has these signals."""
     panels: list[Callable[[Axes, xr.Dataset], None]] = [attitude]
     if "rotor_1" in run:
         panels.append(rotors)
