@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -195,4 +195,16 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
+    dataset = with_order(dataset, description["sums"])
     return Stored(received(description, description["source"], trust_code), dataset, description["settings"])
+
+
+def with_order(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
+    """The dataset with its variables and coordinates in the order of names.
+
+    Zarr lists arrays in the order in which the file system has them, which differs from one machine to the next.
+    """
+    variables = {name: dataset.variables[name] for name in names if name in dataset.variables}
+    coordinates = {name: variable for name, variable in variables.items() if name in dataset.coords}
+    data = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
+    return xr.Dataset(data, coordinates, dataset.attrs)
