@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from dssc_jax.analyses.region.safe_region import RegionAnswer, SafeRegion
-from dssc_jax.console.terminal import name_with_unit, show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.console.terminal import show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.results.schema import name_with_unit
 
 
 def show_region(region: SafeRegion, files: list[Path]) -> None:

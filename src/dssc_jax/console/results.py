@@ -11,7 +11,6 @@ from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.console.stated import show_stated
 from dssc_jax.console.terminal import (
     STAYS_FINITE,
-    name_with_unit,
     number_text,
     show_head,
     show_line,
@@ -19,9 +18,9 @@ from dssc_jax.console.terminal import (
     show_table,
 )
 from dssc_jax.results.influence import idle_text
-from dssc_jax.results.result import headline
-from dssc_jax.results.schema import outcome_codes
-from dssc_jax.results.summary import SummaryRow, most_violated, values_missing
+from dssc_jax.results.result import headline_measure
+from dssc_jax.results.schema import name_with_unit, outcome_codes
+from dssc_jax.results.summary import SummaryRow, missing_value_texts, most_violated
 from dssc_jax.statistics import compare_failures, describe_probability, rounded_probability
 
 if TYPE_CHECKING:
@@ -150,7 +149,7 @@ def show_point(study: "Study", point: SummaryRow, equal: bool) -> None:
     if point["requirements"]:
         head = ("requirement", "violated by", *probability_head, "by it alone", "first", "median time [s]")
         show_table(head, requirement_rows(study, point, equal))
-    for text in values_missing(point):
+    for text in missing_value_texts(point):
         show_paragraph(text)
     if point["overlaps"]:
         head = ("both", "violated by", *probability_head, "not by early ends")
@@ -229,7 +228,7 @@ def show_points(result: "Result") -> None:
     Only the first :data:`MOST_ROWS` points are printed.
     """
     axes = result.study.axes
-    metric = headline(result).name
+    metric = headline_measure(result.study).name
     has_several_requirements = len(result.study.requirements) > 1
     result = result.with_theorem()
     equal = result.has_equal_draws

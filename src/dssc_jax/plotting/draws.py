@@ -22,7 +22,7 @@ from dssc_jax.plotting.style import (
     title,
 )
 from dssc_jax.plotting.thinning import spaced_indices
-from dssc_jax.results.influence import by_influence, groups_of
+from dssc_jax.results.influence import equal_count_bins, sorted_by_influence
 from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
@@ -36,7 +36,7 @@ def failures(result: Result) -> Figure:
 
     The metric is the one that ``[plot]`` names, else that of the requirement which most draws violate.
     """
-    laws = by_influence(result, drawable_laws(result))[:MOST_FACTORS]
+    laws = sorted_by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     panels = 1 + len(laws)
     columns = min(3, panels)
     rows = math.ceil(panels / columns)
@@ -137,7 +137,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     figure, ax = panel(ax, SMALL)
     values = result.dataset[name].values
     failed = result.failed.values
-    groups = groups_of(values)
+    groups = equal_count_bins(values)
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
     distances = None

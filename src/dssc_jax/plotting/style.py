@@ -118,6 +118,11 @@ def title(figure: Figure, text: str) -> None:
     figure.suptitle("\n".join(lines), parse_math=False)
 
 
+def drawable(values: np.ndarray) -> np.ndarray:
+    """Values that fit on an axis; NaN in the place of larger ones, see :data:`DRAWABLE`."""
+    return np.where(np.abs(values) < DRAWABLE, values, np.nan)
+
+
 def is_log(values: np.ndarray) -> bool:
     """Whether an axis of values should be logarithmic: they are positive and span more than :data:`LOG_SPAN`."""
     finite = values[np.isfinite(values)]

@@ -27,10 +27,10 @@ from dssc_jax.report.elements import (
 )
 from dssc_jax.report.subject import Subject
 from dssc_jax.report.vector import inline_svg
-from dssc_jax.results.influence import by_influence, idle_text
-from dssc_jax.results.result import Result, headline
+from dssc_jax.results.influence import idle_text, sorted_by_influence
+from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.results.schema import ENDINGS, name_with_unit, outcome_codes
-from dssc_jax.results.summary import SummaryRow, extreme_points, most_violated, values_missing
+from dssc_jax.results.summary import SummaryRow, extreme_points, missing_value_texts, most_violated
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Described, Study
 
@@ -106,7 +106,7 @@ def outcome_tables(subject: Subject) -> list[h.Node]:
     return [
         table(f"Outcomes of {count_text(draws, 'draw')}{subject.point_phrase}", head, rows),
         h.p[note],
-        *(h.p[f"{text}."] for text in values_missing(point)),
+        *(h.p[f"{text}."] for text in missing_value_texts(point)),
         *joint_violations(point, result.study),
     ]
 
@@ -138,7 +138,7 @@ def point_tables(subject: Subject) -> list[h.Node]:
     study = subject.result.study
     points = subject.summary["points"]
     axes = [name_with_unit(name, study.quantities[name].unit) for name in study.axes]
-    median = f"median {headline(subject.result).name}"
+    median = f"median {headline_measure(subject.result.study).name}"
     violated = ["most violated"] if len(study.requirements) > 1 else []
     head = (*axes, "failures", "probability", f"{LEVEL} interval", *violated, median, "certified")
     best, worst = extreme_points(points)
@@ -162,7 +162,7 @@ def point_tables(subject: Subject) -> list[h.Node]:
 def point_cells(subject: Subject, point: SummaryRow) -> tuple[h.Node, ...]:
     """Cells of a point of a sweep: its values, failures, main failure, median of the headline metric, certificate."""
     values = (number(point[name]) for name in subject.result.study.axes)
-    median = point["metrics"][headline(subject.result).name]["q50"]
+    median = point["metrics"][headline_measure(subject.result.study).name]["q50"]
     main_failure = [most_violated(point)] if len(point["requirements"]) > 1 else []
     return *values, *failure_cells(point), *main_failure, number(median), CERTIFIED_TEXT[point["certified"]]
 
@@ -179,7 +179,7 @@ def sweep_section(subject: Subject) -> Section | None:
     over = " and ".join(plotted_axes or result.study.axes)
     span = f"from {number(min(shares))} to {number(max(shares))}"
     text = f"Failure probability over {over}: {span}. All points are in the table of the outcome."
-    metric = headline(result).name
+    metric = headline_measure(result.study).name
     hatched = " (hatched)" if "certified" in result.with_theorem().dataset else ""
     sentences = ""
     if result.certificate:
@@ -213,7 +213,7 @@ def metrics(subject: Subject) -> Section:
         meaning = result.dataset[measure.name].attrs["long_name"]
         rows.append((h.code[measure.name], meaning, unit, *map(number, quantiles), " ".join(bounds)))
     head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
-    name = headline(subject.result).name
+    name = headline_measure(subject.result.study).name
     text = f"Share of draws at or below each value of {name}; its quantiles are in the table."
     picture = inline_svg(lambda: plotting.distribution(result), text, "distribution")
     caption = f"Distribution of {name} with the interval of each share."
@@ -234,7 +234,7 @@ def unit_of(result: Result, measure: Measure) -> str:
 def causes(subject: Subject) -> Section | None:
     """Section with the failure probability against each uncertain number; None if no draw fails, or all do."""
     result = subject.point_result
-    names = by_influence(result, drawable_laws(result))[:MOST_FACTORS]
+    names = sorted_by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     failures = int(result.failed.sum())
     if not names or not 0 < failures < result.failed.size:
         return None

@@ -9,7 +9,7 @@ import xarray as xr
 
 from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.result import Result, headline
+from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.results.summary import JsonObject, Summary, SummaryRow
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described
@@ -111,7 +111,7 @@ def worst_draws(result: Result, count: int) -> list[int]:
     if requirements:
         slack = np.min([result.dataset[rule.name].values / rule.scale for rule in requirements], axis=0)
     else:
-        value = result.dataset[headline(result).name].values
+        value = result.dataset[headline_measure(result.study).name].values
         slack = -np.where(np.isnan(value), np.inf, value)
     end = result.dataset["failed_at"].values
     order = np.lexsort((np.where(np.isnan(end), np.inf, end), slack))
