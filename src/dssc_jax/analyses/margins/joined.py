@@ -10,8 +10,8 @@ import xarray as xr
 from dssc_jax.analyses.margins.result import MarginAnswer, Margins
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.results.analysis import restored, settings
-from dssc_jax.results.fields import MERGED
+from dssc_jax.results.analysis import restored_analysis
+from dssc_jax.results.fields import MERGED, stored_fields
 from dssc_jax.study import Study
 
 
@@ -78,7 +78,7 @@ def margin_parts(margins: Mapping[str, Margins]) -> dict[str, MarginPart]:
     parts = {}
     for name, margin in margins.items():
         variables = tuple(map(str, margin.dataset))
-        parts[name] = MarginPart(settings(margin), variables, margin.dataset["slack"].attrs["units"])
+        parts[name] = MarginPart(stored_fields(margin), variables, margin.dataset["slack"].attrs["units"])
     return parts
 
 
@@ -97,5 +97,5 @@ def split_margins(
     for name, part in parts.items():
         data = dataset.sel({dimension: name}, drop=True)[list(part.variables)]
         data = data.assign(slack=data["slack"].assign_attrs(units=part.slack_unit))
-        margins[name] = restored(Margins, study_of(name), data, part.settings)
+        margins[name] = restored_analysis(Margins, study_of(name), data, part.settings)
     return margins
