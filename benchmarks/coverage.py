@@ -18,13 +18,13 @@ from page import put
 from scipy import integrate, optimize, special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.selection.race import race
 from dssc_jax.analyses.sensitivity.chaos import Chaos
-from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal
+from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal_reason
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
+from dssc_jax.analyses.slacks import SlackFunction
 from dssc_jax.statistics import (
     CONFIDENCE,
     FixedCount,
@@ -132,7 +132,7 @@ def indices(function: Callable[[np.ndarray], np.ndarray], truth: np.ndarray, row
         f_a, f_b = function(a), function(b)
         mixed = np.stack([np.where(np.arange(factors) == i, b, a) for i in range(factors)])
         known = np.concatenate([[a, b], mixed])[..., : factors - noisy]
-        found = refusal(f_a, f_b) or sobol_indices(f_a, f_b, function(mixed), chaos=Chaos(known, REPLICATES))
+        found = refusal_reason(f_a, f_b) or sobol_indices(f_a, f_b, function(mixed), chaos=Chaos(known, REPLICATES))
         return found if isinstance(found, str) else side(np.stack(found)[..., 1:], truth)
 
     return trial

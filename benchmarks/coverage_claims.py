@@ -6,7 +6,7 @@ from scipy import special, stats
 
 from dssc_jax.analyses.region.safe_region import PASSING, thresholds
 from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, trajectories
-from dssc_jax.analyses.sensitivity.shapley import chained_scores, orders, shapley_effects
+from dssc_jax.analyses.sensitivity.shapley import chained_scores, random_orders, shapley_effects
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.engine.sampling import inside_cube
 from dssc_jax.statistics import CONFIDENCE, tolerance_limits
@@ -56,7 +56,7 @@ def shapley(rows: int, correlation: float) -> Trial:
     truth = parts / parts.sum()
 
     def trial(seed: int) -> np.ndarray:
-        order = orders(rows, 3, (seed,))
+        order = random_orders(rows, 3, (seed,))
         first, second = (special.ndtri(inside_cube(points)) for points in saltelli(rows, 3, (seed,)))
         values = chained_scores(matrix, first, second, order) @ WEIGHTS
         return side(shapley_effects(values, order)[:, 1:], truth)

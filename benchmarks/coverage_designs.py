@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special, stats
 
 from dssc_jax.analyses.probability.strata import stratified_probability
-from dssc_jax.analyses.rare_events.estimate import SlackFunction
+from dssc_jax.analyses.slacks import SlackFunction
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
 from dssc_jax.statistics import FixedCount, Replicated

@@ -15,11 +15,11 @@ from scipy import interpolate, signal, special, stats
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.engine.sampling import draw
-from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.least_squares import fit_scale
-from dssc_jax.flight_logs.prediction import Prediction
-from dssc_jax.flight_logs.reader import Column, FlightLog
-from dssc_jax.flight_logs.refusals import FitRefused
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.least_squares import fit_scale
+from dssc_jax.flight_logs.fit.prediction import Prediction
+from dssc_jax.flight_logs.fit.refusals import FitRefused
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import curves_of_draws
 
 PAGE = Path(__file__).parents[1] / "docs" / "flight.md"

@@ -123,7 +123,7 @@ class Clock:
     def __init__(self) -> None:
         machine.target_machine()
         llvm.initialize_native_asmparser()
-        self._engine = machine.engine_of(machine.module_here(CHAIN))
+        self._engine = machine.engine_of(machine.parsed_module(CHAIN))
         self._engine.finalize_object()
         self._chain = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)(self._engine.get_function_address("chain"))
 

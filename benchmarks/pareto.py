@@ -16,8 +16,8 @@ from matplotlib.ticker import NullLocator
 import dssc_jax as dj
 from dssc_jax import plotting
 from dssc_jax.analyses.comparison.rivals import controller_table
-from dssc_jax.analyses.falsification.falsify import hunt
-from dssc_jax.analyses.falsification.hunt import Programs
+from dssc_jax.analyses.falsification.falsify import search_worst_draw
+from dssc_jax.analyses.falsification.search import SearchPrograms
 from dssc_jax.analyses.tuning.gradients import check_gradients
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
@@ -202,8 +202,8 @@ def planted_lines(budget: Budget) -> list[str]:
     study = dj.Study.load(STUDIES / "falsify_corner.toml")
     failures = dj.run(study.override({"draws": budget.planted, "seed": 5})).summary()["points"][0]["failures"]
     low, high = clopper_pearson(failures, budget.planted)
-    programs = Programs.of(study, 1000)
-    found = [hunt(programs, 1000, seed) for seed in range(10)]
+    programs = SearchPrograms.of(study, 1000)
+    found = [search_worst_draw(programs, 1000, seed) for seed in range(10)]
     first = sorted(each.first_failure for each in found if each.first_failure is not None)
     return [
         f"A planted failure in a box of five dimensions: {failures} of {budget.planted:,} random draws fail, a "

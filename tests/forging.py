@@ -3,7 +3,7 @@
 import json
 
 from dssc_jax.results.blocks import Chunks
-from dssc_jax.results.digests import DIGESTS, over_all
+from dssc_jax.results.digests import DIGESTS, digest_of_all
 from dssc_jax.results.manifest import SEAL, read_manifest, stored_layout, write_manifest
 from dssc_jax.study import Study
 
@@ -23,4 +23,4 @@ def redigested(folder):
     for block in layout.blocks():
         held = {name: chunks.arrays[name][block[-1:] if name in study.laws else block] for name in chunks.arrays}
         chunks.write(block, held, {})
-    resealed(folder, **{DIGESTS: over_all(folder, layout)})
+    resealed(folder, **{DIGESTS: digest_of_all(folder, layout)})

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.formulas import formula_metric
-from dssc_jax.closed_loop.metrics import Instant, Sample, Span
+from dssc_jax.closed_loop.instants import Instant, Sample
+from dssc_jax.closed_loop.metrics import Span
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.numerics import as_arrays

@@ -14,7 +14,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.main import guarded
 from dssc_jax.console.answers import show_analysis
-from dssc_jax.flight_logs.reader import Column
+from dssc_jax.flight_logs.reading.reader import Column
 from dssc_jax.results.fields import field_meanings
 from dssc_jax.results.manifest import write_json, write_sealed
 from tests.loops import LAGGED

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.metrics import METRICS, Instant, Measure, Scope, Window, starts, update_all, values
+from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.metrics import METRICS, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.results.schema import variables
 from dssc_jax.study.measuring import PACKAGE_METRICS
 
 OWN = """
 import jax.numpy as jnp
-from dssc_jax.closed_loop.metrics import Metric, itself, peak
-JERK = Metric("m/s", "largest change of the command in a sample", peak(lambda s: s.u - s.u_previous), itself)
+from dssc_jax.closed_loop.metrics import Metric, final_value, peak
+JERK = Metric("m/s", "largest change of the command in a sample", peak(lambda s: s.u - s.u_previous), final_value)
 WORD = "no metric"
-error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), itself)
+error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), final_value)
 """
 
 

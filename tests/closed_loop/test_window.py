@@ -10,7 +10,7 @@ from pydantic import ValidationError
 import dssc_jax as dj
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window, window_entries
-from dssc_jax.report.study_sections import sentence
+from dssc_jax.report.study_sections import requirement_text
 from dssc_jax.results.schema import variables
 from dssc_jax.study.schema import MetricsTable, RequirementTable
 
@@ -65,7 +65,7 @@ def test_a_field_is_parsed_printed_and_copied(name):
         if place == "requirement":
             said = entry.words.format(value)
             assert said in requirement.text
-            assert said in "".join(str(part) for part in sentence(requirement))
+            assert said in "".join(str(part) for part in requirement_text(requirement))
             assert said in variables(read)[requirement.name].attributes["long_name"]
             assert requirement.measure.name.endswith(entry.suffix.format(value))
             usual = study(metrics={entry.key: value}).requirements[0].measure

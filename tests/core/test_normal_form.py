@@ -38,7 +38,7 @@ def test_the_form_is_found_from_any_coordinates(order, seed):
     system = realised(turn @ a @ np.linalg.inv(turn), turn @ b, c @ np.linalg.inv(turn))
     form = normal_form(*transfer_function(system))
     assert form.relative_degree == relative_degree(system) == 2
-    assert form.silence == ""
+    assert form.obstacle == ""
     found = [form.gain, form.damping, form.stiffness, *form.zero_a, *form.zero_c]
     np.testing.assert_allclose(found, [k, damping, stiffness, *zero_a, *zero_c], rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(
@@ -71,7 +71,7 @@ def test_the_transfer_function_is_that_of_scipy(seed):
 def test_what_is_outside_of_the_class_says_why(numerator, denominator, silence):
     import re
 
-    assert re.search(silence, normal_form(numerator, denominator).silence)
+    assert re.search(silence, normal_form(numerator, denominator).obstacle)
 
 
 def test_a_command_that_does_not_reach_the_output():

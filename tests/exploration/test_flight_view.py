@@ -7,8 +7,8 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.exploration.figures import TICK_TEXT
 from dssc_jax.exploration.flight_page import flight_html
-from dssc_jax.exploration.flight_view import VIEW, FlightView, mark_of, recorded_flights
-from dssc_jax.exploration.live import ATTITUDE, LiveRun, flies, recorded_signals
+from dssc_jax.exploration.flight_view import VIEW, FlightView, failure_sample, recorded_flights
+from dssc_jax.exploration.live import ATTITUDE, LiveRun, has_vehicle, recorded_signals
 from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
 from tests.browser import BROWSER, needs_browser
 
@@ -41,10 +41,10 @@ def flown(tmp_path_factory):
 
 def test_which_studies_fly(flown):
     _, run = flown
-    assert flies(run.study)
+    assert has_vehicle(run.study)
     assert set(ATTITUDE) <= set(recorded_signals(run.study))
     motor = dj.Study.load("motor")
-    assert not flies(motor)
+    assert not has_vehicle(motor)
     with pytest.raises(dj.ConfigError, match="no study of a vehicle"):
         flight_html(motor)
 
@@ -54,7 +54,7 @@ def test_recorded_flights_fail_and_are_marked_as_the_draws_of_a_run(flown):
     _, run = flown
     again = recorded_flights(run.study, [dj.simulate(run.study, draw) for draw in range(6)])
     np.testing.assert_array_equal(again.failed, run.failed)
-    assert [mark_of(again, draw) for draw in range(6)] == [mark_of(run, draw) for draw in range(6)]
+    assert [failure_sample(again, draw) for draw in range(6)] == [failure_sample(run, draw) for draw in range(6)]
     np.testing.assert_allclose(again.signal("theta"), run.signal("theta"), rtol=1e-6, atol=1e-9)
 
 

@@ -7,8 +7,8 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.exploration.study_page import StudyPage
-from dssc_jax.flight_logs.reader import Column, FlightLog
-from dssc_jax.flight_logs.references import study_references
+from dssc_jax.flight_logs.hints.references import study_references
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import curves_of_draws
 from dssc_jax.statistics.conformal import flights_to_confirm, flights_to_refute
 from dssc_jax.study.tables import to_toml

@@ -5,7 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.exploration.sliders import admitted, changes_of, extent_around, grid, sliders_of
+from dssc_jax.exploration.sliders import admissible_sliders, extent_around, slider_positions, sliders_of, study_changes
 from dssc_jax.study.laws import LAWS as FAMILIES
 from dssc_jax.study.laws import Law
 
@@ -63,7 +63,7 @@ def test_ends_outside_are_not_reached():
 def test_positions(explored):
     """Every grid is increasing and contains the ends and the study's own value."""
     for slider in sliders_of(explored):
-        values = grid(slider)
+        values = slider_positions(slider)
         assert list(values) == sorted(set(values))
         assert {slider.low, slider.start, slider.high} <= set(values)
 
@@ -72,23 +72,23 @@ def test_the_study_s_own_value_is_a_position_whatever_its_digits():
     """kappa_o = 110.651 has the text 110.7, and so has no second position of that text."""
     study = dj.Study.load("mu_robustness")
     slider = sliders_of(study, ["controller.functions.kappa_o"])[0]
-    values = grid(slider)
+    values = slider_positions(slider)
     assert 110.651 in values
     assert len({f"{value:.4g}" for value in values}) == len(values)
 
 
 def test_a_study_is_as_its_sliders_stand(explored):
     by_key = {slider.key: slider for slider in sliders_of(explored)}
-    assert changes_of(explored, {slider: slider.start for slider in by_key.values()}) == {}
+    assert study_changes(explored, {slider: slider.start for slider in by_key.values()}) == {}
     positions = {"controller.l0": 2.0, "plant.k_p (width)": 0.5, "loop.sample_time": 0.04}
-    moved = explored.override(changes_of(explored, {by_key[key]: value for key, value in positions.items()}))
+    moved = explored.override(study_changes(explored, {by_key[key]: value for key, value in positions.items()}))
     assert moved.leaves()["controller.l0"] == 2.0
     np.testing.assert_allclose(moved.laws["plant.k_p"].arguments, (0.85, 1.15))
     assert moved.loop.sample_time == 0.04
 
 
 def test_sample_times_divide_the_duration(explored):
-    times = grid(sliders_of(explored, ["loop.sample_time"])[0])
+    times = slider_positions(sliders_of(explored, ["loop.sample_time"])[0])
     assert times == (0.005, 0.01, 0.02, 0.04, 0.08)
     for time in times:
         explored.override({"loop.sample_time": time})
@@ -110,7 +110,7 @@ def test_a_swept_number_moves_along_its_axis(explored):
 def test_rules_between_numbers_narrow_a_slider(explored):
     """A rate limit's sliders may be anything; those of a saturating PID with lo < hi may not cross."""
     law = explored.override({"disturbance": {"kind": "sine", "amplitude": 0.2, "period": 3.0}})
-    assert [s.key for s in admitted(law, sliders_of(law))] == [s.key for s in sliders_of(law)]
+    assert [s.key for s in admissible_sliders(law, sliders_of(law))] == [s.key for s in sliders_of(law)]
 
 
 def test_a_vehicle_begins_with_few_numbers():

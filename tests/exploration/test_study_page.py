@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.exploration.actions import Superseded, ending_when, proof
+from dssc_jax.exploration.actions import Superseded, proof, stop_when_stale
 from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.exploration.study_page import StudyPage
 from dssc_jax.statistics import rounded_probability
@@ -92,7 +92,7 @@ def test_a_proof_on_request():
 
 def test_a_question_ends_when_a_move_has_come():
     with pytest.raises(Superseded):
-        ending_when(lambda: True)(1, 2)
+        stop_when_stale(lambda: True)(1, 2)
 
 
 def test_a_loop_that_no_proof_covers(page):

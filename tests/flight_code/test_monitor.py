@@ -16,7 +16,7 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.monitor import NEVER, initial_monitor, monitor
-from dssc_jax.flight_code.premises import DisturbancePremises, above, outwards
+from dssc_jax.flight_code.premises import DisturbancePremises, rounded_outwards, rounded_up
 from dssc_jax.flight_code.seen_disturbance import initial_seen, mean_disturbance, see
 from dssc_jax.flight_code.traced_monitor import monitor_state, sample_shape, typed
 from dssc_jax.lanes.lanes import CompiledLanes
@@ -180,12 +180,12 @@ def test_bounds_are_rounded_outwards():
     single = np.dtype(np.float32)
     rng = np.random.default_rng(0)
     for value in rng.normal(size=1000):
-        assert above(value, single) >= value
-        assert np.float32(above(value, single)) == above(value, single)
-        assert np.nextafter(np.float32(above(value, single)), np.float32(-np.inf)) < value
-        low, high = outwards((value, value), single)
+        assert rounded_up(value, single) >= value
+        assert np.float32(rounded_up(value, single)) == rounded_up(value, single)
+        assert np.nextafter(np.float32(rounded_up(value, single)), np.float32(-np.inf)) < value
+        low, high = rounded_outwards((value, value), single)
         assert low <= value <= high
-    assert above(0.5, single) == 0.5
+    assert rounded_up(0.5, single) == 0.5
 
 
 def c_monitor(folder, place):

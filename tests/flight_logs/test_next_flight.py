@@ -8,8 +8,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
-from dssc_jax.flight_logs.reader import Column, FlightLog
-from dssc_jax.flight_logs.references import study_references
+from dssc_jax.flight_logs.hints.references import study_references
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import curves_of_draws
 from dssc_jax.statistics.exchangeable import Yardstick
 from dssc_jax.study.tables import to_toml

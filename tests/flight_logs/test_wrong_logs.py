@@ -9,7 +9,12 @@ import tomli_w
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.conversions import (
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations, Readings
+from dssc_jax.flight_logs.fit.log_sampling import sampled_log
+from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch
+from dssc_jax.flight_logs.fit.refusals import NotIdentifiable, Unexplained, require_unique_minimum
+from dssc_jax.flight_logs.hints.conversions import (
     conversion_text,
     factor_text,
     followed_conversion,
@@ -18,15 +23,10 @@ from dssc_jax.flight_logs.conversions import (
     reference_conversion,
     reference_shift,
 )
-from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.least_squares import FitProblem, NormalEquations, Readings
-from dssc_jax.flight_logs.log_sampling import sampled_log
-from dssc_jax.flight_logs.minima import Minimum, MinimumSearch
-from dssc_jax.flight_logs.reader import Column, FlightLog
-from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, require_unique_minimum
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 from tests.cli.conftest import last_json
-from tests.flight_logs.test_fit import DT, linear, log_of, output
+from tests.flight_logs.fit.test_fit import DT, linear, log_of, output
 
 TIME = DT * np.arange(400)
 SINE = 0.5 * np.sin(np.pi * TIME)  # the reference of the study

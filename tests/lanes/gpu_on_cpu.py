@@ -22,7 +22,7 @@ class Kernel:
             function = f"define i32 {variable}_read() {{\n  %v = load i32, ptr {variable}\n  ret i32 %v\n}}"
             text = text.replace(f"declare i32 {intrinsic}", f"{variable} = global i32 0\n{function}")
             text = text.replace(intrinsic, f"{variable}_read()")
-        module = machine.module_here(text.replace("define ptx_kernel void", "define void"))
+        module = machine.parsed_module(text.replace("define ptx_kernel void", "define void"))
         self._engine = machine.engine_of(module)
         self._engine.finalize_object()
         places = {name: self._engine.get_global_value_address(name) for name in SPECIAL_REGISTERS.values()}

@@ -10,10 +10,11 @@ from dssc_jax.lanes.functions.elementary import ELEMENTARY
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.lanes.tracing.arrays import ARRAY_RULES
 from dssc_jax.lanes.tracing.indexing import INDEXING_RULES
+from dssc_jax.lanes.tracing.loops import LOOPS
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import RANDOM_RULES
-from dssc_jax.lanes.tracing.specification import Specification, TranslationRule, absent
-from dssc_jax.lanes.tracing.translate import INLINED, LOOPS, OVER_LANES
+from dssc_jax.lanes.tracing.specification import Specification, TranslationRule, no_value
+from dssc_jax.lanes.tracing.translate import INLINED, OVER_LANES
 from dssc_jax.lanes.unsupported import Unsupported
 from tests.lanes.against_plain import both
 
@@ -249,7 +250,7 @@ def test_a_parameter_of_a_newer_jax_is_refused(monkeypatch):
     monkeypatch.setitem(ELEMENT_RULES, "mul", older)
     with pytest.raises(Unsupported, match=r"'mul' in .*: an unknown parameter out_dtype = None"):
         CompiledLanes(lambda x: x * x, jax.ShapeDtypeStruct((), np.float64), width=4)
-    assert known.specification.parameters["out_dtype"] is absent
+    assert known.specification.parameters["out_dtype"] is no_value
 
 
 def test_another_type_is_refused_as_input_and_as_result():

@@ -11,7 +11,6 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.problem import problem_from
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
 from dssc_jax.proofs.search.gains import GAIN_NAMES, gain_hull
@@ -271,10 +270,6 @@ def test_a_proof_says_that_it_does_not_speak_of_formulas(capsys):
     settings = ["plant.a_p=0.3", "plant.k_p=1.0", "unmodelled.mu=0.01", f"requirement={formula}", "controller.l0=0.5"]
     guarded(["prove", "certified_margin", "--boxes", "1", *(part for each in settings for part in ("--set", each))])
     assert "proofs neither use nor prove formulas: formula_1" in capsys.readouterr().out
-
-
-def test_a_problem_survives_its_file(proved):
-    assert problem_from(json.loads(json.dumps(proved.problem.to_dict()))) == proved.problem
 
 
 def test_the_last_proved_value_is_bisected(capsys):

@@ -189,14 +189,14 @@ def test_rotors_with_a_lag_remember_the_cells_before():
         after = remainders_of(content, at, calm, dampings, before)
         assert after.rotors.smallest == before.rotors.smallest < alone.rotors.smallest
         assert after.rotors.largest == before.rotors.largest > alone.rotors.largest
-        assert after.behind_by == before.behind_by > alone.behind_by
+        assert after.shortfall == before.shortfall > alone.shortfall
         assert alone.channels["x"]["lag"] < after.channels["x"]["lag"] < before.channels["x"]["lag"]
         four = remainders_of(content | {"rotors": 4}, at, rough, dampings)
-        assert remainders_of(content | {"rotors": 4}, at, calm, dampings, four).behind_by < four.behind_by
+        assert remainders_of(content | {"rotors": 4}, at, calm, dampings, four).shortfall < four.shortfall
         stiff = problem()
         before = remainders_of(stiff, at, rough, dampings)
         assert remainders_of(stiff, at, calm, dampings, before) == remainders_of(stiff, at, calm, dampings)
-        too_far = after._replace(behind_by=arb(100))
+        too_far = after._replace(shortfall=arb(100))
         with pytest.raises(Rejected, match="V3: the rotors may be too far behind"):
             remainders_of(content, at, calm, dampings, too_far)
 

@@ -17,20 +17,19 @@ from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
 from dssc_jax.proofs.search.vehicle.bounds import linear_channels
 from dssc_jax.proofs.search.vehicle.deviations import points_of
-from dssc_jax.proofs.search.vehicle.nominal import answer_of, drives_of
+from dssc_jax.proofs.search.vehicle.nominal import axis_inputs_of, steady_response
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
-from dssc_jax.proofs.vehicle_problem import vehicle_problem_from
 from dssc_jax.proofs.vehicle_words import vehicle_in_words
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.deviations import deviations_of
-from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
+from dssc_jax.proofs.verifier.vehicle.flight import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import PHASES, observe_channel
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.test_vehicle_remainders import random_case
 from tests.proofs.test_vehicle_verifier import linear_proof, middles, sampled_numbers
-from tests.proofs.vehicle_cases import HOVER, problem
+from tests.proofs.vehicle_cases import HOVER, problem, vehicle_problem_from
 from tests.proofs.vehicle_model import commanded, plane_remainders, signals_and_remainders, turned
 
 REFERENCE = {"x": [2.0, 4.0, 0.3], "y": [1.5, 4.0, 1.9], "z": [0.5, 3.0, 0.0], "psi": [-0.4, 4.0, 0.5]}
@@ -343,11 +342,11 @@ def nominal_samples(content, name, axis, count):
     proofs = content["proof"]["channels"]
     damping = (proofs["x"]["drag_damping"], proofs["z"]["drag_damping"])
     slopes = (*proofs[name]["slopes"], proofs[name]["share"])
-    drive = drives_of(vehicle, damping[0])[axis]
+    inputs = axis_inputs_of(vehicle, damping[0])[axis]
     linear = linear_channels(vehicle, damping)[name]
     t = vehicle.sample_time * np.arange(count)
     result = np.zeros((count, 2))
-    for frequency in drive.frequencies:
-        state = answer_of(vehicle, name, linear, slopes, drive, frequency).state[:2]
+    for frequency in inputs.frequencies:
+        state = steady_response(vehicle, name, linear, slopes, inputs, frequency).state[:2]
         result += np.real(np.exp(2j * np.pi * float(frequency) * t)[:, None] * state)
     return result

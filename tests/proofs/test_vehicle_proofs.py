@@ -13,7 +13,6 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs.prove_vehicle import VehicleProved
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
-from dssc_jax.proofs.vehicle_problem import vehicle_problem_from
 from dssc_jax.proofs.vehicle_words import digits_above, digits_below
 
 pytest.importorskip("flint")
@@ -145,11 +144,6 @@ def test_what_a_proof_does_not_cover_is_named(changes: dict[str, object], reason
     """A part outside of the theorem is refused by name."""
     with pytest.raises(NotCovered, match=reason):
         vehicle_problem_of(dj.Study.load(TUNED).override(changes))
-
-
-def test_a_problem_survives_its_file(tuned: VehicleProved) -> None:
-    """A problem is the same after JSON."""
-    assert vehicle_problem_from(json.loads(json.dumps(tuned.problem.to_dict()))) == tuned.problem
 
 
 def larger(*path: str, by: float = 1.02) -> Callable[[JsonObject], None]:

@@ -7,7 +7,8 @@ from flint import arb
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.drag import DragRegion, plane_drag, vertical_drag
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
-from dssc_jax.proofs.verifier.vehicle.remainders import farthest_behind, remainders_of
+from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
+from dssc_jax.proofs.verifier.vehicle.rotors import largest_shortfall
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.vehicle_cases import HOVER, problem
 from tests.proofs.vehicle_model import Motion, Multirotor, commanded, signals_and_remainders
@@ -180,5 +181,5 @@ def test_rotors_of_an_octocopter_are_behind_in_the_null_space_of_the_allocation_
                 whole = max(whole, np.abs(behind).max())
         exceeded |= whole > part * (1.0 + 1e-6)
         with ball_precision():
-            assert whole <= float(farthest_behind(arb(8), arb(part), arb(float(smallest))))
+            assert whole <= float(largest_shortfall(arb(8), arb(part), arb(float(smallest))))
     assert exceeded

@@ -1,5 +1,7 @@
 """A problem of the whole vehicle for the tests of proofs."""
 
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+
 HOVER = 9.81
 """g [m/s^2]."""
 
@@ -50,3 +52,9 @@ def problem(rotor_lag=0.0, delay=0.0):
         },
         "reference": None,
     }
+
+
+def vehicle_problem_from(content):
+    """The search's problem from the content of a certificate."""
+    channels = {name: ChannelProblem(**channel) for name, channel in content["channels"].items()}
+    return VehicleProblem(**{**content, "channels": channels})

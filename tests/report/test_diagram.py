@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.report.diagram import LINE_LENGTH, NAMES, diagram, words
+from dssc_jax.report.diagram import LINE_LENGTH, NAMES, diagram, diagram_text
 from dssc_jax.study.library import find_study
 from tests.conftest import CASE_2, UNCERTAIN
 
@@ -36,7 +36,7 @@ def test_a_vehicle_has_wind_and_channels():
     study = dj.Study.load(find_study("uav_robustness"))
     assert titles(study) == ALWAYS | {"nominal control", "sensor", "wind"}
     assert "x, y, z, psi" in str(diagram(study))
-    assert "dryden" in words(study)
+    assert "dryden" in diagram_text(study)
 
 
 def test_a_sensor_of_one_channel_alone_is_there():
@@ -61,7 +61,7 @@ def test_the_common_kind_of_a_slot_may_be_absent(slot):
     part = CHANNEL_PARTS[slot]
     by_channel = dj.Study.from_table({**study.table, slot: dict.fromkeys(study.loop.channels, part)})
     common = dj.Study.from_table({**study.table, slot: part})
-    assert words(by_channel) == words(common)
+    assert diagram_text(by_channel) == diagram_text(common)
     neutral = {"kind": "ideal" if slot == "sensor" else "none"}
     absent = dj.Study.from_table({**study.table, slot: dict.fromkeys(study.loop.channels, neutral)})
     assert titles(absent) == titles(common) - {NAMES[slot]}
@@ -76,7 +76,7 @@ def test_the_sensor_of_measured_signals_needs_no_kind():
     table["sensor"]["y"] = {"kind": "noisy", "position_std": 0.1}
     study = dj.Study.from_table(table)
     assert titles(study) == plain | {"sensor"}
-    assert "sensor noisy" in words(study)
+    assert "sensor noisy" in diagram_text(study)
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -87,7 +87,7 @@ def test_the_studies_of_the_documentation_have_a_diagram(page):
         if not {"loop", "plant", "controller"} <= table.keys():
             continue
         study = dj.Study.from_table(table)
-        assert str(study.config.plant["kind"]) in words(study)
+        assert str(study.config.plant["kind"]) in diagram_text(study)
         checked += 1
     assert checked
 

@@ -14,7 +14,7 @@ from dssc_jax.report.page import SECTIONS, STYLE_SHEET
 from dssc_jax.report.proof_section import proofs
 from dssc_jax.report.study_sections import dependence
 from dssc_jax.report.subject import Subject, worst_draws
-from dssc_jax.report.vector import SVG_COLOURS, inline
+from dssc_jax.report.vector import SVG_COLOURS, inline_svg
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import read_toml
 from tests.conftest import UNCERTAIN
@@ -234,7 +234,7 @@ def test_numbers():
 
 
 def test_figures_take_the_pages_colours(ran):
-    drawn = inline(lambda: dj.plot.distribution(ran), 'a "figure"', "p")
+    drawn = inline_svg(lambda: dj.plot.distribution(ran), 'a "figure"', "p")
     assert 'aria-label="a &#34;figure&#34;"' in drawn
     assert "currentColor" in drawn
     assert not any(colour.lower() in drawn.lower() for colour in SVG_COLOURS)

@@ -152,7 +152,7 @@ def test_a_run_without_a_sweep_grows(study, tmp_path):
 def test_a_run_killed_while_growing(study, copied, monkeypatch):
     more = study.override({"draws": 40})
     with monkeypatch.context() as patch:
-        patch.setattr("dssc_jax.results.store.reshape", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("dssc_jax.results.store.extend_arrays", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             dj.run(more, copied, resume=True)
     with pytest.raises(ConfigError, match="is not complete: 96 of 240 lanes are missing"):

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import dssc_jax as dj
-from dssc_jax.results.influence import by_influence, idle_axes, idle_text, influence, largest_change
+from dssc_jax.results.influence import idle_axes, idle_text, influence, largest_change, sorted_by_influence
 from tests.conftest import UNCERTAIN
 
 LOOP = {
@@ -65,8 +65,8 @@ def test_influence_is_the_share_of_variance_that_a_number_explains():
     assert influence(forced, "plant.k_p") == pytest.approx(1.0 - 7 / 399)
     assert influence(forced, "plant.a_p") < 0.05
     names = list(result.study.laws)
-    assert by_influence(forced, names)[0] == "plant.k_p"
-    assert sorted(by_influence(forced, names)) == sorted(names)
+    assert sorted_by_influence(forced, names)[0] == "plant.k_p"
+    assert sorted(sorted_by_influence(forced, names)) == sorted(names)
 
 
 def test_the_figure_of_failures_shows_the_most_influential_numbers_and_how_many_more_there_are():
@@ -78,7 +78,7 @@ def test_the_figure_of_failures_shows_the_most_influential_numbers_and_how_many_
     assert len(result.study.laws) == 6
     assert "the 5 most influential of 6 uncertain numbers" in figure._suptitle.get_text()
     shown = [ax.get_xlabel().partition("\n")[0] for ax in figure.axes[1:] if ax.get_xlabel()]
-    assert shown == by_influence(result, list(result.study.laws))[:5]
+    assert shown == sorted_by_influence(result, list(result.study.laws))[:5]
 
 
 def test_probability_axes_fit_the_data():

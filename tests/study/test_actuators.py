@@ -12,7 +12,7 @@ from dssc_jax.engine.linearisation.smooth_parts import declared_places
 from dssc_jax.exploration.sliders import sliders_of
 from dssc_jax.models.actuators.backlash import BACKLASH
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.report.diagram import words
+from dssc_jax.report.diagram import diagram_text
 from tests.conftest import UNCERTAIN
 
 BUS = {"kind": "delay", "samples": 2.0, "memory": 4}
@@ -44,7 +44,7 @@ def test_numbers_have_the_label_or_the_index_of_their_element():
     swept = study.override({"sweep": {"actuator.servo.mu": [0.01, 0.1], "actuator.0.samples": [0.0, 3.5]}})
     assert set(swept.axes) == {"actuator.servo.mu", "actuator.0.samples"}
     assert "actuator.0.samples" in [slider.name for slider in sliders_of(study)]
-    assert "unmodelled delay + lag" in words(study)
+    assert "unmodelled delay + lag" in diagram_text(study)
     assert "delay + lag" in str(study)
 
 

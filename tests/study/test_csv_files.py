@@ -10,10 +10,10 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.contents import log_contents
+from dssc_jax.flight_logs.reading.contents import log_contents
 from dssc_jax.study.csv_files import CsvForm, RecordWarning, csv_form, whole_rows
 from dssc_jax.study.recorded import recorded_columns
-from tests.flight_logs.test_ulog import TAKEOFF
+from tests.flight_logs.reading.test_ulog import TAKEOFF
 
 ROWS = [(0.02 * k, np.sin(0.02 * k), -1.5e-3 * k) for k in range(50)]
 

@@ -9,7 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.references import study_references
+from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.study.recorded import recorded_columns
 from dssc_jax.study.tables import to_toml
 

@@ -10,7 +10,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.plotting import save_figure
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.analysis_folder import require_free
+from dssc_jax.results.analysis_folder import require_free_folder
 from dssc_jax.study import Study, hash_of
 
 AnalysisKind = TypeVar("AnalysisKind", bound=Analysis)
@@ -44,7 +44,7 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
         ConfigError: the folder holds something else.
     """
     folder = out or usual_folder(study, name or kind, *options)
-    require_free(folder, kind, study)
+    require_free_folder(folder, kind, study)
     return folder
 
 

@@ -3,7 +3,7 @@
 import json
 
 from dssc_jax.cli.exit_codes import DONE, FAILS
-from dssc_jax.console.designs import latex, show
+from dssc_jax.console.designs import latex, show_design
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design import check
 from dssc_jax.design.feasibility import limits
@@ -44,5 +44,5 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
     elif as_latex:
         print(latex(design, certificate))
     else:
-        show(design, certificate, reach)
+        show_design(design, certificate, reach)
     return DONE if certificate.certified else FAILS

@@ -5,7 +5,7 @@ from pathlib import Path
 from dssc_jax.cli.declarations.types import LogOptions
 from dssc_jax.cli.parsing import parse_assignment
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.reader import FlightLog, read_log
+from dssc_jax.flight_logs.reading.reader import FlightLog, read_log
 from dssc_jax.study import Study, read_toml
 
 

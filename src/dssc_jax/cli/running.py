@@ -11,7 +11,7 @@ from dssc_jax.console.results import show_figures, show_result
 from dssc_jax.console.terminal import notify, progress_bar
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import computing
-from dssc_jax.results.blocks import writing
+from dssc_jax.results.blocks import report_write_errors
 from dssc_jax.results.manifest import MANIFEST, code_entries, machinery_differences, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.stated_errors import StatedAmounts
@@ -98,7 +98,7 @@ def print_result(result: Result, out: Path, as_json: bool) -> None:
         print(flush=True)
     else:
         show_result(result)
-    with writing(out):
+    with report_write_errors(out):
         figures = plotting.save_all(result, out / "figures")
     if not as_json:
         show_figures(figures)

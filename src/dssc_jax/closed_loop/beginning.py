@@ -1,4 +1,4 @@
-"""The states of plant and controllers before the first sample."""
+"""The states of plant and controllers before the first sample; native code with a state outside of JAX starts here."""
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +11,15 @@ from dssc_jax.models.wind import NO_WIND
 
 
 def first_wind(loop: Loop, params: LoopParams) -> Vec3 | None:
-    """The mean wind at the start [m/s]; None: the study has no wind."""
+    """The mean wind at t = 0 [m/s]; None: the study has no wind."""
     return None if loop.wind is NO_WIND else loop.wind.at_start(params.wind, loop.sample_time)
 
 
 def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
-    """The plant's state at t = 0; what it keeps outside of JAX begins."""
+    """The plant's state at t = 0, in equilibrium with the mean wind if the plant can settle.
+
+    A plant with a state outside of JAX, such as an FMU, starts an instance for the lane.
+    """
     state = loop.plant.init(params.plant)
     wind = first_wind(loop, params)
     if loop.plant.settle is not None and wind is not None:
@@ -29,7 +32,10 @@ def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
 
 
 def begin_controller(loop: Loop, params: LoopParams, key: jax.Array, i: int, state: State) -> State:
-    """The state of the controller of channel i before its first step; what it keeps outside of JAX begins."""
+    """The state of the controller of channel i before its first step.
+
+    A controller with a state outside of JAX, such as an FMU, starts an instance for the lane.
+    """
     begin = loop.controller[i].begin
     if begin is None:
         return state

@@ -1,4 +1,4 @@
-"""What a flight computer runs in one channel: differentiator and controller; where angles are unwrapped and wrapped.
+"""The software of a flight computer in one channel: differentiator and controller, with unwrapped angles.
 
 An angle passes from the plant to the controller in four forms:
 
@@ -13,7 +13,6 @@ Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics cou
 from typing import NamedTuple
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.numerics import turned_near, wrap_angle
 from dssc_jax.core.signals import (
     Command,
@@ -30,12 +29,12 @@ from dssc_jax.core.signals import (
 
 
 class ControlState(NamedTuple):
-    """State of what a flight computer runs in one channel.
+    """State of the flight computer's software in one channel.
 
     Args:
         differentiator: State of the differentiator.
         controller: State of the controller.
-        reading: The last reading of an angle, continuous in time [rad]; (), if the output is no angle.
+        reading: The last reading of an angle, continuous in time [rad]; () if the output is no angle.
     """
 
     differentiator: State
@@ -43,15 +42,15 @@ class ControlState(NamedTuple):
     reading: State = ()
 
 
-class Controlled(NamedTuple):
-    """One channel at one sample.
+class ControlResult(NamedTuple):
+    """Inputs and outputs of the flight computer in one channel at one sample.
 
     Args:
-        reading: What the flight computer gets: the sensor's reading, an angle in (-pi, pi].
+        reading: The sensor's reading; an angle in (-pi, pi].
         sensed: The controller's measurement, after the differentiator; an angle is continuous in time.
         reference: The controller's reference; that of an angle lies within pi of the measurement.
         command: The command.
-        info: What the controller reports.
+        info: The controller's info.
     """
 
     reading: Measurement
@@ -77,9 +76,8 @@ def measure(
         references: The desired outputs.
         drive: The plant's input just before; None: commands and disturbances are 0.
     """
-    zeros = (0.0,) * len(loop.channels)
     if drive is None:
-        drive = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
+        drive = loop.zero_input(params.plant)
     measurements = loop.mimo_plant.measure(params.plant, plant, drive)
     return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
 
@@ -95,10 +93,10 @@ def near_reference(loop: Loop, i: int, measurement: Measurement, reference: Refe
 
 
 def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Measurement:
-    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the one before.
+    """The measurement of channel i; an angle is shifted by whole turns to lie within pi of the previous one [rad].
 
-    So the angle is continuous in time, unless it turns by more than pi within a sample. What has a memory, a sensor
-    or a differentiator, must see no jump by a turn.
+    So the angle is continuous in time, unless it turns by more than pi within a sample. Sensors and differentiators
+    have a memory, which must see no jump by a turn.
     """
     if not is_angle(loop, i):
         return measurement
@@ -107,14 +105,22 @@ def unwrap(loop: Loop, i: int, measurement: Measurement, previous: State) -> Mea
 
 
 def principal_value(loop: Loop, i: int, measurement: Measurement) -> Measurement:
-    """What the sensor of channel i sends to the flight computer: an angle by its principal value in (-pi, pi]."""
+    """The reading that the sensor of channel i sends to the flight computer: an angle is wrapped to (-pi, pi]."""
     return measurement._replace(y=wrap_angle(measurement.y)) if is_angle(loop, i) else measurement
 
 
 def initial_control(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> ControlState:
-    """Differentiator and controller of channel i at the first sample, before their first step."""
+    """The state of differentiator and controller of channel i at the first sample, before their first step.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        i: Index of the channel.
+        reading: The sensor's first reading.
+        reference: The desired output.
+    """
     differentiator, sensed, desired = first_signals(loop, params, i, reading, reference)
     controller = loop.controller[i].init(params.controller[i], sensed, desired)
     return ControlState(differentiator, controller, reading.y if is_angle(loop, i) else ())
@@ -123,16 +129,16 @@ def initial_control(
 def first_signals(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
-    """State of channel i's differentiator before its first step, and the controller's inputs in that step."""
+    """State of channel i's differentiator before its first step, and the controller's two inputs in that step."""
     of_channel = reading._replace(signals=())
     differentiator = loop.differentiator[i].init(params.differentiator[i], of_channel)
     _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, of_channel, loop.sample_time)
     sensed = sensed._replace(signals=required_signals(loop, i, reading.signals))
-    return differentiator, sensed, nearest_reference(loop, i, reference, sensed)
+    return differentiator, sensed, reference_near_measurement(loop, i, reference, sensed)
 
 
 def required_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """The measured signals that the controller of channel i takes, in its order."""
+    """The readings of measured signals that the controller of channel i takes, in its order; all if it names none."""
     signals_of_controller = loop.controller[i].signals
     if not signals_of_controller:
         return signals
@@ -140,7 +146,7 @@ def required_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[S
     return tuple(signals[places.index(signal.name)] for signal in signals_of_controller)
 
 
-def nearest_reference(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
+def reference_near_measurement(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
     """The controller's reference; that of an angle is shifted by whole turns to lie within pi of the measurement.
 
     The reference is shifted, not the measurement: a controller that differentiates its measurement sees no jump where
@@ -154,7 +160,7 @@ def nearest_reference(loop: Loop, i: int, reference: ReferencePoint, sensed: Mea
 
 def control(
     loop: Loop, params: LoopParams, i: int, state: ControlState, reading: Measurement, reference: ReferencePoint
-) -> tuple[ControlState, Controlled]:
+) -> tuple[ControlState, ControlResult]:
     """Run differentiator and controller of channel i at one sample: all that a flight computer runs.
 
     Reading and reference of an angle may have any number of turns. The reading is made continuous in time before the
@@ -165,30 +171,30 @@ def control(
         params: Their parameters.
         i: Index of the channel.
         state: State of differentiator and controller.
-        reading: What the sensor shows.
+        reading: The sensor's reading.
         reference: The desired output.
 
     Returns:
-        The next state, and what the controller saw and gave.
+        The next state, and the controller's inputs and outputs.
     """
     dt = loop.sample_time
     seen = unwrap(loop, i, reading, state.reading)
     of_channel = seen._replace(signals=())
     differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, of_channel, dt)
     sensed = sensed._replace(signals=required_signals(loop, i, reading.signals))
-    desired = nearest_reference(loop, i, reference, sensed)
+    desired = reference_near_measurement(loop, i, reference, sensed)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
     next_state = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
-    return next_state, Controlled(reading, sensed, desired, command, info)
+    return next_state, ControlResult(reading, sensed, desired, command, info)
 
 
 def transfer_control(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint, command: Scalar
 ) -> ControlState | None:
-    """The state of channel i whose first step at this sample gives a command, for a bumpless start.
+    """The state of channel i whose first step gives ``command`` at this sample, for a bumpless start.
 
     Returns:
-        The state; None if the controller's state cannot carry a command.
+        The state; None if the controller offers no such start.
     """
     transfer = loop.controller[i].transfer
     if transfer is None:

@@ -8,28 +8,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.margin_kinds import NO_MARGINS
-from dssc_jax.closed_loop.metrics import Accumulator, Instant, Measure, starts, update_all, values
+from dssc_jax.closed_loop.metrics import Accumulator, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, certain_violations, judge, violated, watch
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
-from dssc_jax.closed_loop.spans import first_sample, periods_lasting
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
+from dssc_jax.closed_loop.window import first_sample, periods_lasting
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar, State
 
 
 class Run(NamedTuple):
-    """A finished draw.
+    """The result of one draw; names are those in results.
 
     Args:
         metrics: Metrics over the whole run, or until the draw settled; NaN if it ended early.
-        slacks: Slacks of the requirements; -inf if it ended early.
-        outcome: An :class:`~dssc_jax.core.signals.Outcome`.
-        failed_at: Time of the step that ended it early [s]; NaN: none.
-        settled_at: Time at which it ended because it had settled [s]; NaN: none.
-        violated_at: Time of the sample at which a violation of each requirement became certain, by the name that it has
-            in results [s]; NaN: it is met.
+        slacks: Slack of each requirement; -inf if the draw ended early.
+        outcome: An :class:`~dssc_jax.core.signals.Outcome`, or the code of the first violated requirement.
+        failed_at: Time of the step that ended the draw early [s]; NaN: it did not.
+        settled_at: Time at which the draw ended because it had settled [s]; NaN: it did not.
+        violated_at: Time of the sample at which the violation of each requirement became certain [s]; NaN: it is met.
     """
 
     metrics: dict[str, Scalar]
@@ -41,7 +41,9 @@ class Run(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """The carry of a time loop; it contains the sample index, because an array of indices would grow with the duration.
+    """The carry of a time loop over the samples of a draw.
+
+    It contains the sample index, because an array of indices would grow with the duration.
 
     Args:
         k: Index of the next sample.
@@ -49,9 +51,10 @@ class Progress(NamedTuple):
         accumulators: Accumulators of the metrics.
         outcome: The outcome so far.
         steps: Samples that the draw has completed.
-        in_band: Number of consecutive samples, up to the last, with errors small enough to settle; empty for a loop
-            without :class:`~dssc_jax.closed_loop.loop.Settled`.
-        violations: See :func:`~dssc_jax.closed_loop.requirements.watch`.
+        in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
+            without a rule for settled draws.
+        violations: Samples at which watched requirements were first violated, see
+            :func:`~dssc_jax.closed_loop.requirements.watch`.
     """
 
     k: Scalar
@@ -71,7 +74,16 @@ def initial_progress(
     requirements: tuple[Requirement, ...] = (),
     margins: Mapping[str, Scalar] = NO_MARGINS,
 ) -> Progress:
-    """The state of the time loop before the first sample; ``margins`` are those among the measures, by name."""
+    """The carry of the time loop before the first sample.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        measures: The metrics to compute.
+        requirements: Bounds on some of the metrics.
+        margins: Value of each margin of the linearised loop among the measures, by the measure's name.
+    """
     zero = jnp.zeros((), dtype=jnp.int32)
     no_samples = jnp.zeros((), dtype=integer_type())
     in_band = () if loop.settled is None else zero
@@ -89,12 +101,19 @@ def initial_progress(
 
 
 def integer_type() -> type[np.integer]:
-    """The integers as long as the loop's numbers: a vector holds as many of one as of the other."""
+    """The integer type with the length of the loop's numbers, so that a vector register holds as many of either."""
     return np.int64 if jnp.result_type(float) == jnp.float64 else np.int32
 
 
 def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
-    """Number of consecutive samples with small errors, including sample k."""
+    """Number of consecutive samples up to k whose errors are small enough to settle.
+
+    Args:
+        loop: The models and the clock.
+        in_band: The number up to the previous sample.
+        instant: The signals at sample k.
+        k: Index of the sample.
+    """
     if loop.settled is None:
         return in_band
     small = k >= first_sample(loop.settled.after, loop.sample_time)
@@ -117,31 +136,25 @@ def sampler(
     requirements: tuple[Requirement, ...],
     freeze: bool,
 ) -> Callable[[Progress], tuple[Progress, Recorded]]:
-    """Return the function that advances a draw by one sample.
+    """The function that advances a draw by one sample; a draw that has ended keeps its outcome and number of samples.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
-        key: The draw's own random key.
+        key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        freeze: Whether an ended draw keeps its last state and accumulators, so that later values are finite.
-            Otherwise they continue; the draw's outcome and number of samples are kept in either case.
+        freeze: Whether a draw that has ended also keeps its last state and accumulators, so that later values are
+            finite.
     """
 
     advance = held_between_samples(loop, params)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
-        """Advance a draw by one sample; once it has ended, its outcome and number of samples are kept."""
+        """The carry after one sample, and the signals of that sample."""
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
-        integer = integer_type()
-        outcome_now = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
-        is_ended = recorded.broken
-        if recorded.grounded is not False:  # a plain False: the plant has no ground
-            outcome_now = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), outcome_now)
-            is_ended = jnp.logical_or(is_ended, recorded.grounded)
-        outcome_now = jnp.where(recorded.finite, outcome_now, integer(Outcome.NON_FINITE))
+        outcome_now, is_ended = outcome_at_sample(recorded)
         is_active = is_running(loop, at)
         outcome = jnp.where(is_active, outcome_now, at.outcome)
         is_completed = is_active & jnp.logical_and(recorded.finite, jnp.logical_not(is_ended))
@@ -153,7 +166,7 @@ def sampler(
                 (state, in_band, violations),
                 (at.state, at.in_band, at.violations),
             )
-            accumulators = jax.tree.map(partial(kept_number, is_completed), accumulators, at.accumulators)
+            accumulators = jax.tree.map(partial(select_number, is_completed), accumulators, at.accumulators)
         return Progress(
             k=at.k + 1,
             state=state,
@@ -167,9 +180,23 @@ def sampler(
     return sample
 
 
-def kept_number(completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
-    """A number of an accumulator, which an ended draw keeps; delay lines, which no final value reads, move on."""
-    return new if jnp.ndim(new) else jnp.where(completed, new, old)
+def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
+    """The outcome code of a draw that has run up to a sample, and whether the plant ends it there."""
+    integer = integer_type()
+    outcome = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
+    is_ended = recorded.broken
+    if recorded.grounded is not False:  # a plain False: the plant has no ground
+        outcome = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), outcome)
+        is_ended = jnp.logical_or(is_ended, recorded.grounded)
+    return jnp.where(recorded.finite, outcome, integer(Outcome.NON_FINITE)), is_ended
+
+
+def select_number(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
+    """The new number of an accumulator if the sample is completed, else the old one.
+
+    An array, the delay lines of a formula, is always the new one: no final value reads it.
+    """
+    return new if jnp.ndim(new) else jnp.where(is_completed, new, old)
 
 
 def simulate_draw(
@@ -186,17 +213,17 @@ def simulate_draw(
 
     A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
     metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its
-    metrics. The state of an ended draw is frozen (see :func:`sampler`) if derivatives may be taken (``axis_name`` is
-    None) or if draws may settle.
+    metrics. The state of a draw that has ended is frozen (see :func:`sampler`) if derivatives may be taken
+    (``axis_name`` is None) or if draws may settle.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
-        key: The draw's own random key.
+        key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of
-            them have ended. None: the loop has its full length, as derivatives require.
+        axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of them have
+            ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
         margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
@@ -223,16 +250,25 @@ def simulate_recorded(
     stride: int = 1,
     margins: Mapping[str, Scalar] = NO_MARGINS,
 ) -> tuple[Run, Recorded]:
-    """Simulate one draw and record its trajectory; an ended draw stays at its last state.
+    """Simulate one draw and record its trajectory; a draw that has ended stays at its last state.
+
+    Args:
+        loop: The models and the clock, as for :func:`simulate_draw`, like all arguments but ``stride``.
+        params: Their parameters.
+        key: The draw's random key.
+        measures: The metrics to compute.
+        requirements: Bounds on some of the metrics.
+        stride: Distance of two recorded samples.
+        margins: Value of each margin of the linearised loop among the measures, by the measure's name.
 
     Returns:
-        The outcome, and the trajectory with leaves of shape (ceil(steps/stride),).
+        The draw's result, and the trajectory with leaves of shape (ceil(steps/stride),).
     """
     advance = sampler(loop, params, key, measures, requirements, freeze=True)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         next_progress, recorded = advance(at)
-        return next_progress, recorded._replace(controlled=(), grounded=())  # the trajectory has it all, by other names
+        return next_progress, recorded._replace(controlled=(), grounded=())  # no trajectory needs them
 
     first_progress = initial_progress(loop, params, key, measures, requirements, margins)
     last_progress, recorded = scan_recorded(sample, first_progress, loop.steps, stride)
@@ -240,7 +276,7 @@ def simulate_recorded(
 
 
 def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requirement, ...], end: Progress) -> Run:
-    """Compute metrics, slacks and outcome of a draw from the carry at its end."""
+    """The result of a draw from the carry at its end."""
     ok = end.outcome == Outcome.OK
     completed = loop.steps if loop.settled is None else end.steps
     metrics = values(measures, end.accumulators, completed, loop.sample_time)

@@ -1,4 +1,4 @@
-"""The estimate on board of a plant: when it starts, when it is renewed, and what the controllers measure of it."""
+"""The estimator on board of a plant: its start, its steps, and the measurements that the controllers take from it."""
 
 import jax
 
@@ -10,20 +10,20 @@ from dssc_jax.core.signals import Measurements, PlantInput, ReferencePoints, Sca
 
 
 def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
-    """The estimation that the plant's parameters choose; None: the controllers see the true state."""
+    """The plant's estimation if its parameters select an estimator; None: the controllers see the true state."""
     estimation = loop.mimo_plant.estimation
     return estimation if estimation is not None and estimation.is_enabled(params.plant) else None
 
 
 def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
-    """The plant's state with the error of the first estimate, and the estimator's memory; () without one.
+    """The plant's state with the error of the first estimate, and the estimator's memory, () without an estimator.
 
-    Sampled software on board starts from the estimate.
+    Sampled software on board then starts again, from the estimate.
     """
     estimation = estimation_of(loop, params)
     if estimation is None:
         return plant, ()
-    plant, memory = estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
+    plant, memory = estimation.start(params.plant, plant, loop.key_at(key, "estimator", "", 0))
     software = loop.mimo_plant.software
     if software is not None and software.period(params.plant) is not None:
         estimated_plant = estimation.estimated_state(params.plant, plant)
@@ -31,15 +31,14 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
     return plant, memory
 
 
-def renewed_estimate(
+def next_estimate(
     loop: Loop, params: LoopParams, key: jax.Array, plant: State, memory: State, k: Scalar
 ) -> tuple[State, State]:
     """The plant's state with the error of the estimate at sample k, and the estimator's memory."""
     estimation = estimation_of(loop, params)
     if estimation is None:
         return plant, memory
-    fresh = jax.random.fold_in(loop.key(key, "estimator"), k)
-    return estimation.step(params.plant, plant, memory, fresh, k, loop.sample_time)
+    return estimation.step(params.plant, plant, memory, loop.key_at(key, "estimator", "", k), k, loop.sample_time)
 
 
 def measurements_for_sensors(
@@ -50,7 +49,16 @@ def measurements_for_sensors(
     drive: PlantInput[Signals],
     exact: Measurements,
 ) -> Measurements:
-    """The inputs of the channels' sensors: the estimate, or the exact measurements without an estimator."""
+    """The inputs of the channels' sensors: outputs of the estimated state, or ``exact`` without an estimator.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        plant: The plant's state, with the error of the estimate.
+        references: The desired outputs.
+        drive: The plant's input just before the sample.
+        exact: Outputs of the true state.
+    """
     estimation = estimation_of(loop, params)
     if estimation is None:
         return exact

@@ -1,4 +1,4 @@
-"""Exact steps between two samples: what is linear by its solution, what else varies by exponential Runge-Kutta.
+"""Exact steps between two samples for a plant with a linear part, by matrix exponentials.
 
 The matrices of the exact solution are computed once for a draw. Disturbances that vary within the sample, and the
 nonlinear remainder of a plant, are added by an exponential Runge-Kutta method of order 4.
@@ -18,10 +18,10 @@ from dssc_jax.closed_loop.held_parts import (
     HeldParts,
     States,
     apply_movers,
-    input_terms,
     movers_of,
+    polynomial_terms,
     repeat_substeps,
-    terms_of,
+    term_count,
 )
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Variation
@@ -34,13 +34,23 @@ VARYING = 3  # terms of an input that varies within a step: it is interpolated a
 
 
 def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
-    """Advance a plant with a linear part: exactly what is linear, by ETDRK4-B what else varies within the sample."""
+    """The function that advances a plant with a linear part over a sample.
+
+    The linear part has an exact solution; ETDRK4-B adds disturbances and a remainder that vary within the sample.
+
+    Args:
+        parts: The models and the clock.
+        dynamics: The plant's linear part.
+        params: The plant's parameters.
+        unmodelled: Parameters of the unmodelled dynamics of each channel.
+    """
     assembly = assemble(parts, dynamics, unmodelled)
     rows = remainder_rows(parts.plant, params, len(parts.unmodelled))
     forcings = list(assembly.inputs)
     for row in rows:
-        column = tuple(1.0 if i == row else 0.0 for i in range(len(assembly.a)))
-        forcings.append(Forcing(column, VARYING))
+        column = [0.0] * len(assembly.a)
+        column[row] = 1.0
+        forcings.append(Forcing(tuple(column), VARYING))
     is_constant = all(forcing.terms == 1 for forcing in forcings)
     count = 1 if is_constant else parts.substeps
     h = parts.sample_time / count
@@ -63,7 +73,7 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
                     remainder_rates = [rates[row] for row in rows]
                 return [*drive.disturbance, *drive.inputs, *remainder_rates]
 
-            inputs = [terms_of(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
+            inputs = [polynomial_terms(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)
             if is_constant or parts.integrator == Integrator.EULER:
                 x = held_system.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
@@ -78,13 +88,13 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
 
 
 class Assembly(NamedTuple):
-    """The linear plant with its linear unmodelled dynamics as one system.
+    """The plant's linear part in series with the linear unmodelled dynamics of each channel, as one linear system.
 
     Args:
-        a: Its matrix, shape (n, n).
-        inputs: Input of each channel's command, in the order of the channels, then of each disturbance.
-        offsets: Place of the state of each channel's unmodelled dynamics; None where they are not linear.
-        systems: Linear unmodelled dynamics of each channel.
+        a: State matrix, shape (n, n).
+        inputs: The command of each channel, in the order of the channels, then each disturbance.
+        offsets: Index of the first state of each channel's unmodelled dynamics; None where they are not linear.
+        systems: Unmodelled dynamics of each channel; None where they are not linear.
     """
 
     a: Rows
@@ -94,7 +104,7 @@ class Assembly(NamedTuple):
 
 
 def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
-    """The plant's linear part in series with the linear unmodelled dynamics of each channel."""
+    """The :class:`Assembly` of a plant's linear part, with the parameters of its unmodelled dynamics."""
     order = len(dynamics.a)
     systems: list[LinearSystem | None] = []
     offsets: list[int | None] = []
@@ -111,7 +121,7 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
     for column, system, offset, model in zip(dynamics.command, systems, offsets, parts.unmodelled, strict=True):
         reaching = [*column, *(0.0,) * (size - order)]
         if system is None or offset is None:
-            inputs.append(Forcing(tuple(reaching), input_terms(model)))
+            inputs.append(Forcing(tuple(reaching), term_count(model)))
             continue
         for state, weight in enumerate(system.c):
             for row, entry in enumerate(scale_column(column, weight)):
@@ -120,7 +130,7 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
             matrix[offset + row][offset : offset + len(system.a)] = entries
         reaching[:order] = scale_column(column, system.d)
         reaching[offset : offset + len(system.a)] = system.b
-        inputs.append(Forcing(tuple(reaching), input_terms(model)))
+        inputs.append(Forcing(tuple(reaching), term_count(model)))
     for column, variation in zip((*dynamics.disturbance, *dynamics.inputs), parts.variations, strict=True):
         terms = 1 if variation == Variation.HELD else VARYING
         inputs.append(Forcing((*column, *(0.0,) * (size - order)), terms))
@@ -128,7 +138,7 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
 
 
 def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
-    """Rows of the state to which a plant's nonlinear remainder adds something."""
+    """Indices of the states whose derivatives have a nonlinear remainder; entries that are plain zeros have none."""
     if plant.remainder is None:
         return ()
     remainder = plant.remainder
@@ -173,13 +183,13 @@ def etd_step(
     forcings: Sequence[Forcing],
     signals: Callable[[Sequence[Scalar], float], list[Scalar]],
 ) -> tuple[Scalar, ...]:
-    """One step of ETDRK4-B.
+    """The state of the linear system after one step of ETDRK4-B, shape (n,).
 
     Args:
         held_system: The exact solution over the step and over half of it.
         parts: The models.
-        x: State of the linear system, length n.
-        inputs: Terms of the input of each channel's command.
+        x: State of the linear system, shape (n,).
+        inputs: For each channel the terms of its command, a polynomial in time over the step.
         forcings: All inputs of the linear system: commands, then disturbances and remainder.
         signals: ``(state, share of the step) -> disturbances and remainder`` at a stage.
     """
@@ -205,7 +215,14 @@ def etd_step(
 
 
 def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...], fraction: float) -> Signals:
-    """The commands that reach the plant at a share of the step: of linear dynamics from their state at that stage."""
+    """The commands that reach the plant at a fraction of a step.
+
+    Args:
+        assembly: The linear system.
+        states: States of the unmodelled dynamics at that stage.
+        lines: Mean and rise over the step of the output of each channel's nonlinear unmodelled dynamics.
+        fraction: Fraction of the step, 0 to 1.
+    """
     reaching = []
     for system, state, line in zip(assembly.systems, states, lines, strict=True):
         value = line.mean if is_zero(line.rise) else line.mean + (fraction - 0.5) * line.rise

@@ -4,13 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from dssc_jax.closed_loop.metrics import Instant
+from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.core.signals import Scalar
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A margin that is positive where a comparison holds."""
+    """A comparison of signals, by its margin: positive where it holds, as a function of the signals at a sample."""
 
     margin: Callable[[Instant], Scalar]
 
@@ -38,7 +38,7 @@ class Or:
 
 @dataclass(frozen=True)
 class Always:
-    """A formula holds at every sample from ``begin`` to ``end``, counted from the instant, both included."""
+    """``inner`` holds at every sample from ``begin`` to ``end`` after the instant, both included."""
 
     begin: int
     end: int
@@ -47,7 +47,7 @@ class Always:
 
 @dataclass(frozen=True)
 class Eventually:
-    """A formula holds at one or more samples from ``begin`` to ``end``."""
+    """``inner`` holds at one or more samples from ``begin`` to ``end`` after the instant."""
 
     begin: int
     end: int
@@ -56,7 +56,7 @@ class Eventually:
 
 @dataclass(frozen=True)
 class Until:
-    """``goal`` holds at a sample from ``begin`` to ``end``, and ``before`` at all samples from the instant until it."""
+    """``goal`` holds at a sample from ``begin`` to ``end``, and ``before`` at all samples before that one."""
 
     begin: int
     end: int
@@ -82,6 +82,6 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def horizon(formula: Formula) -> int:
-    """How many samples after an instant the value of a formula at that instant depends on."""
+    """Number of samples after an instant on which the value of a formula at that instant depends."""
     horizon_of_parts = max((horizon(part) for part in parts_of(formula)), default=0)
     return horizon_of_parts + formula.end if isinstance(formula, Timed) else horizon_of_parts

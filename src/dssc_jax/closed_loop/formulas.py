@@ -40,12 +40,13 @@ from dssc_jax.closed_loop.formula_tree import (
     horizon,
     parts_of,
 )
-from dssc_jax.closed_loop.metrics import Instant, Metric, Scope, Span
+from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.metrics import Metric, Scope, Span
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.signals import Scalar
 
 FAR = 1e30
-"""A robustness larger than any other; finite, since the difference of two infinities is not a number."""
+"""A robustness larger than any other; finite, because the difference of two infinities is NaN."""
 
 
 Combination: TypeAlias = Callable[[Scalar, Scalar], Scalar]
@@ -62,18 +63,18 @@ EXACT = Extremes(jnp.minimum, jnp.maximum)
 
 
 def smooth_minimum(width: float, a: Scalar, b: Scalar) -> Scalar:
-    """-w ln(exp(-a/w) + exp(-b/w)), which is smooth, and below min(a, b) by at most w ln 2."""
+    """-w ln(exp(-a/w) + exp(-b/w)) for a width w: smooth, and below min(a, b) by at most w ln 2."""
     return jnp.minimum(a, b) - width * jnp.log1p(jnp.exp(-jnp.abs(a - b) / width))
 
 
-def smooth(width: float) -> Extremes:
-    """Extremes with derivatives everywhere, for a width > 0."""
+def smooth_extremes(width: float) -> Extremes:
+    """A minimum and a maximum with derivatives everywhere; see :func:`smooth_minimum`."""
     minimum = partial(smooth_minimum, width)
     return Extremes(minimum, lambda a, b: -minimum(-a, -b))
 
 
 Aggregate: TypeAlias = tuple[Scalar, ...]
-"""What a window accumulates: one number, or two for ``until``."""
+"""The value of a sliding window: one number, or two for ``until``."""
 
 
 class DelayLines:
@@ -90,7 +91,7 @@ class DelayLines:
         self.size = 0
 
     def delayed(self, value: Scalar, samples: int) -> Scalar:
-        """The value of some samples ago; before the first sample, zero."""
+        """The value that this line received some samples ago; 0 before the first sample."""
         if not samples:
             return value
         start = self.size
@@ -105,12 +106,12 @@ class DelayLines:
 
 @dataclass
 class Stream:
-    """Values of formulas at every sample, each ``horizon`` samples later, when all that it depends on is known.
+    """Evaluation of formulas at every sample, with a delay: the present sample k gives the value at k - horizon.
 
     Args:
         margin: Margin of a comparison at the present sample.
         lines: The delay lines, which are used in the same order at every sample.
-        extremes: Exact or smooth.
+        extremes: Exact or smooth minimum and maximum.
     """
 
     margin: Callable[[Comparison], Scalar]
@@ -118,7 +119,7 @@ class Stream:
     extremes: Extremes
 
     def value(self, formula: Formula) -> Scalar:
-        """The robustness of a formula ``horizon`` samples ago."""
+        """The robustness of a formula at ``horizon(formula)`` samples before the present one."""
         match formula:
             case Comparison():
                 return self.margin(formula)
@@ -137,12 +138,18 @@ class Stream:
         return value
 
     def aligned(self, formulas: Sequence[Formula]) -> list[Scalar]:
-        """The values of several formulas at one instant; those with a shorter horizon are delayed."""
+        """The values of several formulas at one instant, set by the longest horizon; the others are delayed."""
         latest = max(map(horizon, formulas))
         return [self.lines.delayed(self.value(formula), latest - horizon(formula)) for formula in formulas]
 
     def window(self, value: Aggregate, width: int, combine: Callable[[Aggregate, Aggregate], Aggregate]) -> Aggregate:
-        """The last ``width`` values, combined; ``combine`` takes the older one first."""
+        """The combination of a signal's last ``width`` values.
+
+        Args:
+            value: The present value.
+            width: Number of values.
+            combine: Associative function of an older and a newer value.
+        """
         span = 1
         while span < width:
             step = min(span, width - span)
@@ -168,28 +175,33 @@ class Stream:
 
 
 class Latch(NamedTuple):
-    """State of a formula that is needed at one instant.
+    """State of a formula whose robustness is needed at one instant only.
 
     Args:
         value: Its robustness so far.
-        held: For ``until``, the smallest value of ``before`` so far.
-        decision: Number of samples after which its truth was certain before its end; 0: not yet.
+        smallest_before: For ``until``, the smallest robustness of ``before`` so far.
+        decision: Number of samples after which its truth was certain; 0: not yet.
     """
 
     value: Scalar
-    held: Scalar
+    smallest_before: Scalar
     decision: Scalar
 
 
 class LatchedFormula(NamedTuple):
-    """A formula that is needed at one instant, the sample ``at``."""
+    """A formula whose robustness is needed at one instant only, the sample ``at``."""
 
     formula: Formula
     at: int
 
 
 def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
-    """The parts of a formula that need a latch: its outermost temporal operators, and comparisons outside of them."""
+    """The parts of a formula that are needed at one instant: its outermost temporal operators, and comparisons.
+
+    Args:
+        formula: The formula.
+        at: The sample at which it is evaluated.
+    """
     match formula:
         case Not() | And() | Or():
             for part in parts_of(formula):
@@ -206,7 +218,7 @@ def initial_latch(latched: LatchedFormula) -> Latch:
 
 
 def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar) -> Latch:
-    """The latch after sample ``k``."""
+    """The latch of a formula after sample k; ``stream`` evaluates its parts."""
     formula = latched.formula
     minimum, maximum = stream.extremes
     if isinstance(formula, Comparison):
@@ -216,18 +228,18 @@ def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar)
     instant = k - max(map(horizon, parts))
     *operands, value = stream.aligned(parts)
     is_in_window = (instant >= latched.at + formula.begin) & (instant <= latched.at + formula.end)
-    smallest_operand = latch.held
-    if operands:
-        value = minimum(smallest_operand, value)
+    smallest_before = latch.smallest_before
+    if operands:  # of `until`
+        value = minimum(smallest_before, value)
         is_waiting = (instant >= latched.at) & (instant < latched.at + formula.end)
-        smallest_operand = jnp.where(is_waiting, minimum(smallest_operand, operands[0]), smallest_operand)
+        smallest_before = jnp.where(is_waiting, minimum(smallest_before, operands[0]), smallest_before)
     combine = minimum if isinstance(formula, Always) else maximum
     value = jnp.where(is_in_window, combine(latch.value, value), latch.value)
     is_certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
     if operands:
-        is_certain = is_certain | (smallest_operand < 0.0)
+        is_certain = is_certain | (smallest_before < 0.0)
     samples = jnp.asarray(k + 1, jnp.result_type(float))
-    return Latch(value, smallest_operand, jnp.where(is_certain & (latch.decision == 0.0), samples, latch.decision))
+    return Latch(value, smallest_before, jnp.where(is_certain & (latch.decision == 0.0), samples, latch.decision))
 
 
 class Judgement(NamedTuple):
@@ -238,7 +250,7 @@ class Judgement(NamedTuple):
 
 
 def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
-    """A formula's robustness and the number of samples that decide it, from the latches at the end of a flight.
+    """A formula's robustness, and the number of samples that decide its truth, from the latches at the end of a flight.
 
     Args:
         formula: The formula.
@@ -263,7 +275,14 @@ def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at
 
 
 def joint_judgement(combine: Combination, conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
-    """The judgement of a conjunction or disjunction: it is certain once one part decides it, or both are certain."""
+    """The judgement of a conjunction (or disjunction) of two parts, certain once one part decides it or both are.
+
+    Args:
+        combine: Minimum for a conjunction, maximum for a disjunction.
+        conjunction: Whether it is a conjunction.
+        first: Judgement of the first part.
+        second: Judgement of the second part.
+    """
     decisive = [jnp.where((part.value < 0.0) == conjunction, part.decision, FAR) for part in (first, second)]
     early = jnp.minimum(*decisive)
     late = jnp.maximum(first.decision, second.decision)
@@ -271,14 +290,14 @@ def joint_judgement(combine: Combination, conjunction: bool, first: Judgement, s
 
 
 class Evaluation(NamedTuple):
-    """State of a formula's evaluation during a flight: latches, and the array of its delay lines; () without any."""
+    """State of a formula's evaluation during a flight: its latches, and the array of its delay lines, () if none."""
 
     latches: tuple[Latch, ...]
     memory: jax.Array | np.ndarray | tuple[()]
 
 
 class FormulaState(NamedTuple):
-    """State of a formula's metric: evaluations of the exact robustness and of the smooth one; () without the latter."""
+    """State of a formula's metric: evaluations of the exact and the smooth robustness; () without a smooth one."""
 
     exact: Evaluation
     smooth: Evaluation | tuple[()] = ()
@@ -292,7 +311,7 @@ def initial_evaluation(formula: Formula) -> Evaluation:
 
 
 def memory_size(formula: Formula) -> int:
-    """How many numbers the delay lines of a formula hold."""
+    """Number of values in the delay lines of a formula."""
     stream = Stream(lambda comparison: 0.0, DelayLines(), Extremes(min, max))
     for latched in latched_formulas(formula):
         if isinstance(latched.formula, Timed):
@@ -301,7 +320,7 @@ def memory_size(formula: Formula) -> int:
 
 
 def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, instant: Instant) -> Evaluation:
-    """The state after a sample."""
+    """The state of a formula's evaluation after a sample."""
     k = instant.channels[0].k
     lines = DelayLines(None if isinstance(state.memory, tuple) else state.memory, k)
     stream = Stream(lambda comparison: comparison.margin(instant), lines, extremes)
@@ -312,19 +331,19 @@ def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, ins
 
 @jax.custom_jvp
 def with_slope_of(value: Scalar, substitute: Scalar) -> Scalar:
-    """A value with the derivatives of another number."""
+    """The value, with the derivatives of a substitute in place of its own."""
     return value
 
 
 @with_slope_of.defjvp
 def slope_of_substitute(at: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """The value, and the tangent of its substitute."""
+    """The value, and the tangent of the substitute."""
     return at[0], tangents[1]
 
 
 @dataclass(frozen=True)
 class RobustnessUpdate:
-    """The update of a formula's metric."""
+    """The field ``update`` of a formula's metric; ``width`` is that of the smooth minimum."""
 
     formula: Formula
     width: float
@@ -334,12 +353,12 @@ class RobustnessUpdate:
         exact = next_evaluation(self.formula, EXACT, state.exact, instant)
         if not isinstance(state.smooth, Evaluation):
             return FormulaState(exact)
-        return FormulaState(exact, next_evaluation(self.formula, smooth(self.width), state.smooth, instant))
+        return FormulaState(exact, next_evaluation(self.formula, smooth_extremes(self.width), state.smooth, instant))
 
 
 @dataclass(frozen=True)
 class RobustnessValue:
-    """The value of a formula's metric."""
+    """The field ``value`` of a formula's metric; ``width`` is that of the smooth minimum."""
 
     formula: Formula
     width: float
@@ -349,17 +368,19 @@ class RobustnessValue:
         value = judgement(self.formula, iter(state.exact.latches), EXACT).value
         if not isinstance(state.smooth, Evaluation):
             return value
-        return with_slope_of(value, judgement(self.formula, iter(state.smooth.latches), smooth(self.width)).value)
+        return with_slope_of(
+            value, judgement(self.formula, iter(state.smooth.latches), smooth_extremes(self.width)).value
+        )
 
 
 @dataclass(frozen=True)
-class Certainty:
-    """The number of samples after which the truth of a formula is certain."""
+class DecisionTime:
+    """The field ``certain_after`` of a formula's metric."""
 
     formula: Formula
 
     def __call__(self, state: FormulaState) -> Scalar:
-        """The number for the state at the end of a flight."""
+        """The number of samples after which the formula's truth was certain, from the state at the end of a flight."""
         return judgement(self.formula, iter(state.exact.latches), EXACT).decision
 
 
@@ -370,10 +391,10 @@ def formula_metric(formula: Formula, unit: str, meaning: str, width: float) -> M
         formula: The formula.
         unit: Unit of its comparisons.
         meaning: The formula in words.
-        width: Width of the smooth minimum from which its derivatives come, in that unit; 0: the exact minimum.
+        width: Width of the smooth minimum in that unit, from which derivatives follow; 0: those of the exact one.
     """
     evaluation = initial_evaluation(formula)
     start = FormulaState(evaluation, evaluation if width else ())
     update = RobustnessUpdate(formula, width)
-    return Metric(unit, meaning, update, RobustnessValue(formula, width), scope=Scope.VEHICLE, start=start,
-                  certain_after=Certainty(formula))  # fmt: skip
+    value = RobustnessValue(formula, width)
+    return Metric(unit, meaning, update, value, scope=Scope.VEHICLE, start=start, certain_after=DecisionTime(formula))

@@ -1,7 +1,7 @@
-"""What of a loop moves between two samples, and how its unmodelled dynamics advance over a step.
+"""The parts of a loop that move between two samples, and the steps of its unmodelled dynamics.
 
-The output of unmodelled dynamics over a step counts as the straight line with its mean and its first moment. Thus a lag
-that is much faster than the sample acts as no lag does.
+A step replaces the output of unmodelled dynamics by the straight line with the same mean and first moment. So a lag
+much faster than the sample acts as if there were none.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,10 +14,10 @@ from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
-UNROLLED = 2  # substeps at most that are traced one by one
+UNROLLED = 2  # most substeps that are traced one by one
 
 DriveAt = Callable[[State, Signals, Scalar], PlantInput[Signals]]
-"""``(plant's state, commands that reach it, t) -> input`` at a stage of the integrator: adds disturbances and wind."""
+"""``(plant's state, commands that reach it, t) -> its input``, with disturbances and wind, at an integrator's stage."""
 
 States = tuple[State, ...]
 Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, States]]
@@ -31,12 +31,12 @@ class HeldParts(NamedTuple):
     """The parts of a loop that move between the samples, and how time is divided.
 
     Args:
-        plant: The plant, with tuples as signals.
+        plant: The plant, with one command and one measurement for each channel.
         unmodelled: Unmodelled dynamics of each channel.
-        variations: What the disturbance of each channel, then of each named input, varies with within a sample.
-        integrator: Method for what is not linear.
+        variations: How the disturbance of each channel, then of each named input, varies within a sample.
+        integrator: Method of integration of the nonlinear parts.
         sample_time: T_s [s].
-        substeps: Steps within a sample for what is not held exactly.
+        substeps: Number of steps in a sample for parts without an exact solution.
     """
 
     plant: Plant[Measurements, Signals]
@@ -47,25 +47,31 @@ class HeldParts(NamedTuple):
     substeps: int
 
 
-def input_terms(model: Unmodelled) -> int:
-    """Terms of what enters the linear part of unmodelled dynamics, or the plant: 1 where it is constant, else 2."""
+def term_count(model: Unmodelled) -> int:
+    """Number of terms, in time over a step, of the signal behind unmodelled dynamics: 1 if it is constant, else 2.
+
+    The signal enters the linear part of the unmodelled dynamics, or the plant if they have no linear part.
+    """
     return 1 if model.held or (model.linear is not None and model.advance is None) else 2
 
 
-def terms_of(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
-    """Terms of what enters the linear part of unmodelled dynamics, or the plant, as a polynomial over a step."""
-    return (line.mean,) if input_terms(model) == 1 else (line.mean - 0.5 * line.rise, line.rise)
+def polynomial_terms(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
+    """The terms that :func:`term_count` counts: value at the start of the step, and rise unless it is constant."""
+    if term_count(model) == 1:
+        return (line.mean,)
+    return line.mean - 0.5 * line.rise, line.rise
 
 
 def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
-    """The functions that advance each channel's unmodelled dynamics over a step, but for their linear part."""
+    """The :func:`mover` of each channel, for steps of length h [s]."""
     return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
 
 
 def mover(model: Unmodelled, params: Params, h: float) -> Mover:
-    """The function that advances unmodelled dynamics over a step, but for their linear part, and gives its input.
+    """The function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
 
-    If they do not give moments, those of their output follow by Simpson's rule.
+    It returns the state and the mean and rise of the output, which is the input of the linear part. Where the model
+    does not state these moments, Simpson's rule estimates them.
     """
     if model.advance is not None:
         return model.advance(params, h)
@@ -87,7 +93,7 @@ def mover(model: Unmodelled, params: Params, h: float) -> Mover:
 
 
 def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> tuple[States, tuple[Moments, ...]]:
-    """Apply the movers of all channels: their next states, and the moments of their outputs."""
+    """The next state of each channel's unmodelled dynamics, and the mean and rise of their output over the step."""
     next_states = []
     lines = []
     for move, state, command in zip(movers, states, commands, strict=True):
@@ -98,7 +104,7 @@ def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> 
 
 
 def repeat_substeps(substep: Substep, begin: tuple[State, States], count: int) -> tuple[State, States]:
-    """The states after ``count`` substeps; many are traced once, to keep compilation short."""
+    """The states after ``count`` substeps; more than :data:`UNROLLED` are traced once, to keep compilation short."""
     if count > UNROLLED:
         return jax.lax.fori_loop(0, count, lambda i, carry: as_arrays(substep(i, carry)), as_arrays(begin))
     for index in range(count):

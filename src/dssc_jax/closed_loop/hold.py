@@ -1,12 +1,12 @@
 """Plant and unmodelled dynamics between two samples, with the commands held (zero-order hold).
 
-What is linear is advanced by its exact solution: the plant where it declares its linear part, and linear unmodelled
-dynamics. A plant without a linear part is integrated by fixed steps.
+Linear parts advance by their exact solution: linear unmodelled dynamics, and a plant that declares its linear part. Any
+other plant is integrated by fixed steps.
 """
 
 from dssc_jax.closed_loop.exact_steps import advance_exactly
 from dssc_jax.closed_loop.fixed_steps import advance_by_steps
-from dssc_jax.closed_loop.held_parts import Advance, HeldParts, input_terms
+from dssc_jax.closed_loop.held_parts import Advance, HeldParts, term_count
 from dssc_jax.core.contracts import Variation
 from dssc_jax.core.integrators import ORDERS, Integrator
 from dssc_jax.core.signals import Params
@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Params
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
     """The function that advances plant and unmodelled dynamics of one draw by a sample.
 
-    Call it before the time loop: what it computes from the parameters alone is then computed once for a draw.
+    Call it before the time loop, so that matrices which depend on the parameters alone are computed once for a draw.
 
     Args:
         parts: The models and the clock.
@@ -28,16 +28,17 @@ def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, .
 
 
 def is_exact(parts: HeldParts) -> bool:
-    """Whether everything between the samples is held exactly, so that the number of substeps does not matter."""
+    """Whether the loop has an exact solution between the samples, so that the number of substeps does not matter."""
     if any(variation != Variation.HELD for variation in parts.variations):
         return False
-    if parts.plant.advance is not None:  # whatever error its steps have is the plant's own
+    if parts.plant.advance is not None:  # an error of its steps belongs to the plant
         return all(model.held and model.linear is None for model in parts.unmodelled)
     linear = parts.plant.linear is not None and parts.plant.remainder is None
-    return linear and all(input_terms(model) == 1 for model in parts.unmodelled)
+    return linear and all(term_count(model) == 1 for model in parts.unmodelled)
 
 
 def order_between_samples(parts: HeldParts) -> int:
-    """Order of the error of what is not held exactly, in the length of a substep."""
-    integrator = Integrator.EULER if parts.plant.advance is not None else parts.integrator  # it holds its input
+    """Order of the error of integration in the length of a substep, for a loop without an exact solution."""
+    # a plant with its own steps receives a constant input, as by Euler's method
+    integrator = Integrator.EULER if parts.plant.advance is not None else parts.integrator
     return min([ORDERS[integrator], *(model.order for model in parts.unmodelled if model.order is not None)])

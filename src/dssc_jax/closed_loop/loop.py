@@ -6,23 +6,27 @@ from typing import NamedTuple
 
 import jax
 
-from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
+from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference, quiet_inputs
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled
-from dssc_jax.core.events import VehicleEvent
+from dssc_jax.core.events import Condition, VehicleEvent, condition_at
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import stream
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurements, Params, ReferencePoints, Signals
+from dssc_jax.core.signals import Measurements, Params, PlantInput, ReferencePoints, Scalar, Signals
 from dssc_jax.core.wind import Wind
 
 
+def signal_name(channel: str, signal: str) -> str:
+    """Name of a channel's signal, such as ``x_e``; without the channel where it has no name."""
+    return f"{channel}_{signal}" if channel else signal
+
+
 class LoopParams(NamedTuple):
-    """Parameters of every part of the loop; any number may be traced.
+    """Parameters of every part of a :class:`Loop`, by the loop's field names; any number may be traced.
 
     Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
-    channel. Those of ``inputs`` are the disturbances at the inputs that the plant names, those of ``signal_sensor`` the
-    sensors of the measured signals, and those of ``events`` what happens to the vehicle.
+    channel.
     """
 
     plant: Params
@@ -39,12 +43,12 @@ class LoopParams(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """When a draw counts as settled and ends: once t >= ``after``, |e| <= ``error`` in every channel for ``hold``.
+    """The rule that ends a draw: it has settled once |e| <= ``error`` in every channel for a time ``hold``.
 
     Args:
         error: Bound on |e| [m; rad for psi].
         hold: Time for which the bound must hold [s].
-        after: Time before which no error counts [s].
+        after: Time before which no sample counts [s].
     """
 
     error: float
@@ -54,21 +58,32 @@ class Settled(NamedTuple):
 
 @dataclass(frozen=True)
 class Loop:
-    """The static part of the loop, chosen before tracing: a model in each named slot, and the clock.
+    """A closed loop before tracing: a model in each slot, and the clock.
+
+    Controller, sensor, differentiator, unmodelled dynamics and disturbance have one model per channel.
 
     Args:
+        plant: The plant.
+        reference: The desired outputs of all channels.
+        wind: The wind; ``NO_WIND`` for a plant that feels none.
+        controller: Controllers.
+        sensor: Sensors of the outputs.
+        differentiator: Differentiators of the readings, on the flight computer.
+        unmodelled: Dynamics between command and plant that the controllers do not know.
+        disturbance: Matched disturbances.
         channels: Names of the channels; one empty name for a plant with one channel.
         sample_time: T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
+        integrator: Method of integration.
+        settled: Rule for ending a settled draw; None: never.
         inputs: A disturbance at each input that the plant names.
         input_names: Names of these inputs.
-        outputs: What the plant's monitor reports, as far as it is declared with unit and meaning.
+        outputs: Signals that the plant's monitor reports and that are declared with unit and meaning.
         measures: Signals that are measured beside y and y' of each channel.
-        signal_sensor: A sensor for each of them.
-        settled: Rule for ending a settled draw; None: never.
-        events: What happens to the vehicle.
-        rotors: Number of its rotors, if something happens to it.
+        signal_sensor: A sensor for each measured signal.
+        events: Events of the vehicle, such as the loss of a rotor.
+        rotors: Number of its rotors if there are events, else 0.
     """
 
     plant: Plant
@@ -108,6 +123,19 @@ class Loop:
         """Unit and meaning of each of the plant's outputs."""
         return {signal.name: signal.quantity for signal in self.outputs}
 
-    def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
-        """The random key of a slot in a channel, from the draw's key."""
-        return jax.random.fold_in(draw, stream(f"{slot}.{channel}" if channel else slot))
+    def condition(self, params: LoopParams, t: Scalar) -> Condition | None:
+        """The vehicle's condition after the events up to the sample at t [s]; None without events."""
+        return condition_at(self.events, params.events, t, self.sample_time, self.rotors)
+
+    def zero_input(self, params: Params) -> PlantInput[Signals]:
+        """The input of the plant with these parameters where commands and disturbances are 0 and the air is still."""
+        zeros = (0.0,) * len(self.channels)
+        return PlantInput(zeros, zeros, None, quiet_inputs(self.plant, params))
+
+    def key(self, draw: jax.Array, slot: str, name: str = "") -> jax.Array:
+        """The random key of a part, from the draw's key, its slot, and the name of its channel, input or signal."""
+        return jax.random.fold_in(draw, stream(f"{slot}.{name}" if name else slot))
+
+    def key_at(self, draw: jax.Array, slot: str, name: str, call: Scalar) -> jax.Array:
+        """The random key of a part for one call: number 0 is that of ``init``, and k + 1 that of sample k."""
+        return jax.random.fold_in(self.key(draw, slot, name), call)

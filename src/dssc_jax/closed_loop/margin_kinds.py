@@ -1,4 +1,4 @@
-"""Margins of the linearised loop that a study can require, and the units in which it may write their bounds."""
+"""Margins of the linearised loop that a study can require, and the units of their bounds."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,19 +9,19 @@ from dssc_jax.core.signals import Scalar
 
 
 def decibel(value: float) -> float:
-    """A factor from decibels."""
+    """The factor that corresponds to a value in decibels."""
     return float(10.0 ** (value / 20.0))
 
 
-def plain(value: float) -> float:
-    """The number itself."""
+def identity(value: float) -> float:
+    """The value itself: the conversion of a unit to itself."""
     return value
 
 
-RATIO = MappingProxyType({"1": plain, "dB": decibel})
-ANGLE = MappingProxyType({"rad": plain, "deg": math.radians})
-TIME = MappingProxyType({"s": plain, "ms": lambda value: 1e-3 * value, "us": lambda value: 1e-6 * value})
-FREQUENCY = MappingProxyType({"rad/s": plain, "Hz": lambda value: 2.0 * math.pi * value})
+RATIO = MappingProxyType({"1": identity, "dB": decibel})
+ANGLE = MappingProxyType({"rad": identity, "deg": math.radians})
+TIME = MappingProxyType({"s": identity, "ms": lambda value: 1e-3 * value, "us": lambda value: 1e-6 * value})
+FREQUENCY = MappingProxyType({"rad/s": identity, "Hz": lambda value: 2.0 * math.pi * value})
 """Units in which a bound may be written, each with its conversion to the first one."""
 
 
@@ -32,11 +32,11 @@ class MarginKind:
     Args:
         field: Name of the margin in :class:`dssc_jax.engine.linearisation.response.ClassicalMargins`.
         name: Beginning of the name in results.
-        meaning: In words.
-        units: Units of a bound, each with its conversion to the first one, in which the margin is.
-        good: ``large`` or ``small``: the side that is good.
-        neutral: The value at the limit of stability, which an unstable loop has, too; NaN: there is none.
-        most: The largest value that a loop can have.
+        meaning: Meaning in words.
+        units: Units of a bound, each with its conversion to the first one, which is the unit of the margin.
+        good: ``large`` or ``small``: which values are good.
+        neutral: The value at the limit of stability, and of unstable loops; NaN: there is none.
+        most: The largest possible value.
     """
 
     field: str
@@ -49,20 +49,20 @@ class MarginKind:
 
     @property
     def worst(self) -> float:
-        """The value as which a loop without a margin counts: that at the limit of stability, or the bad end."""
+        """The value that replaces NaN: the one at the limit of stability, else the infinity on the bad side."""
         if math.isnan(self.neutral):
             return -math.inf if self.good == "large" else math.inf
         return self.neutral
 
     def in_unit(self, value: float, unit: str) -> float:
-        """A value of the margin in one of its units."""
+        """Convert a value of the margin to one of its units."""
         if self.units[unit] is decibel:
             return 20.0 * math.log10(value) if value > 0.0 else -math.inf
         return value / self.units[unit](1.0)
 
     @property
     def unit(self) -> str:
-        """The unit of the value."""
+        """The unit of the margin."""
         return next(iter(self.units))
 
 
@@ -91,11 +91,11 @@ MARGIN_KINDS = {
 
 @dataclass(frozen=True)
 class LoopMargin:
-    """A margin at a place where the loop is broken.
+    """A margin of the loop broken at one point.
 
     Args:
-        kind: The margin.
-        place: Name of the break point.
+        kind: The kind of margin.
+        place: Name of the break point, see :func:`dssc_jax.closed_loop.break_points.place_names`.
     """
 
     kind: MarginKind
@@ -103,4 +103,4 @@ class LoopMargin:
 
 
 NO_MARGINS: Mapping[str, Scalar] = MappingProxyType({})
-"""The margins of a loop of which none is required, by measure."""
+"""Values of required margins, by the name of the measure, for a loop without any."""

@@ -1,6 +1,7 @@
 """Metrics in streaming form, whose memory does not grow with the duration.
 
-A metric is the start of its accumulator and two pure functions, ``update`` and ``value``, of the samples in a window.
+A metric consists of an accumulator and two pure functions: ``update`` adds a sample of the window, and ``value``
+computes the metric from the accumulator at the end.
 """
 
 import math
@@ -13,74 +14,31 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.instants import Instant, Sample
 from dssc_jax.closed_loop.margin_kinds import NO_MARGINS, LoopMargin
-from dssc_jax.closed_loop.spans import Span, first_sample, in_window, span_of
 from dssc_jax.closed_loop.stretches import Stretch, longest, stretch
-from dssc_jax.closed_loop.window import WHOLE_RUN, Window
+from dssc_jax.closed_loop.window import WHOLE_RUN, Span, Window, first_sample, in_window, span_of
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
-from dssc_jax.core.signals import Info, ReferencePoint, Scalar
+from dssc_jax.core.signals import Scalar
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 
-
-class Sample(NamedTuple):
-    """The signals of one channel at a sample instant, for metrics.
-
-    ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
-    ``sigma_measured`` are what the controller sees. ``u`` is the robust command and ``u_previous`` its previous value
-    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + ``reference.y``.
-    """
-
-    k: Scalar
-    dt: float
-    e: Scalar
-    sigma: Scalar
-    sigma_measured: Scalar
-    u: Scalar
-    u_previous: Scalar
-    u_total: Scalar
-    k_p: Scalar
-    info: Info
-    reference: ReferencePoint = ReferencePoint(0.0, 0.0, 0.0)
-    e_dot: Scalar = 0.0
-    y_measured: Scalar = 0.0
-    y_dot_measured: Scalar = 0.0
-
-
-class Instant(NamedTuple):
-    """The whole loop at one sample.
-
-    Args:
-        t: Time [s].
-        dt: Sample time [s].
-        channels: The sample of each channel.
-        plant: What the plant's monitor reports.
-        measured: Readings of the measured signals.
-    """
-
-    t: Scalar
-    dt: Scalar
-    channels: tuple[Sample, ...]
-    plant: Info
-    measured: tuple[Scalar, ...] = ()
-
-
 Accumulator: TypeAlias = Any
-"""What a metric accumulates: a number, or a NamedTuple of numbers."""
+"""A number, or a NamedTuple of numbers."""
 
-Observed: TypeAlias = Any
-"""What a metric sees: a :class:`Sample` of its channel, or the :class:`Instant` of the vehicle."""
+MetricInput: TypeAlias = Any
+"""The :class:`Sample` of a channel for a metric of channels, or the :class:`Instant` for a metric of the vehicle."""
 
 
 class Scope(StrEnum):
-    """Scope of a metric: each channel, or the vehicle as a whole."""
+    """The object that a metric describes: one channel, or the vehicle as a whole."""
 
     CHANNEL = "channel"
     VEHICLE = "vehicle"
 
 
 class Course(StrEnum):
-    """How a metric's value changes while samples are added: a bound that a rising value exceeds stays exceeded."""
+    """How the value of a metric changes as samples are added: a rising value that exceeds a bound never returns."""
 
     RISES = "rises"
     FALLS = "falls"
@@ -88,29 +46,29 @@ class Course(StrEnum):
 
 
 class Metric(NamedTuple):
-    """A streaming measure.
+    """A number that is computed from a flight sample by sample.
 
     Args:
         unit: Unit, with the symbols ``y`` and ``u`` of :mod:`dssc_jax.core.units` for those of the channel.
-        meaning: Long name.
+        meaning: Meaning in words.
         update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
-        needs: Fields of the controller's (the vehicle's) info that the metric requires.
-        scope: A channel, or the vehicle as a whole.
+        needs: Fields that the info of the controller, or of the vehicle, must have.
+        scope: One channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
-        counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
-        course: How the value changes while samples are added.
+        counted: Whether the value counts samples, as a time or a share; rounding then changes it by whole samples.
+        course: How the value changes as samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
-        margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
-        least: The least value that it can have: 0 of a size.
-        defined_if: What has to be so that its value is not NaN, in words; empty: nothing.
-        settled_within: ``window -> bound`` on |e| at the end of a settled draw, by which its value is that of the
-            whole run. NaN: the bound differs between draws. None: no bound is needed.
+        margin: The margin of the linearised loop whose value is the accumulator; None: a metric of the flight.
+        least: The least value that is possible, such as 0 for a size.
+        defined_if: Condition for a value other than NaN, in words; empty: none.
+        settled_within: ``window -> bound`` on |e| at the end of a settled draw. Within it, the value at the draw's end
+            is that of the whole run. NaN: the bound differs between draws. None: no bound is needed.
     """
 
     unit: str
     meaning: str
-    update: Callable[[Accumulator, Observed, Window], Accumulator]
+    update: Callable[[Accumulator, MetricInput, Window], Accumulator]
     value: Callable[[Accumulator, Window, Span], Scalar]
     needs: tuple[str, ...] = ()
     scope: Scope = Scope.CHANNEL
@@ -125,7 +83,7 @@ class Metric(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """The value as which a draw without one counts: -inf of a minimum, 0 or the like of a margin."""
+        """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side."""
         if self.margin is not None:
             return self.margin.kind.worst
         return -math.inf if self.certain_after is not None or self.course == Course.FALLS else math.inf
@@ -134,54 +92,54 @@ class Metric(NamedTuple):
 RISES = Course.RISES
 
 
-def peak(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
-    """Running maximum of |.|."""
-    return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(of(sample)))
+def peak(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+    """The update of the running maximum of a signal's size."""
+    return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(signal(sample)))
 
 
-def total(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
-    """Running sum."""
-    return lambda acc, sample, window: acc + of(sample)
+def total(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+    """The update of the running sum of a signal."""
+    return lambda acc, sample, window: acc + signal(sample)
 
 
-def variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add the change to this sample's u; the window's first sample has none."""
+def update_variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+    """Add the size of the robust command's change to this sample; the window's first sample has none."""
     first = first_sample(window.after, sample.dt)
     change = jnp.abs(sample.u - sample.u_previous)
     return acc + (change if first == 0 else jnp.where(sample.k == first, 0.0, change))
 
 
-def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The accumulator."""
+def final_value(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """The accumulator itself, as the value of a running maximum or total."""
     return acc
 
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Mean over the window."""
+    """Mean over the window, of an accumulated sum."""
     return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Root of the mean over the window."""
+    """Root of the mean over the window, of an accumulated sum of squares."""
     return root_abs(acc / span.sample_count)
 
 
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Number of samples up to the last one with |e| > band; a count is exact in float32 up to 16 million."""
+    """Number of samples up to the last one with |e| > band, a float that is exact in float32 up to 16 million."""
     return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
 
 
-def settling(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Time from the window's start to the end of the last sample outside; infinite if that ends the run."""
+def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
+    """Time from the window's start to the end of the last sample outside the band; infinite if that is the last one."""
     time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
     return jnp.where(acc >= span.steps, jnp.inf, time)
 
 
 def sampling_ratio(sample: Sample) -> Scalar:
-    """(k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2: above 1 the sampled loop chatters or diverges.
+    """Gain of the sampled loop over its stability limit: (k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2.
 
-    The stability limit is exact for constant functions and sigma' = k_p u; state-dependent functions enter with their
-    values at the sample. k_p is the draw's own, so the largest ratio over the draws occurs at k_max.
+    Above 1 the sampled loop chatters or diverges. The limit is exact for constant functions and sigma' = k_p u;
+    state-dependent functions enter with their values at the sample. The info reports 1/(k_o tau_av) times tau_m.
     """
     info = sample.info
     dt = sample.dt
@@ -189,32 +147,58 @@ def sampling_ratio(sample: Sample) -> Scalar:
 
 
 def position_error(instant: Instant) -> Scalar:
-    """Distance from the desired position; the first three channels are x, y, z."""
+    """Distance from the desired position [m]; the first three channels are x, y, z."""
     return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
-    """1 if the flag holds, else 0."""
+    """1 if the flag holds, else 0, in the type of another number."""
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
-def share_of_time(meaning: str, holds: Callable[[Sample], Scalar], needs: tuple[str, ...]) -> Metric:
-    """The share of time for which a flag of a channel holds."""
-    update = total(lambda sample: as_float(holds(sample), sample.e))
-    return Metric("1", f"share of time {meaning}", update, mean, needs=needs, counted=True, least=0.0)
-
-
-def vehicle_metric(
+def rms(
     unit: str,
     meaning: str,
-    update: Callable[[Accumulator, Instant, Window], Accumulator],
-    value: Callable[[Accumulator, Window, Span], Scalar],
-    start: Accumulator = 0.0,
-    counted: bool = False,
-    course: Course = Course.OPEN,
+    signal: Callable[[MetricInput], Scalar],
+    needs: tuple[str, ...] = (),
+    scope: Scope = Scope.CHANNEL,
 ) -> Metric:
-    """A metric of the vehicle, which is a size."""
-    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted, course, least=0.0)
+    """The metric of a signal's rms over the window; other arguments as of :class:`Metric`."""
+
+    def square(sample: MetricInput) -> Scalar:
+        value = signal(sample)
+        return value * value
+
+    return Metric(unit, meaning, total(square), root_mean, needs, scope, least=0.0)
+
+
+def largest_size(
+    unit: str,
+    meaning: str,
+    signal: Callable[[MetricInput], Scalar],
+    needs: tuple[str, ...] = (),
+    scope: Scope = Scope.CHANNEL,
+) -> Metric:
+    """The metric of a signal's largest absolute value; other arguments as of :class:`Metric`."""
+    return Metric(unit, meaning, peak(signal), final_value, needs, scope, course=Course.RISES, least=0.0)
+
+
+def share_of_time(
+    meaning: str, indicator: Callable[[MetricInput], Scalar], needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
+) -> Metric:
+    """The metric of the share of time for which an indicator is 1 and not 0; other arguments as of :class:`Metric`."""
+    update = total(indicator)
+    return Metric("1", f"share of time {meaning}", update, mean, needs, scope, counted=True, least=0.0)
+
+
+def outside_sliding(sample: Sample) -> Scalar:
+    """1 if the predictor is outside sliding, else 0."""
+    return as_float(sample.info.sliding_margin < 0.0, sample.e)
+
+
+def sampling_ratio_above_1(sample: Sample) -> Scalar:
+    """1 if the sampling ratio exceeds 1, else 0."""
+    return as_float(sampling_ratio(sample) > 1.0, sample.e)
 
 
 def rotor_limited(instant: Instant) -> Scalar:
@@ -230,52 +214,48 @@ def lift_bounded(instant: Instant) -> Scalar:
 SLIDING = ("sliding_margin",)
 SAMPLING = ("integral_gain", "tau_m")
 FLYING = ("tilt",)
+VEHICLE = Scope.VEHICLE
 METRICS: dict[str, Metric] = {
-    "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean, least=0.0),
-    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself, course=RISES, least=0.0),
-    "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean, least=0.0),
-    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES, least=0.0),
+    "error_rms": rms("y", "rms of the output error e", lambda s: s.e),
+    "error_max": largest_size("y", "largest |e|", lambda s: s.e),
+    "sigma_rms": rms("y/s", "rms of sigma", lambda s: s.sigma),
+    "sigma_max": largest_size("y/s", "largest |sigma|", lambda s: s.sigma),
     "settling_time": Metric(
         "s",
         "time after which |e| stays within the band",
         last_outside,
-        settling,
+        settling_time,
         counted=True,
         course=RISES,
         least=0.0,
         settled_within=lambda window: window.band,
     ),
-    "command_tv": Metric("u", "total variation of the robust command u", variation, itself, course=RISES, least=0.0),
-    "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean, least=0.0),
-    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES, least=0.0),
-    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES, least=0.0),
-    "outside_sliding": share_of_time("outside sliding", lambda s: s.info.sliding_margin < 0.0, SLIDING),
-    "sampling_ratio": Metric(
-        "1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING, course=RISES, least=0.0
+    "command_tv": Metric(
+        "u", "total variation of the robust command u", update_variation, final_value, course=RISES, least=0.0
     ),
-    "sampling_ratio_above_1": share_of_time(
-        "with a sampling ratio above 1", lambda s: sampling_ratio(s) > 1.0, SAMPLING
-    ),
-    "position_error_rms": vehicle_metric(
-        "m", "rms of the position error", total(lambda i: jnp.square(position_error(i))), root_mean
-    ),
-    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself, course=RISES),
-    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, course=RISES),
-    "rotor_limited": vehicle_metric(
-        "1", "share of time with a rotor at its limit", total(rotor_limited), mean, counted=True
-    ),
-    "rotor_limited_longest": vehicle_metric(
+    "command_rms": rms("u", "rms of the robust command u", lambda s: s.u),
+    "command_max": largest_size("u", "largest |u|", lambda s: s.u),
+    "total_command_max": largest_size("u", "largest |u + u_n|", lambda s: s.u_total),
+    "outside_sliding": share_of_time("outside sliding", outside_sliding, SLIDING),
+    "sampling_ratio": largest_size("1", "largest sampling ratio", sampling_ratio, SAMPLING),
+    "sampling_ratio_above_1": share_of_time("with a sampling ratio above 1", sampling_ratio_above_1, SAMPLING),
+    "position_error_rms": rms("m", "rms of the position error", position_error, FLYING, VEHICLE),
+    "position_error_max": largest_size("m", "largest position error", position_error, FLYING, VEHICLE),
+    "tilt_max": largest_size("rad", "largest tilt of body z", lambda i: i.plant.tilt, FLYING, VEHICLE),
+    "rotor_limited": share_of_time("with a rotor at its limit", rotor_limited, FLYING, VEHICLE),
+    "rotor_limited_longest": Metric(
         "s",
         "longest uninterrupted time with a rotor at its limit",
         stretch(rotor_limited),
         longest,
+        FLYING,
+        VEHICLE,
         Stretch(),
         counted=True,
         course=RISES,
+        least=0.0,
     ),
-    "lift_bounded": vehicle_metric(
-        "1", "share of time with the wanted lift at its lower bound", total(lift_bounded), mean, counted=True
-    ),
+    "lift_bounded": share_of_time("with the wanted lift at its lower bound", lift_bounded, FLYING, VEHICLE),
 }
 BRIEF = ("error_rms", "error_max", "command_tv", "command_max", "outside_sliding", "sampling_ratio")
 """Metrics of each channel that a plant with several channels reports unless the study lists others."""
@@ -286,11 +266,11 @@ class Measure:
     """One metric of one channel, or of the vehicle, over one window.
 
     Args:
-        name: Its name in results.
-        kind: The metric's name.
+        name: Name in results.
+        kind: Name of the metric.
         window: The samples that count.
         channel: Index of the channel; None: the vehicle.
-        custom: The streaming form, for a kind that is not in :data:`METRICS`.
+        custom: The metric, if its name is not in :data:`METRICS`.
         units: Units and meanings of the channel's output and command.
         channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
         default_window: The window of the study's ``[metrics]``.
@@ -307,12 +287,12 @@ class Measure:
 
     @property
     def window_text(self) -> str:
-        """The window in words, empty if it is the default one from the start on."""
+        """The window in words; empty if no value of it needs mention."""
         return self.window.words(self.default_window)
 
     @property
     def metric(self) -> Metric:
-        """The streaming form."""
+        """The metric."""
         return self.custom or METRICS[self.kind]
 
     @property
@@ -327,7 +307,7 @@ class Measure:
 
     @property
     def meaning(self) -> str:
-        """Long name of the value; a user's own metric keeps its words."""
+        """Meaning of the value in the words of the channel; a custom metric keeps its own words."""
         return self.units.named(self.metric.meaning) if self.custom is None else self.metric.meaning
 
     def of(self, instant: Instant) -> Sample | Instant:
@@ -341,14 +321,27 @@ def suffixed(kind: str, channel: str) -> str:
 
 
 def starts(measures: tuple[Measure, ...], margins: Mapping[str, Scalar] = NO_MARGINS) -> tuple[Accumulator, ...]:
-    """Every accumulator before the first sample; those of margins start at their values, which are by measure."""
+    """Every accumulator before the first sample.
+
+    Args:
+        measures: The measures.
+        margins: Value of each margin of the linearised loop among them, by name; it is the margin's accumulator.
+    """
     return tuple(m.metric.start if m.metric.margin is None else margins[m.name] for m in measures)
 
 
 def update_all(
     measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], instant: Instant, k: Scalar, t_s: float
 ) -> tuple[Accumulator, ...]:
-    """Every accumulator after sample k."""
+    """Every accumulator after sample k; those whose window does not contain the sample are unchanged.
+
+    Args:
+        measures: The measures.
+        accumulators: Their accumulators before the sample.
+        instant: The loop at the sample.
+        k: Index of the sample.
+        t_s: Sample time T_s [s].
+    """
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
@@ -362,7 +355,7 @@ def update_all(
 def values(
     measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], steps: Scalar, t_s: float
 ) -> dict[str, Scalar]:
-    """Every metric at the end of a run of ``steps`` samples."""
+    """The value of every measure, by name, at the end of a run of ``steps`` samples with sample time T_s [s]."""
     computed = {}
     for measure, acc in zip(measures, accumulators, strict=True):
         span = span_of(measure.window, steps, t_s)
@@ -374,10 +367,10 @@ def values(
 
 
 def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that a metric's code returns numbers, or arrays, in the structure that it began with.
+    """Require that a result of a metric's code has the structure of a pattern, with arrays of the same shapes.
 
     Raises:
-        TypeError: It returns another structure, or an array.
+        TypeError: It has another structure, or other shapes.
     """
     structure = jax.tree.structure(value)
     expected = jax.tree.structure(pattern)

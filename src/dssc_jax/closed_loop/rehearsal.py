@@ -1,4 +1,4 @@
-"""One sample of a loop, traced without numbers, so that a fault in a user's part is told by its function and line."""
+"""A trace of one sample before any simulation, which reports faults of user-defined parts by function and line."""
 
 import inspect
 import traceback
@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
 from dssc_jax.closed_loop.repeatability import first_difference
-from dssc_jax.closed_loop.sample import LoopState, actuate, initial_state, plant_input, step
-from dssc_jax.core.adapters import quiet_inputs
+from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import condition_at
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.signals import Command, Measurement, PlantInput, Signals, State
+from dssc_jax.core.signals import Command, Measurement, State
 
 NEW_LINE = "\n"
 PACKAGE = __name__.partition(".")[0]
@@ -33,21 +32,21 @@ TRACED_VALUES = (
 
 
 class PartFunction(NamedTuple):
-    """A function that a user wrote, by the part of the study and the field of its contract."""
+    """A function that a user wrote: the part of the study, such as ``controller.x``, and the field of its contract."""
 
     part: str
     field: str
 
 
 def rehearse(loop: Loop, params: LoopParams) -> None:
-    """Trace the first sample of a loop with parts of users; loops of the package's parts pass at once.
+    """Trace the first sample of a loop that contains user-defined parts; other loops pass at once.
 
     Args:
         loop: The models and the clock.
         params: Their parameters; numbers may be abstract.
 
     Raises:
-        ConfigError: A user's function fails, a state changes its form, or the same call gives other values.
+        ConfigError: A user's function fails, a state changes its form, or the same call gives different values.
     """
     if not user_functions(loop):
         return
@@ -69,10 +68,10 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
 
 def require_repeatable(loop: Loop, params: LoopParams) -> None:
-    """Require that the first sample is the same program whenever it is traced.
+    """Require that every trace of the first sample gives the same program.
 
     Raises:
-        ConfigError: It is another one: a user's function draws random numbers of its own, reads a clock, or counts.
+        ConfigError: Two traces differ: a user's function draws random numbers of its own, reads a clock, or counts.
     """
 
     def program() -> Callable[[], tuple[LoopState, State, LoopState]]:
@@ -88,29 +87,23 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
         return
     functions = user_functions(loop)
     impure_functions = [functions[code] for code in codes if code in functions]
-    parts = (
-        impure_functions[-1].part
-        if impure_functions
-        else " and ".join(sorted({function.part for function in functions.values()}))
-    )
+    part = impure_functions[-1].part if impure_functions else part_names(functions)
     subject = f"`{impure_functions[-1].field}` gives" if impure_functions else "gives"
     raise ConfigError(
-        parts,
+        part,
         f"{subject} other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
         "a pure function, which is traced once: give what is random a law, a [[disturbance]] or a [sensor]",
     )
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:
-    """Require of the plant that it gives measurements, and of the controllers that they give commands.
+    """Require that the plant returns measurements, and each controller a state, a command and an info.
 
     Raises:
-        ConfigError: One gives something else.
+        ConfigError: A part returns something else.
     """
-    zeros: Signals = (0.0,) * len(loop.channels)
     plant = as_arrays(loop.plant.init(params.plant))
-    drive: PlantInput[Signals] = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
-    measurements = loop.mimo_plant.measure(params.plant, plant, drive)
+    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
     references = loop.mimo_reference.at(params.reference, 0.0)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
@@ -125,7 +118,7 @@ def check_results(loop: Loop, params: LoopParams) -> None:
 
 
 def place_of(slot: str, channel: str) -> str:
-    """The path of a channel's part in the study."""
+    """Path of a channel's part in the study, such as ``controller.x``; the slot alone where channels have no names."""
     return f"{slot}.{channel}" if channel else slot
 
 
@@ -134,13 +127,13 @@ def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> Stat
     unmodelled = tuple(channel.unmodelled for channel in state.channels)
     zero_commands = (0.0,) * len(loop.channels)
     actuation = actuate(loop, params, unmodelled, zero_commands)
-    condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
+    condition = loop.condition(params, 0.0)
     drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, actuation, 0.0, condition)
     return loop.mimo_plant.derivative(params.plant, state.plant, drive, 0.0)
 
 
 def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
-    """The functions of a loop's parts that are not of this package, by their code."""
+    """The functions of a loop's parts that are defined outside of this package, by their code objects."""
     places = [("plant", loop.plant), ("reference", loop.reference), ("wind", loop.wind)]
     for slot in SLOTS_OF_CHANNELS:
         for name, model in zip(loop.channels, getattr(loop, slot), strict=True):
@@ -156,18 +149,25 @@ def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
     return functions
 
 
+def part_names(functions: dict[CodeType, PartFunction]) -> str:
+    """The parts that some functions belong to, as a list in words."""
+    return " and ".join(sorted({function.part for function in functions.values()}))
+
+
 @contextmanager
 def faults_by_part(loop: Loop) -> Iterator[None]:
-    """Tell an exception by the user's part, function and line that raised it; a loop without such parts raises it.
+    """A context in which an exception becomes an error that names the user's part, function and line.
+
+    A loop without user-defined parts raises the exception itself.
 
     Raises:
-        ConfigError: In the place of the exception.
+        ConfigError: In place of the exception.
     """
     try:
         yield
     except ConfigError:
         raise
-    except Exception as error:  # a user's code may raise anything
+    except Exception as error:  # user code may raise anything
         functions = user_functions(loop)
         if not functions:
             raise
@@ -175,7 +175,7 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
 
 
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
-    """The error to raise for an exception from one of the functions, or from what one of them returned."""
+    """The error for an exception that a user's function raised, or that followed from a value which it returned."""
     message = f"{type(error).__name__}: {str(error).partition(NEW_LINE)[0].rstrip('.')}"
     fault = None
     folder = None
@@ -188,27 +188,36 @@ def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> Confi
         if folder is not None and file.parent == folder:
             line = f"line {number} of {file}"
     if fault is None:
-        parts = " and ".join(sorted({function.part for function in functions.values()}))
-        return ConfigError(
-            parts, f"does not fit the loop: {message}; docs/extending.md tells what each function returns"
-        )
-    remedy = f"; {TRACED_VALUES}" if isinstance(error, jax.errors.JAXTypeError) else ""
-    remedy = f"; {KEPT_VALUES}" if isinstance(error, jax.errors.UnexpectedTracerError) else remedy
+        rule = f"does not fit the loop: {message}; docs/extending.md tells what each function returns"
+        return ConfigError(part_names(functions), rule)
+    if isinstance(error, jax.errors.UnexpectedTracerError):
+        remedy = f"; {KEPT_VALUES}"
+    elif isinstance(error, jax.errors.JAXTypeError):
+        remedy = f"; {TRACED_VALUES}"
+    else:
+        remedy = ""
     return ConfigError(fault.part, f"`{fault.field}` fails in {line}: {message}{remedy}")
 
 
 def require_form(part: str, field: str, meaning: str, expected: object, result: object) -> None:
-    """Require that a function returns numbers of the same form as those expected.
+    """Require that the result of a part's function has the expected fields and shapes.
+
+    Args:
+        part: Path of the part in the study.
+        field: Name of the function in its contract.
+        meaning: What the function returns, for the message.
+        expected: A value of the expected form.
+        result: The function's result.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: The result has another form.
     """
     if form(result) != form(expected):
         raise ConfigError(part, f"`{field}` must return {meaning} as {form(expected)}, got {form(result)}")
 
 
 def form(value: object) -> str:
-    """Type, fields and shapes of numbers, in words."""
+    """Type, fields and shapes of a value in words, such as ``Command(robust=number, nominal=number)``."""
     names = getattr(value, "_fields", None)
     if isinstance(value, tuple) and names is not None:
         fields = [f"{name}={form(field)}" for name, field in zip(names, value, strict=True)]

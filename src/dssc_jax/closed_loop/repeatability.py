@@ -1,4 +1,4 @@
-"""Whether two traces of a program are the same, and which of its equations is not."""
+"""Comparison of two traces of the same function, which differ if the function is not pure."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -14,54 +14,65 @@ ADDRESS = re.compile(r"0x[0-9a-f]+")
 
 
 def first_difference(program: Callable[[], Callable[[], Any]]) -> list[CodeType] | None:
-    """Trace a function twice, and compare the programs.
+    """Trace a function twice, and find where the two programs first differ.
 
     Args:
-        program: Gives the function anew, so that JAX has not traced it yet.
+        program: Returns the function as a new object at each call, because JAX remembers the trace of an old one.
 
     Returns:
-        The code that was running where the programs first differ, outermost call first; empty if no equation tells.
-        None: they are the same.
+        The code objects on the stack where the programs first differ, outermost call first; empty if no single equation
+        differs. None: the programs are the same.
     """
     first, second = (jax.make_jaxpr(program())() for _ in range(2))
     equation = different_equation(first, second)
     if equation is not None:
         return codes_of(equation)
-    return None if text_of(first) == text_of(second) and same_values(first.consts, second.consts) else []
+    is_same = text_of(first) == text_of(second) and same_values(first.consts, second.consts)
+    return None if is_same else []
 
 
 def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | None:
-    """The first equation of a program that differs from the other program's."""
-    pairs = zip(first.jaxpr.constvars, first.consts, second.consts, strict=False)
-    changed = {id(variable) for variable, value, other in pairs if not same_values([value], [other])}
-    for equation, other in zip(first.jaxpr.eqns, second.jaxpr.eqns, strict=False):
-        for inner, other_inner in zip(inner_programs(equation), inner_programs(other), strict=False):
-            if (inner_difference := different_equation(inner, other_inner)) is not None:
+    """The first equation of a program that differs from that of the second program; None if none does.
+
+    An equation also differs if it reads a constant that has another value in the second program.
+    """
+    different_constants = set()
+    for variable, value, second_value in zip(first.jaxpr.constvars, first.consts, second.consts, strict=False):
+        if not same_values([value], [second_value]):
+            different_constants.add(id(variable))
+    for equation, second_equation in zip(first.jaxpr.eqns, second.jaxpr.eqns, strict=False):
+        for inner, second_inner in zip(inner_programs(equation), inner_programs(second_equation), strict=False):
+            inner_difference = different_equation(inner, second_inner)
+            if inner_difference is not None:
                 return inner_difference
-        reads_changed = any(
-            id(variable) in changed for variable in equation.invars if not isinstance(variable, Literal)
-        )
-        literals = ([x.val for x in e.invars if isinstance(x, Literal)] for e in (equation, other))
-        if reads_changed or text_of(equation) != text_of(other) or not same_values(*literals):
+        reads_difference = any(id(operand) in different_constants for operand in equation.invars)
+        has_same_literals = same_values(literals_of(equation), literals_of(second_equation))
+        if reads_difference or text_of(equation) != text_of(second_equation) or not has_same_literals:
             return equation
     return None
+
+
+def literals_of(equation: JaxprEqn) -> list[Any]:
+    """Values of the operands that are written into an equation."""
+    return [operand.val for operand in equation.invars if isinstance(operand, Literal)]
 
 
 def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
     """The programs within an equation, such as the body of a loop."""
     for value in equation.params.values():
-        for part in value if isinstance(value, tuple | list) else (value,):
-            if isinstance(part, ClosedJaxpr):
-                yield part
+        members = value if isinstance(value, tuple | list) else (value,)
+        for member in members:
+            if isinstance(member, ClosedJaxpr):
+                yield member
 
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
-    """Whether constants are equal to the bit; values of an enclosing trace, such as parameters, count as equal."""
+    """Whether two lists of constants are equal to the bit; values of an enclosing trace count as equal."""
     return [bits_of(value) for value in first] == [bits_of(value) for value in second]
 
 
 def bits_of(value: Any) -> bytes | None:
-    """The bits of a constant; None: it is a value of an enclosing trace."""
+    """The bits of a constant; None for a value of an enclosing trace, such as a parameter."""
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         value = jax.random.key_data(value)
     try:
@@ -71,11 +82,11 @@ def bits_of(value: Any) -> bytes | None:
 
 
 def text_of(program: ClosedJaxpr | JaxprEqn) -> str:
-    """The text of a program without addresses."""
+    """The text of a program or equation without memory addresses, which change from trace to trace."""
     return ADDRESS.sub("", str(program))
 
 
 def codes_of(equation: JaxprEqn) -> list[CodeType]:
-    """The code that was running where an equation was traced, outermost call first."""
+    """The code objects on the stack where an equation was traced, outermost call first."""
     trace = getattr(equation.source_info, "traceback", None)
     return [] if trace is None else list(reversed(trace.raw_frames()[0]))

@@ -8,20 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.metrics import Accumulator, Course, Measure
-from dssc_jax.closed_loop.spans import samples_before_end, span_of
+from dssc_jax.closed_loop.window import samples_before_end, span_of
 from dssc_jax.core.signals import Outcome, Scalar
 
 VIOLATED_AT = "violated_at_"
-"""First characters of the name of a time of violation in results."""
+"""Prefix of the name of a time of violation in results."""
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit.
+    """A bound on one measure; exactly one of ``maximum`` and ``minimum`` is set.
 
-    ``typical_slack`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0.
-    Of a formula, whose robustness must not be negative, ``formula`` is the text. ``written`` is the bound as the study
-    has it, if that has another unit.
+    Args:
+        measure: The measure.
+        maximum: Upper bound in the metric's unit.
+        minimum: Lower bound in the metric's unit; 0 for the robustness of a formula.
+        typical_slack: Typical distance from the bound in the metric's unit, a scale if the bound is 0; None: unknown.
+        formula: Text of the formula; empty for other requirements.
+        written: The bound as the study file states it, with a unit; empty if the study states a plain number.
     """
 
     measure: Measure
@@ -33,7 +37,7 @@ class Requirement:
 
     @property
     def label(self) -> str:
-        """Name among the study's requirements: that of the measure, marked if it is a lower bound."""
+        """Name among the study's requirements: that of the measure, with ``_min`` for a lower bound on a metric."""
         has_plain_name = self.maximum is not None or self.formula
         return self.measure.name if has_plain_name else f"{self.measure.name}_min"
 
@@ -44,12 +48,12 @@ class Requirement:
 
     @property
     def violation_name(self) -> str:
-        """Name in results of the time at which it is first violated."""
+        """Name of the time of the first violation in results."""
         return f"{VIOLATED_AT}{self.label}"
 
     @property
     def is_watched(self) -> bool:
-        """Whether a violation is certain as soon as the value so far violates the bound."""
+        """Whether a violation before the end is final: the metric cannot return to the other side of the bound."""
         return self.measure.metric.course == (Course.RISES if self.maximum is not None else Course.FALLS)
 
     @property
@@ -59,12 +63,12 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Scale of slacks when requirements are compared: |bound|, else the typical slack if that is known, else 1."""
+        """Scale on which slacks of different requirements compare: |bound|, or if that is 0 the typical slack or 1."""
         return abs(self.bound) or self.typical_slack or 1.0
 
     @property
     def text(self) -> str:
-        """The requirement in words, with a formula in full."""
+        """The requirement in words, with the full text of a formula."""
         if self.formula:
             return f"{self.label}: {self.formula}"
         if self.written:
@@ -74,11 +78,11 @@ class Requirement:
 
     @property
     def short(self) -> str:
-        """The requirement in a table: a formula by its name, any other in words."""
+        """The requirement in words, or only the name of a formula, for tables."""
         return self.label if self.formula else self.text
 
     def shown(self, value: float) -> tuple[float, str]:
-        """A value of the metric, and its unit: that in which the bound was written, if it was written with one."""
+        """A value of the metric in the unit in which the study states the bound, and that unit."""
         margin = self.measure.metric.margin
         written_unit = self.written.split(" ")[-1]
         if margin is not None and written_unit in margin.kind.units:
@@ -86,9 +90,9 @@ class Requirement:
         return value, self.measure.unit
 
     def slack(self, value: Scalar) -> Scalar:
-        """Signed distance to the bound, in the metric's unit: negative if the requirement is violated.
+        """Signed distance of a value from the bound, in the metric's unit: negative if the requirement is violated.
 
-        Where the loop has no operating point its margins are NaN; the slack is then that at the limit of stability.
+        The margins of a loop without an operating point are NaN, and count as those at the limit of stability.
         """
         margin = self.measure.metric.margin
         if margin is not None:
@@ -101,11 +105,11 @@ class Requirement:
 def with_typical_slacks(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[Requirement, ...]:
-    """The requirements with their typical slack: the median of |slack| over some draws, None if no slack is finite.
+    """The requirements with typical slacks: the median of |slack| over some draws, or None if no slack is finite.
 
     Args:
         requirements: The requirements.
-        results: The slack of each requirement by its name.
+        results: Slacks of the draws by name, shape (draws,) each.
     """
     result = []
     for requirement in requirements:
@@ -116,24 +120,17 @@ def with_typical_slacks(
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Indices of the requirements that count: those of a label, or all where it is empty."""
-    return [place for place, requirement in enumerate(requirements) if label in ("", requirement.label)]
+    """Indices of the requirements with a label; of all requirements if the label is empty."""
+    return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 
 def violated(slack: Any) -> Any:
-    """Whether a requirement is violated according to its slack; NaN counts as violated.
-
-    Args:
-        slack: A traced value or a NumPy array, any shape.
-
-    Returns:
-        That shape.
-    """
+    """Whether a requirement is violated according to its slack, a traced number or array; NaN counts as violated."""
     return ~(slack >= 0.0)
 
 
 def ended_early(outcome: Any) -> Any:
-    """Whether a draw ended early, and so violates every requirement, from outcome codes of any shape."""
+    """Whether a draw ended early, and so violates every requirement, from its outcome code; arrays of any shape."""
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
 
 
@@ -146,13 +143,13 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """Note for each watched requirement the number of samples after which it was first violated; 0: not yet.
+    """The number of samples after which each watched requirement was first violated, after one more sample; 0: not yet.
 
     Args:
         requirements: The requirements.
-        measures: The metrics.
-        accumulators: The metrics' accumulators after the last sample.
-        violations: What was noted before that sample; one number for each watched requirement.
+        measures: All measures.
+        accumulators: Their accumulators after the sample.
+        violations: The result before the sample, a number for each requirement that is watched.
         samples: Number of samples so far.
         steps: Number of samples of the run.
         sample_time: T_s [s].
@@ -176,10 +173,18 @@ def certain_violations(
     steps: Scalar,
     sample_time: float,
 ) -> dict[str, Scalar]:
-    """The number of samples after which a violation of each requirement was certain, by its label, if it is violated.
+    """By label of a requirement, the number of samples after which its violation was certain, if it is violated.
 
-    Most metrics that must stay below a bound only rise, and tell it at once; so does the metric of a formula. Any other
-    requirement is judged at the end of its window.
+    A violation by a metric that can only rise towards its bound is certain at once, and a formula tells the sample
+    itself. For any other requirement it is certain at the end of its window.
+
+    Args:
+        requirements: The requirements.
+        measures: All measures.
+        accumulators: Their accumulators at the end of the draw.
+        violations: Result of :func:`watch` at the end of the draw.
+        steps: Number of samples of the draw.
+        sample_time: T_s [s].
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     remaining = iter(violations)
@@ -199,12 +204,12 @@ def certain_violations(
 def judge(
     requirements: tuple[Requirement, ...], values: dict[str, Scalar], ended: Scalar
 ) -> tuple[Scalar, dict[str, Scalar]]:
-    """Outcome code (int32) and the slack of each requirement; -inf if the draw ended early.
+    """Outcome code of a draw (int32), and the slack of each requirement by name, -inf if the draw ended early.
 
     Args:
-        requirements: The requirements; the first violated one, in this order, gives the code.
-        values: Every measure's value by name.
-        ended: The code of the run itself: OK, or why it ended early.
+        requirements: The requirements; the first one that is violated gives the code.
+        values: Value of every measure by name.
+        ended: Code of the flight: OK, or the reason of its early end.
     """
     is_complete = ended == Outcome.OK
     outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
@@ -217,7 +222,7 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Index of the requirement with the smallest slack relative to its bound; a NaN counts as smallest."""
+    """Index of each draw's requirement with the smallest slack relative to its scale; NaN counts as smallest."""
     slacks = np.array([results[requirement.name] / requirement.scale for requirement in requirements])
     return np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
 
@@ -225,14 +230,14 @@ def binding_requirement(requirements: Sequence[Requirement], results: Mapping[st
 def first_violation(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The requirement that each draw violates first, and when; one that it violates by ending early does not count.
+    """The requirement that each draw violates first, and the time; violations by an early end do not count.
 
     Args:
-        requirements: The requirements; at the same sample the first one in this order counts.
-        results: Times of violation by name, and ``failed_at``, of any one shape.
+        requirements: The requirements; of two that are violated at the same sample, the earlier one counts.
+        results: Times of violation by name, and ``failed_at``, all of one shape.
 
     Returns:
-        Index of the requirement, -1 if there is none, and the time [s], NaN if there is none; each of that shape.
+        Index of the requirement, -1 if there is none, and the time [s], NaN if there is none; arrays of that shape.
     """
     failed_at = results["failed_at"]
     first = np.full(failed_at.shape, -1)
@@ -246,16 +251,13 @@ def first_violation(
 
 
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Smallest slack of all requirements, each relative to its bound: negative if a draw fails.
+    """Smallest slack of each draw over all requirements, relative to their scales: negative if the draw fails.
 
-    A draw that ended early, or whose metric is NaN, has -inf; without requirements all other draws have +inf.
+    A draw that ended early, or that has a NaN slack, has -inf. Without requirements all other draws have +inf.
 
     Args:
         requirements: The requirements.
-        results: Slacks by name and ``outcome``, of any one shape.
-
-    Returns:
-        That shape.
+        results: Slacks by name, and ``outcome``, all of one shape, which the result has, too.
     """
     worst = np.where(ended_early(results["outcome"]), -np.inf, np.inf)
     for requirement in requirements:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dssc_jax.closed_loop.beginning import begin_controller, begin_plant
 from dssc_jax.closed_loop.control import (
-    Controlled,
+    ControlResult,
     ControlState,
     control,
     initial_control,
@@ -17,13 +17,13 @@ from dssc_jax.closed_loop.control import (
     principal_value,
     unwrap,
 )
-from dssc_jax.closed_loop.estimates import measurements_for_sensors, renewed_estimate, start_estimate
+from dssc_jax.closed_loop.estimates import measurements_for_sensors, next_estimate, start_estimate
 from dssc_jax.closed_loop.held_parts import Advance, HeldParts
 from dssc_jax.closed_loop.hold import between_samples
+from dssc_jax.closed_loop.instants import Instant, Sample
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.metrics import Instant, Sample
+from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
-from dssc_jax.core.events import condition_at
 from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
@@ -38,11 +38,11 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 
-FAR_BELOW = 1e-4  # the root of the largest number: large numbers may cancel in the sum of a state
+FAR_BELOW = 1e-4  # size of a diverged state over the root of the largest number: large numbers may cancel in a sum
 
 
 class ChannelState(NamedTuple):
-    """State of one channel's parts, its last robust command, what reaches the plant, and two angles.
+    """State of one channel between two samples.
 
     Args:
         controller: State of the controller.
@@ -51,9 +51,9 @@ class ChannelState(NamedTuple):
         unmodelled: State of the unmodelled dynamics.
         disturbance: State of the disturbance.
         u: The last robust command.
-        reaching: The command that reaches the plant, just before the sample.
-        angle: The plant's last output, continuous in time [rad]; (), if the output is no angle.
-        reading: The last reading, continuous in time [rad]; (), if the output is no angle.
+        reaching: The command that reaches the plant just before the sample.
+        angle: The plant's last output, continuous in time [rad]; () if the output is no angle.
+        reading: The last reading, continuous in time [rad]; () if the output is no angle.
     """
 
     controller: State
@@ -68,12 +68,21 @@ class ChannelState(NamedTuple):
 
     @property
     def control(self) -> ControlState:
-        """The part of the state that a flight computer holds."""
+        """The state of the flight computer's software."""
         return ControlState(self.differentiator, self.controller, self.reading)
 
 
 class LoopState(NamedTuple):
-    """State of plant, wind, every channel, disturbances at named inputs, sensors of signals, and the estimator."""
+    """State of the loop between two samples.
+
+    Args:
+        plant: State of the plant.
+        wind: State of the wind.
+        channels: State of every channel.
+        inputs: State of the disturbance at each input that the plant names.
+        signals: State of the sensor of each measured signal.
+        estimate: Memory of the estimator on board; () without one.
+    """
 
     plant: State
     wind: State
@@ -84,7 +93,7 @@ class LoopState(NamedTuple):
 
     @property
     def disturbances(self) -> tuple[State, ...]:
-        """State of the disturbance of each channel, then of each named input."""
+        """States of the disturbances: that of each channel, then that of each named input."""
         return (*(channel.disturbance for channel in self.channels), *self.inputs)
 
 
@@ -93,12 +102,12 @@ class Recorded(NamedTuple):
 
     Args:
         instant: The input of the metrics.
-        measurements: The plant's own, before sensors.
+        measurements: The plant's outputs, before sensors.
         references: The desired outputs.
         finite: Whether the state after the sample is finite.
         broken: Whether the plant's model is no longer valid.
-        grounded: Whether it has flown into the ground; False: there is none.
-        controlled: What each channel's controller saw and gave.
+        grounded: Whether the vehicle has flown into the ground; a plain False if there is no ground.
+        controlled: Inputs and outputs of each channel's flight computer.
     """
 
     instant: Instant
@@ -107,25 +116,23 @@ class Recorded(NamedTuple):
     finite: Scalar
     broken: Scalar
     grounded: Scalar | bool
-    controlled: tuple[Controlled, ...]
+    controlled: tuple[ControlResult, ...]
 
 
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """State at t = 0: unmodelled dynamics are at rest, and their command before it was 0."""
+    """The loop's state before the first sample; unmodelled dynamics are at rest, with a command of 0 before t = 0."""
     plant = begin_plant(loop, params, key)
     references = loop.mimo_reference.at(params.reference, 0.0)
-    zeros = (0.0,) * len(loop.channels)
     at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
-    reaching = actuate(loop, params, at_rest, zeros)
-    wind = loop.wind.init(params.wind, jax.random.fold_in(loop.key(key, "wind"), 0))
+    reaching = actuate(loop, params, at_rest, (0.0,) * len(loop.channels))
+    wind = loop.wind.init(params.wind, loop.key_at(key, "wind", "", 0))
     disturbances = []
-    for i, name in enumerate(loop.channels):
-        stream_key = loop.key(key, "disturbance", name)
-        disturbances.append(loop.disturbance[i].init(params.disturbance[i], jax.random.fold_in(stream_key, 0)))
+    for model, p, name in zip(loop.disturbance, params.disturbance, loop.channels, strict=True):
+        disturbances.append(model.init(p, loop.key_at(key, "disturbance", name, 0)))
     inputs = []
     for model, p, name in zip(loop.inputs, params.inputs, loop.input_names, strict=True):
-        inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
-    condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
+        inputs.append(model.init(p, loop.key_at(key, "input", name, 0)))
+    condition = loop.condition(params, 0.0)
     drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0, condition)
     exact = measure(loop, params, plant, references, drive)
     signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
@@ -133,11 +140,10 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     measurements = measurements_for_sensors(loop, params, plant, references, drive, exact)
     channels = []
     for i, name in enumerate(loop.channels):
-        stream_key = loop.key(key, "sensor", name)
-        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], jax.random.fold_in(stream_key, 0))
-        # the controller starts from what it will measure at the first sample, not from the plant's own output
-        first = jax.random.fold_in(stream_key, 1)
-        _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
+        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], loop.key_at(key, "sensor", name, 0))
+        # the controller starts from its measurement at the first sample, not from the plant's output
+        first_key = loop.key_at(key, "sensor", name, 1)
+        _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first_key, 0.0, loop.sample_time)
         wrapped_reading = principal_value(loop, i, reading)._replace(signals=signals)
         control = initial_control(loop, params, i, wrapped_reading, references[i])
         channels.append(
@@ -157,7 +163,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
 
 
 def held_parts(loop: Loop) -> HeldParts:
-    """The parts of a loop that move between the samples."""
+    """The parts of a loop that move between two samples."""
     return HeldParts(
         plant=loop.mimo_plant,
         unmodelled=loop.unmodelled,
@@ -169,63 +175,14 @@ def held_parts(loop: Loop) -> HeldParts:
 
 
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
-    """The function that advances a draw between two samples; to be called before the time loop."""
+    """The function that advances plant and unmodelled dynamics by a sample; call it before the time loop."""
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 
-def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
-    """The commands after the unmodelled dynamics, as received by the plant."""
-    parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
-    return tuple(model.output(p, z, u) for model, p, z, u in parts)
-
-
-def sampled_command(
-    loop: Loop, params: LoopParams, key: jax.Array, unmodelled: State, i: int, command: Scalar, k: Scalar
-) -> State:
-    """State of the unmodelled dynamics of channel i after they have received the command of sample k."""
-    fresh = jax.random.fold_in(loop.key(key, "unmodelled", loop.channels[i]), k + 1)
-    return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, fresh, loop.sample_time)
-
-
-def plant_input(
-    loop: Loop,
-    params: LoopParams,
-    input_states: tuple[State, ...],
-    wind: State,
-    plant: State,
-    actuation: Signals,
-    t: Scalar,
-    condition: State = None,
-) -> PlantInput[Signals]:
-    """The plant's input at a stage of the integrator: commands, disturbances at the stage's plant state, and wind.
-
-    Args:
-        loop: The models and the clock.
-        params: Their parameters.
-        input_states: State of the disturbance of each channel, then of each named input.
-        wind: State of the wind.
-        plant: State of the plant.
-        actuation: The commands that reach it.
-        t: Time [s].
-        condition: What events have made of the plant in this sample.
-    """
-    references = loop.mimo_reference.at(params.reference, t)
-    measurements = measure(loop, params, plant, references)
-    disturbances = []
-    for i, model in enumerate(loop.disturbance):
-        sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
-        disturbances.append(model.value(params.disturbance[i], input_states[i], measurements[i], sigma, t))
-    first = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
-    inputs = []
-    for model, p, state in zip(loop.inputs, params.inputs, input_states[len(loop.disturbance) :], strict=True):
-        inputs.append(model.value(p, state, measurements[0], first, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs), condition)
-
-
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the sum of the whole state is finite, and so small that metrics can sum the squares of signals.
+    """Whether the sum of the state is finite, and so small that metrics can add the squares of signals.
 
-    What reaches the plant follows from the rest of the state, and is left out.
+    The commands that reach the plant follow from other states, and are left out.
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
@@ -243,32 +200,30 @@ def control_channel(
     signals: Signals,
     reference: ReferencePoint,
     k: Scalar,
-) -> tuple[ChannelState, Controlled]:
+) -> tuple[ChannelState, ControlResult]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
 
-    The sensor sees an angle that is continuous in time. ``signals`` are the readings of the measured signals.
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        channel: The channel's state before the sample.
+        i: Index of the channel.
+        measurement: The plant's output.
+        signals: Readings of the measured signals.
+        reference: The desired output.
+        k: Index of the sample.
     """
     t = k * loop.sample_time
     dt = loop.sample_time
     name = loop.channels[i]
     measurement = unwrap(loop, i, measurement, channel.angle)
-    sensor, reading = loop.sensor[i].step(
-        params.sensor[i],
-        channel.sensor,
-        measurement,
-        jax.random.fold_in(loop.key(key, "sensor", name), k + 1),
-        t,
-        dt,
-    )
+    sensor_key = loop.key_at(key, "sensor", name, k + 1)
+    sensor, reading = loop.sensor[i].step(params.sensor[i], channel.sensor, measurement, sensor_key, t, dt)
     wrapped_reading = principal_value(loop, i, reading)._replace(signals=signals)
     state, controlled = control(loop, params, i, channel.control, wrapped_reading, reference)
-    disturbance = loop.disturbance[i].step(
-        params.disturbance[i],
-        channel.disturbance,
-        jax.random.fold_in(loop.key(key, "disturbance", name), k + 1),
-        t,
-        dt,
-    )
+    disturbance_key = loop.key_at(key, "disturbance", name, k + 1)
+    disturbance = loop.disturbance[i].step(params.disturbance[i], channel.disturbance, disturbance_key, t, dt)
     next_channel = channel._replace(
         controller=state.controller,
         sensor=sensor,
@@ -286,12 +241,23 @@ def metric_sample(
     k: Scalar,
     error: TrackingError,
     reference: ReferencePoint,
-    controlled: Controlled,
+    controlled: ControlResult,
     u_previous: Scalar,
     input_gain: Scalar,
     l0: Scalar,
 ) -> Sample:
-    """The signals of one channel at sample k, for metrics."""
+    """The signals of one channel at sample k, for metrics.
+
+    Args:
+        loop: The models and the clock.
+        k: Index of the sample.
+        error: The true tracking error.
+        reference: The desired output.
+        controlled: Inputs and outputs of the channel's flight computer.
+        u_previous: The robust command of the previous sample.
+        input_gain: The plant's input gain k_p in this channel.
+        l0: Error pole l_0 of the controller [1/s].
+    """
     command = controlled.command
     return Sample(
         k=k,
@@ -318,9 +284,9 @@ def step(
     state: LoopState,
     k: Scalar,
     advance: Advance | None = None,
-    added: Signals | None = None,
+    additions: Signals | None = None,
 ) -> tuple[LoopState, Recorded]:
-    """Advance the loop by sample k: measure, control, integrate.
+    """Advance the loop by sample k: measure, control, and integrate to the next sample.
 
     Args:
         loop: The models and the clock.
@@ -328,25 +294,28 @@ def step(
         key: The draw's random key.
         state: The state at the sample.
         k: Index of the sample.
-        advance: :func:`held_between_samples` of these parameters, computed before the time loop; None: computed here.
-        added: Signals added to the commands of the channels, before the unmodelled dynamics.
+        advance: Result of :func:`held_between_samples`, from before the time loop; None: computed here.
+        additions: Signals added to the commands of the channels, before the unmodelled dynamics; None: none.
+
+    Returns:
+        The state at the next sample, and the signals of this one.
     """
     advance = advance or held_between_samples(loop, params)
     dt = loop.sample_time
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
     reaching = tuple(channel.reaching for channel in state.channels)
-    condition = condition_at(loop.events, params.events, t, dt, loop.rotors)
-    arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t, condition)
-    measurements = measure(loop, params, state.plant, references, arriving_drive)
-    values = signal_values(loop, params, state.plant, measurements, arriving_drive)
+    condition = loop.condition(params, t)
+    drive_before = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t, condition)
+    measurements = measure(loop, params, state.plant, references, drive_before)
+    values = signal_values(loop, params, state.plant, measurements, drive_before)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
-    sensor_inputs = measurements_for_sensors(loop, params, state.plant, references, arriving_drive, measurements)
+    sensor_inputs = measurements_for_sensors(loop, params, state.plant, references, drive_before, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
     commands = []
-    outputs = []
+    control_results = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
         next_channel, controlled = control_channel(
@@ -355,31 +324,30 @@ def step(
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
-        command = controlled.command
-        total = command.total if added is None else command.total + added[i]
-        sampled = sampled_command(loop, params, key, channel.unmodelled, i, total, k)
-        channels.append(next_channel._replace(unmodelled=sampled))
+        total = controlled.command.total if additions is None else controlled.command.total + additions[i]
+        unmodelled = receive_command(loop, params, key, channel.unmodelled, i, total, k)
+        channels.append(next_channel._replace(unmodelled=unmodelled))
         commands.append(total)
-        outputs.append(controlled)
-    wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
+        control_results.append(controlled)
+    wind = loop.wind.step(params.wind, state.wind, loop.key_at(key, "wind", "", k + 1), t, dt)
     held_commands = as_arrays(tuple(commands))
-    sampled = tuple(channel.unmodelled for channel in channels)
-    held_inputs = []
+    unmodelled_states = tuple(channel.unmodelled for channel in channels)
+    inputs = []
     for model, p, previous, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
-        held_inputs.append(model.step(p, previous, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
-    intermediate_state = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
+        inputs.append(model.step(p, previous, loop.key_at(key, "input", name, k + 1), t, dt))
+    disturbances = (*(channel.disturbance for channel in channels), *inputs)
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, intermediate_state.disturbances, wind, plant, actuation, time, condition)
+        return plant_input(loop, params, disturbances, wind, plant, actuation, time, condition)
 
-    plant, unmodelled = advance(drive_at, state.plant, sampled, held_commands, t)
-    plant, estimate = renewed_estimate(loop, params, key, plant, state.estimate, k + 1)
-    drive = drive_at(state.plant, actuate(loop, params, sampled, held_commands), t)
+    plant, next_unmodelled = advance(drive_at, state.plant, unmodelled_states, held_commands, t)
+    plant, estimate = next_estimate(loop, params, key, plant, state.estimate, k + 1)
+    drive = drive_at(state.plant, actuate(loop, params, unmodelled_states, held_commands), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
-    arriving = actuate(loop, params, unmodelled, held_commands)
+    reaching = actuate(loop, params, next_unmodelled, held_commands)
     for i, channel in enumerate(channels):
-        channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    next_state = as_arrays(LoopState(plant, wind, tuple(channels), intermediate_state.inputs, signal_sensors, estimate))
+        channels[i] = channel._replace(unmodelled=next_unmodelled[i], reaching=reaching[i])
+    next_state = as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
     is_broken = loop.plant.broken(params.plant, next_state.plant)
     is_grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
     instant = Instant(t, dt, tuple(samples), info, signals)
@@ -390,5 +358,5 @@ def step(
         finite=all_finite(next_state),
         broken=is_broken,
         grounded=is_grounded,
-        controlled=tuple(outputs),
+        controlled=tuple(control_results),
     )

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.metrics import (
     Course,
-    Instant,
     Metric,
     Scope,
     Span,
-    itself,
+    final_value,
     mean,
     peak,
     root_mean,
@@ -30,7 +31,14 @@ from dssc_jax.core.units import ChannelUnits
 
 
 class SampledSignal(NamedTuple):
-    """A signal of the loop: unit, meaning, its value at a sample, and whether it is an angle that begins again."""
+    """A signal of the loop that metrics and formulas can name.
+
+    Args:
+        unit: Unit.
+        meaning: Meaning in words.
+        value: Its value at a sample.
+        periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi].
+    """
 
     unit: str
     meaning: str
@@ -39,7 +47,7 @@ class SampledSignal(NamedTuple):
 
 
 class Variation(NamedTuple):
-    """The last value of a signal, the sum of the sizes of its changes, and whether there was a sample, 1 or 0."""
+    """The last value of a signal, the sum of the sizes of its changes, and 1 if there was a sample, else 0."""
 
     last: Scalar = 0.0
     sum: Scalar = 0.0
@@ -67,17 +75,17 @@ def of_desired_output(index: int) -> Callable[[Instant], Scalar]:
 
 
 def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
-    """A signal that a channel's controller reports."""
+    """A signal in the info of a channel's controller."""
     return lambda instant: signals_in(instant.channels[index].info)[field]
 
 
 def of_plant(field: str) -> Callable[[Instant], Scalar]:
-    """A named output that the plant reports."""
+    """A signal in the info of the plant."""
     return lambda instant: signals_in(instant.plant)[field]
 
 
 def of_reading(index: int) -> Callable[[Instant], Scalar]:
-    """A measured signal as its sensor shows it."""
+    """The reading of a measured signal."""
     return lambda instant: instant.measured[index]
 
 
@@ -93,7 +101,7 @@ CHANNEL_SIGNALS = {
 }
 """Fields of a channel's sample that are signals."""
 WITHIN_A_TURN = ("y", "e", "y_measured")
-"""Signals of a channel that are within half a turn of the reference, or of 0, where the output is an angle."""
+"""Signals of a channel that stay within half a turn of the reference, or of 0, if the output is an angle."""
 TIME = "t"
 """Name of the time in trajectories and formulas."""
 
@@ -110,11 +118,11 @@ def sampled_signals(
     """Every signal of a loop, by the name of its column in a trajectory.
 
     Args:
-        controller_fields: Field names of each channel's controller info, by channel.
-        plant_fields: Field names of the plant's info.
+        controller_fields: Names of the signals in each controller's info, by channel.
+        plant_fields: Names of the signals in the plant's info.
         units: Units and meanings of each channel.
-        reports: The quantities that each channel's controller declares.
-        outputs: The quantities that the plant declares.
+        reports: Unit and meaning of the signals that each channel's controller declares.
+        outputs: Unit and meaning of the signals that the plant declares.
         measured: The measured signals.
         angles: Channels whose output is an angle.
 
@@ -125,7 +133,7 @@ def sampled_signals(
     for index, (channel, fields) in enumerate(controller_fields.items()):
         for name, signal in channel_signals(index, fields, units[index], reports[index]).items():
             periodic = channel in angles and name in WITHIN_A_TURN
-            signals[f"{channel}_{name}" if channel else name] = signal._replace(periodic=periodic)
+            signals[signal_name(channel, name)] = signal._replace(periodic=periodic)
     for index, measure in enumerate(measured):
         meaning = f"measured {measure.quantity.meaning}"
         signals[f"measured_{measure.name}"] = SampledSignal(
@@ -141,13 +149,13 @@ def sampled_signals(
 def channel_signals(
     index: int, fields: Sequence[str], units: ChannelUnits, reports: Mapping[str, Quantity]
 ) -> dict[str, SampledSignal]:
-    """Every signal of one channel, by its name without that of the channel.
+    """Every signal of one channel, by its name without the channel's prefix.
 
     Args:
         index: Index of the channel.
-        fields: Field names of its controller's info.
+        fields: Names of the signals in the info of its controller.
         units: Units and meanings of the channel.
-        reports: The quantities that its controller declares.
+        reports: Unit and meaning of the signals that its controller declares.
 
     Raises:
         ConfigError: The controller reports a signal under the name of another one.
@@ -169,7 +177,7 @@ def channel_signals(
 
 
 def require_free(part: str, name: str, names: Collection[str]) -> None:
-    """Require that a part reports a signal under a name of its own; raises ConfigError."""
+    """Require that the name of a signal that a part reports is not among ``names``; else raise ConfigError."""
     if name in names:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
@@ -177,7 +185,7 @@ def require_free(part: str, name: str, names: Collection[str]) -> None:
 def variation(
     signal: Callable[[Instant], Scalar], periodic: bool = False
 ) -> Callable[[Variation, Instant, Window], Variation]:
-    """The update of the sum of |change| from one sample in the window to the next; of an angle, by the shorter way."""
+    """The update of a signal's total variation over the window; a periodic angle changes by the shorter way."""
 
     def update(acc: Variation, instant: Instant, window: Window) -> Variation:
         value = signal(instant)
@@ -189,33 +197,33 @@ def variation(
 
 
 def variation_sum(acc: Variation, window: Window, span: Span) -> Scalar:
-    """The sum of the sizes of the changes."""
+    """The total variation."""
     return acc.sum
 
 
 def running(
     extreme: Callable[[Scalar, Scalar], Scalar],
 ) -> Callable[[Callable[[Instant], Scalar]], Callable[[Scalar, Instant, Window], Scalar]]:
-    """The update of a running extreme of a signal."""
+    """For a minimum or maximum of two numbers: ``signal -> update`` of that signal's running extreme."""
     return lambda signal: lambda acc, instant, window: extreme(acc, signal(instant))
 
 
 class SignalMetric(NamedTuple):
-    """A metric of any signal: its meaning before the signal's, and how it is computed.
+    """A kind of metric that applies to any signal, such as its rms.
 
     Args:
-        meaning: Words before the signal's own meaning.
-        update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
-        value: The metric's field ``value``.
-        start: The metric's field ``start``.
-        course: The metric's field ``course``.
-        least: The metric's field ``least``.
-        periodic_update: ``update`` for an angle that begins again after a turn; None: the one for all signals.
+        meaning: Words before the meaning of the signal.
+        update: ``signal -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
+        value: Field of that metric, as are ``start``, ``course`` and ``least``.
+        start: See ``value``.
+        course: See ``value``.
+        least: See ``value``.
+        periodic_update: ``update`` for a periodic angle; None: ``update``.
     """
 
     meaning: str
     update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]]
-    value: Callable[..., Scalar] = itself
+    value: Callable[..., Scalar] = final_value
     start: object = 0.0
     course: Course = Course.OPEN
     least: float = -math.inf
@@ -239,11 +247,11 @@ SIGNAL_METRICS: dict[str, SignalMetric] = {
         periodic_update=partial(variation, periodic=True),
     ),
 }
-"""The metrics that a study takes of any signal."""
+"""The kinds of metric that apply to any signal, by their names in a study."""
 
 
 def signal_metric(kind: str, signal: SampledSignal) -> Metric:
-    """The metric of a kind of a signal, in its unit."""
+    """The metric of one kind, a key of :data:`SIGNAL_METRICS`, of a signal."""
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
     update_of = form.periodic_update if signal.periodic and form.periodic_update is not None else form.update
@@ -260,7 +268,7 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
 
 
 def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
-    """The metrics among names such as ``rms_tyre_force``: kind and signal."""
+    """The metrics of signals among some names, such as ``rms_tyre_force``: kind and signal."""
     metrics = {}
     for kind in SIGNAL_METRICS:
         for name, signal in signals.items():

@@ -15,22 +15,30 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import RISES, Course, Metric, Sample, Span, Window
+from dssc_jax.closed_loop.instants import Sample
+from dssc_jax.closed_loop.metrics import RISES, Course, Metric, Span, Window, final_value
 from dssc_jax.core.numerics import arithmetic, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.lanes.functions.approximations import atan2
 
-LOW = 0.1
-HIGH = 0.9
-STILL = 1e-6  # share of a step: a desired output that moves by less does not move
+LOW = 0.1  # progress at which the rise time starts
+HIGH = 0.9  # progress at which it ends
+STILL = 1e-6  # share of a step: a desired output that moves by less counts as constant
 BEGINS_WITH_STEP = "the window must begin with a step of the reference, which then stays; set `after` to its time"
 MOVES = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]
-"""Times [s] and values of a bound, by rising time; two points of one time are a jump."""
+"""Times [s] and values of a bound that is straight between them, by rising time; two points at one time are a jump."""
 
 
 class StepSize(NamedTuple):
-    """Samples so far, the output at the first of them, the desired output there, and how far that has moved since."""
+    """The step that a window begins with.
+
+    Args:
+        samples: Number of samples so far.
+        start: Output at the first sample.
+        goal: Desired output at the first sample.
+        moved: Largest distance of the desired output from the goal so far.
+    """
 
     samples: Scalar = 0.0
     start: Scalar = 0.0
@@ -46,19 +54,26 @@ class StepSize(NamedTuple):
         return StepSize(self.samples + 1.0, start, goal, jnp.maximum(self.moved, jnp.abs(desired - goal)))
 
     def progress(self, sample: Sample) -> Scalar:
-        """The share p of the step that the output has covered; 0 where there is no step."""
+        """The progress p of the output at a sample; 0 if there is no step."""
         size = self.goal - self.start
         travelled = sample.e + sample.reference.y - self.start
         return jnp.where(size == 0.0, 0.0, travelled / jnp.where(size == 0.0, 1.0, size))
 
     def result(self, value: Scalar) -> Scalar:
-        """The value of a metric of this step, or NaN where there is no step or its goal moves."""
+        """The value of a metric of this step; NaN if there is no step, or if the goal moves."""
         size = jnp.abs(self.goal - self.start)
         return jnp.where((size > 0.0) & (self.moved <= STILL * size), value, jnp.nan)
 
 
 class Rise(NamedTuple):
-    """The step, its last progress, and the times at which 10 % and 90 % were first passed, in samples; -1: not yet."""
+    """The rise of a step response.
+
+    Args:
+        step: The step.
+        previous: Progress at the last sample.
+        low: Time at which the progress first passed 10 %, in samples; -1: not yet.
+        high: Time at which it first passed 90 %, in samples; -1: not yet.
+    """
 
     step: StepSize = StepSize()
     previous: Scalar = 0.0
@@ -66,8 +81,8 @@ class Rise(NamedTuple):
     high: Scalar = -1.0
 
 
-def rise(acc: Rise, sample: Sample, window: Window) -> Rise:
-    """Note when the progress first passes 10 % and 90 %, between two samples by a straight line."""
+def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
+    """Note the times at which the progress first passes 10 % and 90 %, interpolated between two samples."""
     step = acc.step.next(sample)
     p = step.progress(sample)
     gain = p - acc.previous
@@ -81,50 +96,50 @@ def rise(acc: Rise, sample: Sample, window: Window) -> Rise:
 
 
 def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
-    """Time from 10 % to 90 %; infinite if 90 % is not reached."""
+    """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %."""
     return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, (acc.high - acc.low) * span.sample_time))
 
 
-class Peak(NamedTuple):
-    """The step, and the largest progress."""
+class StepPeak(NamedTuple):
+    """A step, and the largest progress so far."""
 
     step: StepSize = StepSize()
     largest: Scalar = 0.0
 
 
-def largest(acc: Peak, sample: Sample, window: Window) -> Peak:
-    """The largest progress so far."""
+def update_peak(acc: StepPeak, sample: Sample, window: Window) -> StepPeak:
+    """Note the progress at a sample if it is the largest so far."""
     step = acc.step.next(sample)
-    return Peak(step, jnp.maximum(acc.largest, step.progress(sample)))
+    return StepPeak(step, jnp.maximum(acc.largest, step.progress(sample)))
 
 
-def overshoot(acc: Peak, window: Window, span: Span) -> Scalar:
-    """How far the largest progress exceeds 1, in per cent."""
+def overshoot(acc: StepPeak, window: Window, span: Span) -> Scalar:
+    """Excess of the largest progress over 1 [%]."""
     return acc.step.result(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
 
 
-class Outside(NamedTuple):
-    """The step, and the number of samples up to the last one outside the band."""
+class StepSettling(NamedTuple):
+    """A step, and the number of samples up to the last one outside the band around the goal."""
 
     step: StepSize = StepSize()
     last_sample: Scalar = 0.0
 
 
-def update_outside(acc: Outside, sample: Sample, window: Window) -> Outside:
-    """Note a sample whose distance from the goal exceeds the band."""
+def update_settling(acc: StepSettling, sample: Sample, window: Window) -> StepSettling:
+    """Note a sample that is outside the band around the goal."""
     step = acc.step.next(sample)
     is_outside = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
-    return Outside(step, jnp.where(is_outside, step.samples, acc.last_sample))
+    return StepSettling(step, jnp.where(is_outside, step.samples, acc.last_sample))
 
 
-def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
-    """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
+def step_settling_time(acc: StepSettling, window: Window, span: Span) -> Scalar:
+    """Time from the window's start until all samples lie in the band [s]; infinite if the last one does not."""
     time = acc.last_sample * span.sample_time
     return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
 
 class Following(NamedTuple):
-    """Sums over the window's samples of y, r, r' and of the products r r, r' r', y r and y r'."""
+    """Sums over the samples of output y and reference r: of y, r, r' and the products r r, r' r', y r and y r'."""
 
     y: Scalar = 0.0
     r: Scalar = 0.0
@@ -136,7 +151,7 @@ class Following(NamedTuple):
 
 
 def update_following(acc: Following, sample: Sample, window: Window) -> Following:
-    """Add a sample."""
+    """Add a sample to every sum."""
     r = sample.reference.y
     d = sample.reference.y_dot
     y = sample.e + r
@@ -144,11 +159,11 @@ def update_following(acc: Following, sample: Sample, window: Window) -> Followin
     return Following(*(total + value for total, value in zip(acc, moments, strict=True)))
 
 
-def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
-    """Two amplitudes over that of a sine r: of the part of y in phase with r, and of the part 90 degrees ahead.
+def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
+    """Amplitudes of the parts of y in phase with a sine r and 90 degrees ahead of it, relative to that of r.
 
-    They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
-    and the frequency squared is var r'/var r. Both are NaN if r does not move.
+    They are the regression coefficients of y on r and on r'/omega, which is 90 degrees ahead of r, with the angular
+    frequency omega^2 = var r'/var r. Both are NaN if r does not move.
     """
     n = span.sample_count
     rr = acc.rr - acc.r * acc.r / n
@@ -161,28 +176,28 @@ def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
 
 def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
     """Amplitude of y over that of r."""
-    in_phase_gain, quadrature_gain = in_phase(acc, span)
+    in_phase_gain, quadrature_gain = phase_components(acc, span)
     return root_abs(in_phase_gain * in_phase_gain + quadrature_gain * quadrature_gain)
 
 
 def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
-    """Phase of r less that of y, in (-pi, pi] [rad]."""
-    in_phase_gain, quadrature_gain = in_phase(acc, span)
+    """Phase of r minus that of y, in (-pi, pi] [rad]."""
+    in_phase_gain, quadrature_gain = phase_components(acc, span)
     return atan2(-quadrature_gain, in_phase_gain)
 
 
 STEP_RESPONSE: dict[str, Metric] = {
     "rise_time": Metric(
-        "s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise(), least=0.0,
+        "s", "time in which a step response goes from 10 % to 90 %", update_rise, rise_time, start=Rise(), least=0.0,
         defined_if=BEGINS_WITH_STEP,
     ),
     "overshoot_percent": Metric(
-        "%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES, least=0.0,
+        "%", "overshoot of a step response", update_peak, overshoot, start=StepPeak(), course=RISES, least=0.0,
         defined_if=BEGINS_WITH_STEP,
     ),
     "settling_time_percent": Metric(
-        "s", "time after which a step response stays within a per-cent band", update_outside, step_settling,
-        start=Outside(), counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
+        "s", "time after which a step response stays within a per-cent band", update_settling, step_settling_time,
+        start=StepSettling(), counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
         settled_within=lambda window: math.nan,
     ),
     "following_gain": Metric(
@@ -197,7 +212,7 @@ STEP_RESPONSE: dict[str, Metric] = {
 
 
 def line_at(points: Points, t: Scalar, default: float) -> Scalar:
-    """A bound at t: straight between two points, and ``default`` before the first and after the last one."""
+    """The value of a bound at t [s]: straight between its points, and ``default`` outside of them."""
     early = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
     value: Scalar = default
     for (begin, low), (end, high) in pairwise(points):
@@ -210,14 +225,14 @@ def line_at(points: Points, t: Scalar, default: float) -> Scalar:
 def envelope_metric(
     signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points
 ) -> Metric:
-    """The smallest distance of a signal from its bounds over time; negative if it crosses one.
+    """The metric of the smallest distance of a signal from its bounds over time, negative if it crosses one.
 
     Args:
-        signal: The signal at a sample.
-        unit: Its unit.
-        meaning: What it is.
-        lower: Points of the lower bound; empty: none.
-        upper: Points of the upper bound; empty: none.
+        signal: Value of the signal at a sample.
+        unit: Unit of the signal.
+        meaning: Name of the signal in words.
+        lower: Points of the lower bound; empty: no bound.
+        upper: Points of the upper bound; empty: no bound.
     """
 
     def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
@@ -228,11 +243,11 @@ def envelope_metric(
         return jnp.minimum(acc, jnp.minimum(above_lower, below_upper))
 
     description = f"smallest distance of {meaning} from its envelope"
-    return Metric(unit, description, update, lambda acc, *_: acc, start=math.inf, course=Course.FALLS)
+    return Metric(unit, description, update, final_value, start=math.inf, course=Course.FALLS)
 
 
 def crossing(lower: Points, upper: Points) -> float | None:
-    """The first time of a point at which the lower bound lies above the upper one; None if it never does."""
+    """The first time among the points at which the lower bound exceeds the upper one [s]; None if it never does."""
     with arithmetic():
         for t in sorted({point[0] for point in (*lower, *upper)}):
             if line_at(lower, t, -math.inf) > line_at(upper, t, math.inf):

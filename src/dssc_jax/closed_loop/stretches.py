@@ -5,12 +5,11 @@ from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.spans import Span
-from dssc_jax.closed_loop.window import Window
+from dssc_jax.closed_loop.window import Span, Window
 from dssc_jax.core.signals import Scalar
 
 S = TypeVar("S")
-"""What the metric sees at a sample."""
+"""The input of the metric at a sample."""
 
 
 class Stretch(NamedTuple):
@@ -20,16 +19,16 @@ class Stretch(NamedTuple):
     longest: Scalar = 0.0
 
 
-def stretch(of: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window], Stretch]:
-    """The update of the longest run of samples at which the flag (1 or 0) holds."""
+def stretch(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window], Stretch]:
+    """The update of the longest run of consecutive samples at which a flag (1 or 0) holds."""
 
     def update(acc: Stretch, sample: S, window: Window) -> Stretch:
-        lasting = (acc.lasting + 1.0) * of(sample)
+        lasting = (acc.lasting + 1.0) * flag(sample)
         return Stretch(lasting, jnp.maximum(acc.longest, lasting))
 
     return update
 
 
 def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
-    """Duration of the longest stretch."""
+    """Duration of the longest stretch [s]."""
     return acc.longest * span.sample_time

@@ -1,7 +1,4 @@
-"""Time loops of :mod:`dssc_jax.closed_loop.draw`, with early ends, recording or checkpoints.
-
-Their state contains the index ``k`` of the next sample.
-"""
+"""Time loops over the samples of a draw: with early ends, with checkpoints for derivatives, or with a recording."""
 
 from collections.abc import Callable
 from typing import Protocol, TypeVar
@@ -30,9 +27,16 @@ R = TypeVar("R")
 def until_all_ended(
     sample: Callable[[C], C], is_active: Callable[[C], Scalar], first_carry: C, steps: int, axis_name: str
 ) -> C:
-    """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``axis_name`` is running.
+    """Advance sample by sample until ``steps`` are done, or until no draw of a mapped axis is running.
 
-    All draws of the axis share the check, so time and values that depend only on time stay scalars.
+    All draws of the axis share the loop, so the time and values that depend only on it stay scalars.
+
+    Args:
+        sample: Advances the carry by one sample.
+        is_active: Whether the draw of a carry is still running.
+        first_carry: The carry at the start.
+        steps: Total number of samples.
+        axis_name: Name of the axis that ``vmap`` maps over the draws.
     """
 
     def any_running(at: C) -> Scalar:
@@ -50,14 +54,14 @@ def until_all_ended(
 
 
 def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment: int | None = None) -> C:
-    """Advance sample by sample to the end, so that derivatives can be taken.
+    """Advance sample by sample through all ``steps``, in a form that can be differentiated.
 
     Args:
         sample: Advances the carry by one sample.
         first_carry: The carry at the start.
         steps: Total number of samples.
-        segment: Samples of a segment. Reverse mode stores the carry at the start of each segment and recomputes the
-            samples within it. None: it stores every carry.
+        segment: Number of samples between checkpoints. Reverse mode stores the carry at each checkpoint and recomputes
+            those between. None: reverse mode stores every carry.
     """
 
     def advance(at: C, count: int) -> C:
@@ -71,7 +75,13 @@ def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment:
 
 
 def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stride: int) -> tuple[C, R]:
-    """Advance sample by sample to the end, and record every ``stride``-th sample.
+    """Advance sample by sample through all ``steps``, and record every ``stride``-th sample.
+
+    Args:
+        sample: Advances the carry by one sample, and returns the record of that sample.
+        begin: The carry at the start.
+        steps: Total number of samples.
+        stride: Distance of two recorded samples.
 
     Returns:
         The carry at the end, and the records with leaves of shape (ceil(steps/stride),).

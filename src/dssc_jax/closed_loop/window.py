@@ -1,7 +1,7 @@
-"""The samples that a metric counts, and when it takes a loop for settled: read, written and compared in one place.
+"""The window of a metric: the samples that it counts, and the bands within which a loop counts as settled.
 
-Everything that a study says of a window is declared on the fields of :class:`Window`. The tables of the study file, the
-names of measures, the words of requirements and copies of a study follow from them.
+The fields of :class:`Window` declare everything that a study can state about a window. The tables of the study file,
+the names of measures, the words of requirements and copies of a study follow from them.
 """
 
 import math
@@ -9,18 +9,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
+
+from dssc_jax.core.signals import Scalar
+
 
 class WindowEntry(NamedTuple):
-    """How a study writes a field of a window.
+    """How a study file, names and texts express a field of a :class:`Window`.
 
     Args:
-        key: Its name in ``[metrics]`` and ``[[requirement]]``.
-        meaning: In words, with the unit.
-        suffix: Added to a measure's name, with the value.
-        words: Said of a requirement, with the value.
-        bounds: Admissible values, as pydantic's ``Field`` names bounds.
-        relative: Whether the value of ``[metrics]`` is left unsaid; if not, the default is.
-        absent: What holds where no value is written, in words; empty if the default is a value that can be written.
+        key: Name in ``[metrics]`` and ``[[requirement]]``.
+        meaning: Meaning in words, with the unit.
+        suffix: Format of the value in the name of a measure.
+        words: Format of the value in the text of a requirement.
+        bounds: Admissible values, with pydantic's names of bounds.
+        relative: Whether texts omit the value of ``[metrics]``; False: they omit the value of :data:`WHOLE_RUN`.
+        absent: Meaning of an absent value in words; empty if the default is a value that a study can contain.
     """
 
     key: str
@@ -33,15 +37,16 @@ class WindowEntry(NamedTuple):
 
 
 def entry_field(default: float, entry: WindowEntry) -> Any:
-    """A field of a window with its entry in a study."""
+    """A dataclass field of a window, with its default and its entry in a study."""
     return field(default=default, metadata={"entry": entry})
 
 
 @dataclass(frozen=True)
 class Window:
-    """Samples at ``after`` <= t <= ``until`` [s].
+    """The samples at ``after`` <= t <= ``until`` [s], and thresholds of metrics over them.
 
-    The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
+    The error counts as settled within ``band`` in the output's unit, or within ``percent`` [%] of a step. The command
+    chatters above the frequency ``chattering`` [Hz]; 0 stands for 1/(20 T_s).
     """
 
     after: float = entry_field(
@@ -94,18 +99,21 @@ class Window:
 
     @classmethod
     def of(cls, entries: Mapping[str, Any], default_window: "Window | None" = None) -> "Window":
-        """The window that entries of a study give.
+        """The window that a table of a study describes.
 
         Args:
-            entries: Values by the names of the study file; others are ignored.
-            default_window: Its values stand for entries that are absent or None.
+            entries: The table; names that belong to no field are ignored.
+            default_window: The window whose values replace entries that are absent or None.
         """
-        defaults = vars(default_window or cls())
-        values = {name: entries.get(entry.key) for name, entry in window_entries().items()}
-        return cls(**{name: defaults[name] if value is None else float(value) for name, value in values.items()})
+        values = dict(vars(default_window or cls()))
+        for name, entry in window_entries().items():
+            value = entries.get(entry.key)
+            if value is not None:
+                values[name] = float(value)
+        return cls(**values)
 
     def entries(self) -> dict[str, float]:
-        """The window as a study's ``[metrics]`` or ``[[requirement]]`` has it: the inverse of :meth:`of`."""
+        """The window as a table of a study, without values that stand for absent ones: the inverse of :meth:`of`."""
         written = {}
         for name, entry in window_entries().items():
             value = getattr(self, name)
@@ -114,7 +122,7 @@ class Window:
         return written
 
     def suffix(self, default_window: "Window") -> str:
-        """The suffix of a measure's name over another window than the study's default: the start, and what differs."""
+        """The suffix of a measure's name: empty over the study's default window, else the start and what differs."""
         if self == default_window:
             return ""
         parts = []
@@ -125,7 +133,7 @@ class Window:
         return "".join(parts)
 
     def words(self, default_window: "Window") -> str:
-        """The window in words, as far as a requirement needs them."""
+        """The window in the text of a requirement; values that need no mention are omitted."""
         parts = []
         for name, entry in window_entries().items():
             value = getattr(self, name)
@@ -135,14 +143,63 @@ class Window:
 
 
 WHOLE_RUN = Window()
-"""The window of a study that gives none."""
+"""The window of a study that states none."""
 
 
 def window_entries() -> dict[str, WindowEntry]:
-    """The entries in a study by the window's fields."""
+    """The :class:`WindowEntry` of each field of a window, by the field's name."""
     return {window_field.name: window_field.metadata["entry"] for window_field in fields(Window)}
 
 
 def window_defaults() -> dict[str, float]:
-    """Values of a window that a study does not give, by the names of the study file."""
+    """The values of a window that a study leaves out, by their names in the study file."""
     return WHOLE_RUN.entries()
+
+
+class Span(NamedTuple):
+    """The length of a window in samples, from which the final value of a metric follows.
+
+    Args:
+        steps: Number of samples up to the end of the window.
+        sample_count: Number of samples in the window.
+        sample_time: T_s [s].
+    """
+
+    steps: Scalar
+    sample_count: Scalar
+    sample_time: float
+
+
+def periods_lasting(duration: float, sample_time: float) -> int:
+    """The least number of sample periods that together last at least a duration [s], robust to rounding of k T_s."""
+    return math.ceil(duration / sample_time - 1e-9)
+
+
+def first_sample(after: float, sample_time: float) -> int:
+    """Index of the first sample at t >= ``after`` [s]."""
+    return max(0, periods_lasting(after, sample_time))
+
+
+MOST_SAMPLES = 2**31 - 1  # of a run
+
+
+def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Scalar:
+    """Number of samples at t <= until in a run of ``steps`` samples, robust to rounding of t = k T_s."""
+    if math.isinf(window.until):
+        return steps
+    count = min(MOST_SAMPLES, math.floor(window.until / sample_time + 1e-9) + 1)
+    return min(steps, count) if isinstance(steps, int) else jnp.minimum(steps, count)
+
+
+def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
+    """The span of a window in a run of ``steps`` samples."""
+    end = samples_before_end(window, sample_time, steps)
+    return Span(end, end - first_sample(window.after, sample_time), sample_time)
+
+
+def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
+    """Whether sample k lies in the window; None where all samples do."""
+    start = first_sample(window.after, sample_time)
+    if math.isinf(window.until):
+        return None if start == 0 else k >= start
+    return (k >= start) & (k < samples_before_end(window, sample_time, MOST_SAMPLES))

@@ -1,17 +1,15 @@
-"""Print an analysis whose kind has no output of its own: its headline, and its single numbers with their meanings."""
+"""Print an analysis of any kind."""
 
 from pathlib import Path
 
-from rich.markup import escape
-
-from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.console.terminal import show_files, show_head, show_table
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import field_meanings
 
 
 def show_analysis(analysis: Analysis, files: list[Path]) -> None:
-    """Print the headline, a row for each single number or text of the answer, and the files."""
-    output().print(f"[bold]{escape(analysis.study.name)}[/bold]  {escape(analysis.headline)}", soft_wrap=True)
+    """Print the headline of an analysis, each single number or text of its answer with its meaning, and the files."""
+    show_head(analysis.study.name, analysis.headline)
     summary = analysis.summary()
     rows = []
     for key, unit, meaning in field_meanings(type(analysis).answer_type()):

@@ -4,7 +4,7 @@ from typing import NamedTuple, get_type_hints
 
 from rich.markup import escape
 
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import output, show_paragraph, show_table
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Certificate, Constants, Parameters
 from dssc_jax.design.feasibility import Limits
@@ -21,13 +21,13 @@ class DesignTable(NamedTuple):
     rows: list[TableRow]
 
 
-def figures(value: float | None) -> str:
-    """Format a number; a dash if there is none."""
+def digits(value: float | None) -> str:
+    """Format a number with five digits; a dash if it is None or NaN."""
     return "-" if value is None or value != value else f"{value:.5g}"
 
 
 def design_tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
-    """The tables of parameters, inequalities, small gain and guarantees."""
+    """Make the tables of a design: parameters, inequalities, small gain, guarantees and constants."""
     return [
         DesignTable("Parameters", ("parameter", "value", "unit", "meaning"), parameter_rows(design.parameters)),
         inequality_table(certificate),
@@ -38,26 +38,27 @@ def design_tables(design: DesignFile, certificate: Certificate) -> list[DesignTa
 
 
 def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
-    """Each number with its unit and meaning."""
+    """One row for each number: name, value, unit and meaning."""
     hints = get_type_hints(type(numbers), include_extras=True)
     rows = []
     for name, value in numbers._asdict().items():
-        mark: Quantity = hints[name].__metadata__[0]
-        rows.append((name, figures(value), mark.unit, mark.meaning))
+        quantity: Quantity = hints[name].__metadata__[0]
+        rows.append((name, digits(value), quantity.unit, quantity.meaning))
     return rows
 
 
 def inequality_table(certificate: Certificate) -> DesignTable:
-    """The inequalities of Table 1 with slacks, as derived and as printed."""
+    """The inequalities of Table 1, with their slacks as derived here and as printed in the article."""
     rows = []
-    for i in certificate.inequalities:
-        numbers = [figures(number) for number in (i.value, i.bound, i.slack, i.printed_slack)]
-        rows.append((i.name, *numbers, i.state.value.replace("_", " "), i.equation))
+    for inequality in certificate.inequalities:
+        numbers = (inequality.value, inequality.bound, inequality.slack, inequality.printed_slack)
+        state = inequality.state.value.replace("_", " ")
+        rows.append((inequality.name, *map(digits, numbers), state, inequality.equation))
     head = ("inequality", "value", "must exceed", "slack", "printed slack", "state", "equation")
     return DesignTable("Design inequalities, for all k_p", head, rows)
 
 
-READINGS = {
+SMALL_GAIN_SOURCES = {
     "derived": "linear comparison system of (58) and (60); certifies",
     "theorem": "4 gamma_1 gamma_2 <= phi_b^2 (Appendix G) with the derived gains",
     "printed": "last bound of Appendix D as printed",
@@ -65,42 +66,42 @@ READINGS = {
 
 
 def small_gain_table(certificate: Certificate) -> DesignTable:
-    """The three readings of the small-gain condition."""
+    """The three forms of the small-gain condition: derived here, of the theorem, and as printed."""
     phi_b = certificate.phi_b
     rows = []
     for name, bound in certificate.small_gain._asdict().items():
-        rows.append((name, figures(phi_b), figures(bound), figures(phi_b - bound), READINGS[name]))
+        rows.append((name, digits(phi_b), digits(bound), digits(phi_b - bound), SMALL_GAIN_SOURCES[name]))
     return DesignTable("Small gain", ("reading", "phi_b", "must exceed", "slack", "source"), rows)
 
 
 def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable:
-    """The guarantees: residuals, rate, proofs, and what a running loop needs."""
-    g = certificate.guarantee
+    """The guarantees: residuals, decay rate, Lyapunov conditions, and what the sampled loop needs."""
+    guarantee = certificate.guarantee
     proofs = certificate.lyapunov
-    needs = certificate.practice
+    practice = certificate.practice
     rows = [
-        ("ultimate bound of |e|", figures(g.e), "m"),
-        ("ultimate bound of |sigma|", figures(g.sigma), "m/s"),
-        ("constant of O(1/phi_b^2) of |e|", figures(g.order), "m"),
-        ("decay rate to the residual set", figures(g.decay_rate), "1/s"),
-        ("smallest eigenvalue of P", figures(proofs.p_smallest), "SI"),
-        ("smallest eigenvalue of Q - 2 eps I found", figures(proofs.q_smallest), "SI"),
+        ("ultimate bound of |e|", digits(guarantee.e), "m"),
+        ("ultimate bound of |sigma|", digits(guarantee.sigma), "m/s"),
+        ("constant of O(1/phi_b^2) of |e|", digits(guarantee.order), "m"),
+        ("decay rate to the residual set", digits(guarantee.decay_rate), "1/s"),
+        ("smallest eigenvalue of P", digits(proofs.p_smallest), "SI"),
+        ("smallest eigenvalue of Q - 2 eps I found", digits(proofs.q_smallest), "SI"),
         ("Q - 2 eps I > 0 for all sigma, e, alpha, k_p", "proved" if proofs.q_proved else "not proved", ""),
         ("k_o tau_av > 0 and tau_m > 0 for all sigma, e", "proved" if proofs.functions_proved else "not proved", ""),
-        ("sampling period, at sigma = e = 0", figures(needs.sample_time_origin), "s"),
-        ("sampling period, over the residual set", figures(needs.sample_time), "s"),
-        ("|u_av| over the residual set", figures(needs.u_av), "m/s"),
+        ("sampling period, at sigma = e = 0", digits(practice.sample_time_origin), "s"),
+        ("sampling period, over the residual set", digits(practice.sample_time), "s"),
+        ("|u_av| over the residual set", digits(practice.u_av), "m/s"),
     ]
     if design.modulation is not None:
         rows += [
-            ("constant rho that keeps sliding there", figures(design.modulation.needed_rho(needs)), "m/s"),
-            ("time of the first sliding under (33)", figures(design.modulation.first_sliding), "s"),
+            ("constant rho that keeps sliding there", digits(design.modulation.needed_rho(practice)), "m/s"),
+            ("time of the first sliding under (33)", digits(design.modulation.first_sliding), "s"),
         ]
     return DesignTable("Guaranteed", ("what", "value", "unit"), rows)
 
 
 def limits_table(limits: Limits) -> DesignTable:
-    """How far each bound can change with the others unchanged."""
+    """How far each bound of the design can change alone before the certificate is lost."""
     meanings = {
         "phi_b": "least phi_b",
         "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
@@ -108,53 +109,81 @@ def limits_table(limits: Limits) -> DesignTable:
         "k_max": "largest k_max",
         "a_max": "largest a_max",
     }
-    rows = [(meanings[name], figures(value)) for name, value in limits._asdict().items()]
+    rows = [(meanings[name], digits(value)) for name, value in limits._asdict().items()]
     return DesignTable("Certified up to, one at a time", ("limit", "value"), rows)
 
 
-def show(design: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
-    """Print a design."""
+def show_design(design: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
+    """Print a design with its certificate.
+
+    Args:
+        design: The design.
+        certificate: Verdict of Theorem 1 on the design.
+        limits: How far each bound can change; None if the design is not certified.
+    """
     printable_name = "".join(character if character.isprintable() else "?" for character in design.name)
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
-    output().print(f"[bold]{escape(printable_name)}[/bold]: {verdict}{escape(reasons(certificate))}")
+    output().print(f"[bold]{escape(printable_name)}[/bold]: {verdict}{escape(unmet_conditions(certificate))}")
     if certificate.certified:
-        output().print("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
-    for table in [*design_tables(design, certificate), *([limits_table(limits)] if limits else [])]:
+        show_paragraph("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
+    tables = design_tables(design, certificate)
+    if limits:
+        tables.append(limits_table(limits))
+    for table in tables:
         show_table(table.head, table.rows, title=table.title)
     for edge in design.edges:
-        output().print(f"{edge}; a wider range in [goal.vary] may do better", markup=False)
+        show_paragraph(f"{edge}; a wider range in [goal.vary] may do better")
     if design.goal is not None or design.free is not None:
-        output().print("In a study:", markup=False)
-        output().print(functions_toml(design.parameters), markup=False, highlight=False)
+        show_paragraph("In a study:")
+        show_paragraph(functions_toml(design.parameters))
 
 
-def reasons(certificate: Certificate) -> str:
-    """The reasons why there is no certificate."""
-    failing = [f"{i.name} {i.state.value.replace('_', ' ')}" for i in certificate.inequalities if not i.satisfied]
+def unmet_conditions(certificate: Certificate) -> str:
+    """List the inequalities and the small-gain condition that a design does not meet; empty if it meets all."""
+    conditions = []
+    for inequality in certificate.inequalities:
+        if not inequality.satisfied:
+            conditions.append(f"{inequality.name} {inequality.state.value.replace('_', ' ')}")
     if not certificate.interconnected:
         bound = certificate.small_gain.derived
-        failing.append(f"small gain needs phi_b > {figures(bound)}" if bound == bound else "small gain needs P > 0")
-    return "; ".join(failing)
+        is_bound_known = bound == bound  # NaN: P is not positive definite
+        conditions.append(f"small gain needs phi_b > {digits(bound)}" if is_bound_known else "small gain needs P > 0")
+    return "; ".join(conditions)
 
 
-SPECIAL = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
-SPECIAL |= {character: f"\\{character}" for character in "_%&#${}"}
-SPECIAL |= {character: f"${character}$" for character in "<>|"}
+LATEX_CHARACTERS = {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
+LATEX_CHARACTERS |= {character: f"\\{character}" for character in "_%&#${}"}
+LATEX_CHARACTERS |= {character: f"${character}$" for character in "<>|"}
+"""LaTeX of the characters that LaTeX would not print as they are."""
 
 
 def latex(design: DesignFile, certificate: Certificate) -> str:
-    """The tables as LaTeX; they need the package booktabs."""
-    parts = []
-    for table in design_tables(design, certificate):
-        body = "\n".join(" & ".join(map(escaped, row)) + r" \\" for row in table.rows)
-        parts.append(
-            f"\\begin{{table}}\n\\caption{{{escaped(f'{table.title} of {design.name}')}}}\n"
-            f"\\begin{{tabular}}{{{'l' * len(table.head)}}}\n\\toprule\n{' & '.join(map(escaped, table.head))} \\\\\n"
-            f"\\midrule\n{body}\n\\bottomrule\n\\end{{tabular}}\n\\end{{table}}"
-        )
-    return "\n\n".join(parts)
+    """The tables of a design as LaTeX, which needs the package booktabs."""
+    return "\n\n".join(latex_table(table, design.name) for table in design_tables(design, certificate))
 
 
-def escaped(text: str) -> str:
-    """Escape LaTeX's special characters."""
-    return "".join(SPECIAL.get(character, character) for character in text)
+def latex_table(table: DesignTable, design_name: str) -> str:
+    """A table as LaTeX, with the design's name in its caption."""
+    lines = [
+        r"\begin{table}",
+        rf"\caption{{{latex_text(f'{table.title} of {design_name}')}}}",
+        rf"\begin{{tabular}}{{{'l' * len(table.head)}}}",
+        r"\toprule",
+        latex_row(table.head),
+        r"\midrule",
+        *map(latex_row, table.rows),
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines)
+
+
+def latex_row(cells: TableRow) -> str:
+    """A row of a LaTeX table."""
+    return " & ".join(map(latex_text, cells)) + r" \\"
+
+
+def latex_text(text: str) -> str:
+    """A text in which LaTeX's special characters are escaped."""
+    return "".join(LATEX_CHARACTERS.get(character, character) for character in text)

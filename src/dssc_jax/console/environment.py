@@ -9,7 +9,7 @@ from typing import TypedDict
 import jax
 
 from dssc_jax.console.kinds import HEADS, KindDescription, MetricDescription, kinds, metric_description
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import show_line, show_paragraph, show_table
 from dssc_jax.core import files
 from dssc_jax.engine import kernels
 from dssc_jax.study.laws import LAWS
@@ -17,7 +17,15 @@ from dssc_jax.study.measuring import PACKAGE_METRICS
 
 
 class Environment(TypedDict):
-    """Versions, devices, compiler, and every kind and metric by name."""
+    """What ``dssc-jax info --json`` prints.
+
+    Args:
+        versions: Version of Python and of each package.
+        devices: Devices on which JAX computes.
+        compiler: Settings of the compiler.
+        kinds: Kinds of models and parts, by table and name.
+        metrics: Metrics by name.
+    """
 
     versions: dict[str, str]
     devices: list[str]
@@ -27,7 +35,7 @@ class Environment(TypedDict):
 
 
 def machine() -> str:
-    """Processor, versions and date, to be given with a measurement."""
+    """Processor, versions of Python and JAX, and date in one line, to accompany a measurement."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -40,7 +48,7 @@ def machine() -> str:
 
 
 def environment() -> Environment:
-    """Versions, devices, compiler and registries."""
+    """Collect versions, devices, compiler settings, and the registries of kinds and metrics."""
     metrics = {name: metric_description(metric) for name, metric in PACKAGE_METRICS.items()}
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
     return {
@@ -53,16 +61,13 @@ def environment() -> Environment:
 
 
 def show_environment(environment: Environment) -> None:
-    """Print the environment."""
-    console = output()
-    console.print("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
-    console.print(
-        f"devices    {', '.join(environment['devices'])}\ncompiler   {', '.join(environment['compiler'])}",
-        soft_wrap=True,
-    )
-    for slot, its_kinds in environment["kinds"].items():
+    """Print versions, devices and compiler, then tables of all kinds, metrics and laws."""
+    show_paragraph("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
+    show_line(f"devices    {', '.join(environment['devices'])}")
+    show_line(f"compiler   {', '.join(environment['compiler'])}")
+    for slot, descriptions in environment["kinds"].items():
         rows = []
-        for kind, description in its_kinds.items():
+        for kind, description in descriptions.items():
             options = [f"{name}: {' | '.join(map(str, values))}" for name, values in description["options"].items()]
             rows.append((kind, description["summary"], ", ".join(description["fields"]), "; ".join(options)))
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
@@ -70,4 +75,4 @@ def show_environment(environment: Environment) -> None:
     show_table(("metric", "what", "unit", "of each"), rows)
     rows = [(name, law.signature, law.rule[0]) for name, law in LAWS.items()]
     show_table(("law", "arguments", "rule"), rows)
-    console.print("`dssc-jax info NAME` shows one kind's fields with unit, meaning, range and default", markup=False)
+    show_paragraph("`dssc-jax info NAME` shows one kind's fields with unit, meaning, range and default")

@@ -1,64 +1,59 @@
-"""Show what was generated for a flight computer, and how a logged flight lies in the draws."""
+"""Print generated flight code, and what logged flights tell: comparison with the draws, next flight, fit of laws."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.flight_logs.command_gaps import HELD
+from dssc_jax.console.terminal import show_files, show_line, show_table, values_text
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
+from dssc_jax.flight_logs.fit.command_gaps import HELD
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 from dssc_jax.study import Study
 
-SIGNIFICANCE = 0.05  # level of the test of a log
-MOST_MINIMA = 3  # of a search, beside the best one, that are listed
-LONG_OUTSIDE = 0.05  # share of the samples outside the range of all draws that the verdict tells
+SIGNIFICANCE = 0.05
+"""Level of the test whether a log is a flight of the study."""
+MOST_MINIMA = 3
+"""Largest number of minima, beside the best, that are printed."""
+LARGE_OUTSIDE_SHARE = 0.05
+"""Share of samples outside the range of all draws above which the verdict names a signal."""
 
 Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
-"""Head and rows."""
+"""Head and rows of a table."""
 
 
 def show_code(summary: dict[str, Any]) -> None:
-    """Print each channel's functions and cost, and how to check them."""
+    """Print the cost of each channel's step function, the certificate, and the files.
+
+    Args:
+        summary: Summary of the folder: ``channels``, ``certificate``, ``folder``, and ``fmu`` if one was written.
+    """
     rows = []
     for channel in summary["channels"]:
         operations = channel["operations"]
-        slow = sum(operations.get(name, 0) for name in ("div", "sqrt", "rem"))
-        rows.append(
-            (
-                f"{channel['prefix']}_step",
-                str(sum(operations.values())),
-                str(slow),
-                str(channel["chain"]),
-                str(channel["state_bytes"]),
-                str(channel["parameter_bytes"]),
-            )
-        )
+        slow_count = sum(operations.get(name, 0) for name in ("div", "sqrt", "rem"))
+        counts = (sum(operations.values()), slow_count, channel["chain"])
+        sizes = (channel["state_bytes"], channel["parameter_bytes"])
+        rows.append((f"{channel['prefix']}_step", *map(str, (*counts, *sizes))))
     show_table(("function", "operations", "quotients, roots", "longest chain", "state [bytes]", "parameters"), rows)
-    console = output()
-    console.print(summary["certificate"], soft_wrap=True, markup=False)
-    console.print(
-        f"wrote {summary['folder']}; make -C {summary['folder']} checks every bit", soft_wrap=True, markup=False
-    )
+    show_line(summary["certificate"])
+    show_line(f"wrote {summary['folder']}; make -C {summary['folder']} checks every bit")
     fmu = summary.get("fmu")
     if fmu is not None:
         content = "with its library" if fmu["library"] else f"without a library, its sources only: {fmu['reason']}"
-        console.print(f"wrote {summary['folder']}/{fmu['file']}, {content}", soft_wrap=True, markup=False)
+        show_line(f"wrote {summary['folder']}/{fmu['file']}, {content}")
 
 
 def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
-    """Print the p-value, each signal's place among the draws, and how the replayed commands differ."""
+    """Print where a log lies among the draws, the p-value, and how the replayed commands differ from the log."""
     answer = comparison.answer
-    say = partial(output().print, soft_wrap=True, markup=False)
-    say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
+    show_line(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
     if answer.p_value is None:
-        say(NO_SPREAD)
+        show_line(NO_SPREAD)
     else:
-        show_table(*places_table(answer))
+        show_table(*departure_table(answer))
     if answer.without_spread:
-        show_table(*distances_table(answer))
+        show_table(*constant_signal_table(answer))
     if answer.p_value is not None:
         show_rank(answer, answer.p_value)
     replays = {}
@@ -70,7 +65,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
 
 
 def samples_text(answer: LogAnswer) -> str:
-    """How many samples are compared, at how many of them the log has a value, and whether it ends before the study."""
+    """Tell how many samples are compared, how many of them the log has, and whether it ends before the study."""
     text = f"{answer.samples} samples"
     if answer.samples < answer.study_samples:
         text = f"{answer.samples} of the study's {answer.study_samples} samples"
@@ -82,27 +77,26 @@ def samples_text(answer: LogAnswer) -> str:
 
 
 def show_replay(summary: Mapping[str, Any], study: Study) -> None:
-    """Print how the analysed controller's commands and the study's references differ from the log's.
+    """Print how the commands of the analysed controller and the references of the study differ from the logged ones.
 
     Args:
         summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
             ``reference_differences`` and ``reference_rate_differences`` by channel, and ``hints`` by signal.
         study: The study, whose channels have the references' units.
     """
-    say = partial(output().print, soft_wrap=True, markup=False)
     for name, replay in summary["replay"].items():
-        say(
+        show_line(
             f"replay: the analysed controller's {name} differs by at most {replay['largest_difference']:.4g} "
             f"{replay['unit']} (at {replay['largest_difference_at']:.4g} s), "
             f"rms {replay['rms_difference']:.4g} of {replay['rms_logged']:.4g}"
         )
     if summary["dropped_rows"]:
         counts = ", ".join(f"{count:,} of {name}" for name, count in summary["dropped_rows"].items())
-        say(f"rows left out, because their times fall: {counts}")
+        show_line(f"rows left out, because their times fall: {counts}")
     if summary["held_samples"]:
-        say(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
+        show_line(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
     for channel, reason in summary["not_replayed"].items():
-        say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+        show_line(f"not replayed{f', {channel}' if channel else ''}: {reason}")
     differences = summary["reference_differences"]
     rates = summary["reference_rate_differences"]
     for channel, units in zip(study.loop.channels, study.units, strict=True):
@@ -113,36 +107,43 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
         text = f"the logged reference{place} differs from the study's by at most {largest}"
         if channel in rates:
             text += f", its rate by at most {rates[channel]:.4g} {units.of('y/s')}"
-        say(text)
+        show_line(text)
     for name, text in summary["hints"].items():
-        say(f"warning: {name} {text}")
+        show_line(f"warning: {name} {text}")
 
 
 def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
-    """How many samples of each signal are the log's, where it lacks some, and what counts between them."""
+    """Tell how many samples of each signal a log has if it lacks some, and what is assumed between them.
+
+    Args:
+        held_counts: Number of samples that the log lacks, by signal.
+        samples: Number of samples.
+        subject: What the samples are used for.
+        between: What is assumed between the samples of the log.
+    """
     counts = ", ".join(f"{name} at {samples - count}" for name, count in held_counts.items())
     return f"{subject}: of {samples} samples, the log has {counts}; between them {between}"
 
 
-def places_table(answer: LogAnswer) -> Table:
-    """Head and rows on the place of each signal among the draws, of those that differ between draws."""
+def departure_table(answer: LogAnswer) -> Table:
+    """Table of the logged signals' departures from the draws, for signals that differ between the draws."""
     rows = []
     for name, signal in answer.signals.items():
         if signal.outside_share is None:
             continue
         row = (
             f"{name} [{signal.unit}]",
-            plain_number(signal.largest_departure),
+            number_or_dash(signal.largest_departure),
             f"{100 * signal.outside_share:.3g} %",
-            plain_number(signal.first_outside),
-            plain_number(signal.outside_to_the_end_since),
+            number_or_dash(signal.first_outside),
+            number_or_dash(signal.outside_to_the_end_since),
         )
         rows.append(row)
     return ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows
 
 
-def distances_table(answer: LogAnswer) -> Table:
-    """Head and rows on the distance of the log from signals that are the same in all draws."""
+def constant_signal_table(answer: LogAnswer) -> Table:
+    """Table of the log's largest difference from each signal that is the same in all draws."""
     rows = []
     for name, largest in answer.without_spread.items():
         rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
@@ -150,21 +151,20 @@ def distances_table(answer: LogAnswer) -> Table:
 
 
 def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
-    """Print the limits of the next flight, and what the flights say of the study."""
+    """Print the limits of the next flight, and whether the flights refute the study."""
     answer = outlook.answer
-    say = partial(output().print, soft_wrap=True, markup=False)
-    say(f"{outlook.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
-    say(outlook.headline)
+    show_line(f"{outlook.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
+    show_line(outlook.headline)
     show_table(*limit_table(answer))
     for name in answer.without_spread:
-        say(f"{name} is the same in all draws, and is left out")
-    say(beyond_text(answer))
+        show_line(f"{name} is the same in all draws, and is left out")
+    show_line(beyond_text(answer))
     show_table(*counts_table(answer.study_test))
     show_files(files)
 
 
 def limit_table(answer: NextFlightAnswer) -> Table:
-    """Head and rows on the metrics' limits for the next flight."""
+    """Table of the limits of each metric for the next flight, beside the flights so far and the draws."""
     rows = []
     for name, metric in answer.metrics.items():
         beyond = "" if metric.draws_beyond is None else f"{100 * metric.draws_beyond:.3g} %"
@@ -176,7 +176,7 @@ def limit_table(answer: NextFlightAnswer) -> Table:
 
 
 def beyond_text(answer: NextFlightAnswer) -> str:
-    """How many flights depart farther than 95 % of the draws, and what this tells of their share."""
+    """Tell how many flights depart farther than 95 % of the draws, with the interval of their share."""
     test = answer.study_test
     low, high = test.share_interval
     return (
@@ -186,18 +186,18 @@ def beyond_text(answer: NextFlightAnswer) -> str:
 
 
 def counts_table(test: StudyTest) -> Table:
-    """Head and rows on the numbers of flights that refute or confirm the study."""
+    """Table of the numbers of flights that would refute or confirm the study, by the true share of extreme flights."""
     rows = []
-    for share, refute in test.flights_to_refute.items():
-        counts = ["too many" if count is None else str(count) for count in (refute, test.flights_to_confirm[share])]
-        rows.append((f"{100 * float(share):g} %", *counts))
+    for share, refuting_count in test.flights_to_refute.items():
+        counts = (refuting_count, test.flights_to_confirm[share])
+        texts = ["too many" if count is None else str(count) for count in counts]
+        rows.append((f"{100 * float(share):g} %", *texts))
     return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:
-    """Print the p-value and what it says."""
-    say = partial(output().print, soft_wrap=True, markup=False)
-    say(
+    """Print the p-value of a log, by its rank among the draws, and the verdict of the test."""
+    show_line(
         f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
@@ -205,50 +205,51 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
     sample_text = f", by the {answer.logged_samples} samples that it has" if missing else ""
     if p_value > SIGNIFICANCE:
         verdict = f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}"
-        say(f"{verdict}{outside_text(answer)}")
+        show_line(f"{verdict}{outside_text(answer)}")
     else:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
+        show_line(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
     if answer.least_p_value > SIGNIFICANCE:
-        say(f"p cannot be below {answer.least_p_value:.3g}: take more draws")
+        show_line(f"p cannot be below {answer.least_p_value:.3g}: take more draws")
 
 
 def outside_text(answer: LogAnswer) -> str:
-    """The signals that are outside the range of the draws for long, in words; empty if there are none."""
+    """Name the signals that are often outside the range of all draws; empty if there are none."""
     shares = []
     for name, signal in answer.signals.items():
-        if signal.outside_share is not None and signal.outside_share > LONG_OUTSIDE:
+        if signal.outside_share is not None and signal.outside_share > LARGE_OUTSIDE_SHARE:
             shares.append(f"{name} for {100 * signal.outside_share:.3g} % of its samples")
     return f", but it leaves the range of all draws: {', '.join(shares)}" if shares else ""
 
 
 def show_fit(summary: Mapping[str, Any]) -> None:
-    """Print the estimates with their intervals, what was assumed of the residual, and the laws as TOML."""
-    say = partial(output().print, soft_wrap=True, markup=False)
+    """Print the estimates with their intervals, the residual, doubts, and the proposed laws as TOML or their file."""
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
-    say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
+    show_line(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     if summary["simulated_samples"] < summary["study_samples"]:
-        say(
+        show_line(
             f"the log ends at {summary['simulated_samples']} of the study's {summary['study_samples']} samples: "
             "it says nothing of what comes later"
         )
     if summary["held_commands"]:
         course = summary["between_commands"]
-        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))
+        show_line(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))
     show_estimates(summary["numbers"])
     for channel, noise in summary["noise"].items():
-        say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
+        show_line(
+            residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel])
+        )
     for line in (*search_lines(summary), *doubt_lines(summary)):
-        say(line)
+        show_line(line)
     if summary["file"]:
-        say(f"wrote {summary['file']}")
+        show_line(f"wrote {summary['file']}")
     else:
-        say("in place of the study's lines of the same names, section by section:")
-        say("")
-        say(summary["toml"].rstrip())
+        show_line("in place of the study's lines of the same names, section by section:")
+        show_line("")
+        show_line(summary["toml"].rstrip())
 
 
 def show_estimates(numbers: Mapping[str, Any]) -> None:
-    """Print the table of estimates with their intervals and laws."""
+    """Print each estimate with its 90 % interval and the law in the study."""
     rows = []
     for name, number in numbers.items():
         low, high = number["interval_90"]
@@ -258,7 +259,7 @@ def show_estimates(numbers: Mapping[str, Any]) -> None:
 
 
 def search_lines(summary: Mapping[str, Any]) -> list[str]:
-    """How the search for the best numbers went, and the other minima that it found."""
+    """Lines on the search for the best estimates, and on other minima of the residual."""
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
@@ -267,7 +268,7 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
         lines.append(f"the search ended early, {summary['search_cut']}: {remark}")
     minima = summary["other_minima"]
     for minimum in minima[:MOST_MINIMA]:
-        values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
+        values = values_text(minimum["values"], ".4g")
         lines.append(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
     if len(minima) > MOST_MINIMA:
         lines.append(f"others end in {len(minima) - MOST_MINIMA} more minima, which --json lists")
@@ -275,7 +276,7 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def doubt_lines(summary: Mapping[str, Any]) -> list[str]:
-    """What casts doubt on the estimates: warnings, estimates outside of their laws, numbers that keep theirs."""
+    """Lines on doubts: warnings, estimates outside of their laws, and numbers that the flight does not identify."""
     lines = [f"warning: {doubt['text']}" for doubt in summary["warnings"]]
     for name, factor in summary["outside_laws"].items():
         hint = f"; {factor} it lies within, as if an output or a command were logged in another unit" if factor else ""
@@ -288,7 +289,13 @@ def doubt_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
-    """The size of a residual, and how it is correlated."""
+    """Describe the size of a residual, and how it is correlated in time.
+
+    Args:
+        label: Name of the residual.
+        noise: Its ``rms``, ``output_std``, ``correlated_share``, ``correlation_time`` and ``white_probability``.
+        unit: Unit of the output.
+    """
     text = f"{label}: {noise['rms']:.4g} {unit} rms of an output with a standard deviation of {noise['output_std']:.4g}"
     if noise["correlated_share"] == 0.0:
         return f"{text}, white with a probability of {100 * noise['white_probability']:.3g} %"
@@ -296,6 +303,6 @@ def residual_text(label: str, noise: Mapping[str, Any], unit: str) -> str:
     return f"{text}, {share:.3g} % of its variance correlated over {noise['correlation_time']:.3g} s"
 
 
-def plain_number(value: float | None) -> str:
-    """A number, or a dash."""
+def number_or_dash(value: float | None) -> str:
+    """Format a number with four digits; a dash for None."""
     return "-" if value is None else f"{value:.4g}"

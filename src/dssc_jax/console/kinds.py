@@ -1,11 +1,11 @@
-"""Every kind of model and part with its fields, from the registries and the parameter types."""
+"""Describe and print every kind of model and part with its fields, from the registries and the parameter types."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
-from typing import Any, NamedTuple, TypeAlias, TypedDict
+from typing import Any, NamedTuple, TypeAlias, TypedDict, cast
 
 from dssc_jax.closed_loop.metrics import Metric
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import show_paragraph, show_table
 from dssc_jax.core.contracts import Preset
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
@@ -19,7 +19,7 @@ from dssc_jax.study.sections import params_of
 from dssc_jax.study.slots import REGISTRIES
 
 FieldRow: TypeAlias = tuple[str, str, str, str, str]
-"""A field of a kind, with the columns :data:`KIND_COLUMNS`."""
+"""A field of a kind: its name, and the texts of the other columns of :data:`KIND_COLUMNS`."""
 
 TRAJECTORY = "trajectory"
 HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
@@ -28,7 +28,14 @@ KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
 
 
 class KindDescription(TypedDict):
-    """A kind's summary, field names, option values by name, and the description of each field by column."""
+    """A kind of model or part.
+
+    Args:
+        summary: The kind in one line.
+        fields: Names of its fields.
+        options: Possible values of each option.
+        about: Unit, meaning, admissible values and default of each field, by column.
+    """
 
     summary: str
     fields: list[str]
@@ -37,7 +44,7 @@ class KindDescription(TypedDict):
 
 
 class MetricDescription(TypedDict):
-    """Unit and meaning of a metric, and of what it is measured."""
+    """A metric: its unit, its meaning, and ``of``, what it is measured for, such as a channel."""
 
     unit: str
     meaning: str
@@ -45,29 +52,34 @@ class MetricDescription(TypedDict):
 
 
 def registries() -> dict[str, Registry]:
-    """Every registry by the table of its kinds; registries of models first, then those of their parts."""
+    """All registries by the table of a study that chooses from them: models first, then the parts of models."""
     by_table = dict(REGISTRIES)
     for slot, registry in REGISTRIES.items():
         for entry in registry.values():
-            by_table |= parts(params_of(entry), slot)
+            by_table |= part_registries(params_of(entry), slot)
     return by_table
 
 
-def parts(params: type, place: str) -> dict[str, Registry]:
-    """Registries of the slots in a parameter type."""
-    by_slot = {}
+def part_registries(params: type, table: str) -> dict[str, Registry]:
+    """The registries of all slots in a parameter type, by the dotted name of the slot's table.
+
+    Args:
+        params: The parameter type.
+        table: Dotted name of the table of these parameters.
+    """
+    by_table = {}
     for name, spec in field_specs(params).items():
         if isinstance(spec.mark, Slot):
-            by_slot[f"{place}.{name}"] = spec.mark.registry
+            by_table[f"{table}.{name}"] = spec.mark.registry
             for entry in spec.mark.registry.values():
-                by_slot |= parts(params_of(entry), f"{place}.{name}")
+                by_table |= part_registries(params_of(entry), f"{table}.{name}")
         elif spec.is_nested:
-            by_slot |= parts(spec.hint, f"{place}.{name}")
-    return by_slot
+            by_table |= part_registries(spec.hint, f"{table}.{name}")
+    return by_table
 
 
 def kinds() -> dict[str, dict[str, KindDescription]]:
-    """Summary, fields and options of every kind, by table."""
+    """Describe every kind, by the table of a study that chooses it and by its name."""
     by_table: dict[str, dict[str, KindDescription]] = {}
     for slot, registry in registries().items():
         by_table[slot] = {kind: description_of(entry) for kind, entry in registry.items()}
@@ -75,7 +87,7 @@ def kinds() -> dict[str, dict[str, KindDescription]]:
 
 
 def description_of(entry: Entry) -> KindDescription:
-    """The description of a kind."""
+    """Describe the kind of a registry row."""
     return {
         "summary": entry.summary,
         "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.is_derived],
@@ -85,7 +97,7 @@ def description_of(entry: Entry) -> KindDescription:
 
 
 def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
-    """Unit, meaning, admissible values and default of each field."""
+    """Unit, meaning, admissible values and default of each field, by the name of the column."""
     columns = {}
     for name, *values in rows:
         columns[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
@@ -93,64 +105,83 @@ def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
 
 
 def options_of(entry: Entry) -> dict[str, list[str]]:
-    """The possible values of an entry's options, by name."""
+    """The possible values of a registry row's option, by the option's name; empty without an option."""
     return {entry.option: [key.value for key in entry.members]} if entry.option else {}
 
 
 def rows_of(entry: Entry) -> list[FieldRow]:
-    """Every field of a kind; nested fields have dotted names."""
+    """One row for each field of a kind; nested fields have dotted names."""
     params = params_of(entry)
     preset = getattr(entry.default_member, "defaults", None)
     rows: list[FieldRow] = [(name, "", meaning, "", "") for name, meaning in entry.keys.items()]
-    rows += fields(params, "", preset)
+    rows += parameter_rows(params, "", preset)
     for name, values in options_of(entry).items():
-        rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))
+        rows.append((name, "", "option", " | ".join(map(str, values)), default_text(entry.default)))
     return rows
 
 
-def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[FieldRow]:
-    """Rows of a parameter type; ``preset`` is an instance whose values are the defaults."""
+def parameter_rows(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[FieldRow]:
+    """One row for each field of a parameter type, and for each field nested in it.
+
+    Args:
+        params: The parameter type.
+        prefix: Dotted name of the table of these parameters, with a final dot; empty for the outermost table.
+        preset: Parameters whose values are the defaults; None: the defaults of the type.
+    """
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
     for name, spec in field_specs(params).items():
-        if spec.is_derived:
-            continue
-        default = defaults.get(name, REQUIRED)
-        if isinstance(spec.mark, Slot):
-            meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
-            yield f"{prefix}{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
-        elif spec.named_type is not None:
-            if isinstance(spec.mark, Quantity):
-                yield f"{prefix}{name}.NAME", *field_columns(spec), "absent"
-            else:
-                yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
-                yield from fields(spec.named_type, f"{prefix}{name}.NAME.", None)
-        elif spec.item_type is not None:
-            members = default if isinstance(default, tuple) and default else (None,)
-            count = "none" if members == (None,) else f"{len(members)} tables"
-            yield f"{prefix}{name}", "", "a list of tables, each with the entries below", "", count
-            for index, member in enumerate(members):
-                yield from fields(spec.item_type, f"{prefix}{name}.{index}.", member)
-        elif spec.is_nested:
-            inner = None if default in (None, REQUIRED) else default
-            if default is None:
-                yield f"{prefix}{name}", "", "a table; absent: none of it", "", "absent"
-            yield from fields(spec.hint, f"{prefix}{name}.", inner)
-        else:
-            yield f"{prefix}{name}", *field_columns(spec), text_of(default)
+        if not spec.is_derived:
+            yield from field_rows(spec, f"{prefix}{name}", defaults.get(name, REQUIRED))
+
+
+def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow]:
+    """The rows of one field: several for a table or a list of tables, else one.
+
+    Args:
+        spec: Specification of the field.
+        name: Dotted name of the field.
+        default: Default value; :data:`REQUIRED` if there is none.
+    """
+    if isinstance(spec.mark, Slot):
+        meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
+        yield f"{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
+    elif spec.named_type is not None and isinstance(spec.mark, Quantity):
+        yield f"{name}.NAME", *field_columns(spec), "absent"
+    elif spec.named_type is not None:
+        yield f"{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
+        yield from parameter_rows(spec.named_type, f"{name}.NAME.", None)
+    elif spec.item_type is not None:
+        presets = default if isinstance(default, tuple) and default else (None,)
+        count = "none" if presets == (None,) else f"{len(presets)} tables"
+        yield name, "", "a list of tables, each with the entries below", "", count
+        for index, preset in enumerate(presets):
+            yield from parameter_rows(spec.item_type, f"{name}.{index}.", preset)
+    elif spec.is_nested:
+        if default is None:
+            yield name, "", "a table; absent: none of it", "", "absent"
+        preset = None if default == REQUIRED else default
+        yield from parameter_rows(spec.hint, f"{name}.", cast("NamedTuple | None", preset))
+    else:
+        yield name, *field_columns(spec), default_text(default)
 
 
 def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
-    """Unit, meaning and admissible values of a field."""
-    if isinstance(spec.mark, Quantity):
-        meaning = spec.mark.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
-        limits = [
-            *([f"> {spec.mark.above:g}"] if spec.mark.above is not None else []),
-            *([f">= {spec.mark.at_least:g}"] if spec.mark.at_least is not None else []),
-            *([f"< {spec.mark.below:g}"] if spec.mark.below is not None else []),
-            *([f"<= {spec.mark.at_most:g}"] if spec.mark.at_most is not None else []),
-            *([] if spec.mark.law else ["no law"]),
-        ]
-        return spec.mark.unit, meaning, ", ".join(limits)
+    """Unit, meaning and admissible values of a field that is not a table."""
+    quantity = spec.mark
+    if isinstance(quantity, Quantity):
+        meaning = quantity.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
+        limits = []
+        for sign, limit in (
+            (">", quantity.above),
+            (">=", quantity.at_least),
+            ("<", quantity.below),
+            ("<=", quantity.at_most),
+        ):
+            if limit is not None:
+                limits.append(f"{sign} {limit:g}")
+        if not quantity.law:
+            limits.append("no law")
+        return quantity.unit, meaning, ", ".join(limits)
     if spec.is_text:
         return "", "text", ""
     if isinstance(spec.hint, type) and issubclass(spec.hint, Enum):
@@ -158,12 +189,12 @@ def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
     return "", "option", "true | false"
 
 
-def text_of(default: object) -> str:
-    """A default value as text."""
+def default_text(default: object) -> str:
+    """Format a default value as it would stand in a study file."""
     if isinstance(default, Enum):
         return str(default.value)
     if isinstance(default, tuple):
-        return f"[{', '.join(map(text_of, default))}]"
+        return f"[{', '.join(map(default_text, default))}]"
     if isinstance(default, bool):
         return str(default).lower()
     if default in (None, ""):
@@ -174,10 +205,10 @@ def text_of(default: object) -> str:
 
 
 def entry_of(model: Any, name: str) -> Entry:
-    """A registry row of a user's own model, preset of parameters, or family of models.
+    """The registry row of an object that a user imports: a row itself, a model, or a type or preset of parameters.
 
     Raises:
-        ConfigError: the object is none of these.
+        ConfigError: The object is none of these.
     """
     if isinstance(model, Entry):
         return model
@@ -190,13 +221,13 @@ def entry_of(model: Any, name: str) -> Entry:
 
 
 def entries_named(name: str) -> dict[str, Entry]:
-    """The kinds of a name by table, or a user's own model.
+    """The registry rows of all kinds with a name, by table; empty if the name is that of a law, metric or field.
 
     Args:
-        name: Its name, or that of a user's own model, ``module:OBJECT``, which is imported.
+        name: The name; or ``module:OBJECT``, a user's own model, which is imported.
 
     Raises:
-        ConfigError: there is none, and neither a law, a metric nor a field.
+        ConfigError: No kind, law, metric or field has the name.
     """
     if ":" in name:
         return {"your own": entry_of(import_object(name, name), name)}
@@ -212,7 +243,7 @@ def entries_named(name: str) -> dict[str, Entry]:
 
 
 def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
-    """The rows of a field, or of a table within one, of every kind that has it, by table and kind."""
+    """The rows of all fields with a name, and of the fields nested in them, by table and kind."""
     rows_by_kind: dict[tuple[str, str], list[FieldRow]] = {}
     for slot, registry in registries().items():
         for kind, entry in registry.items():
@@ -223,7 +254,10 @@ def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
 
 
 def described_name(name: str) -> dict[str, Any]:
-    """What :func:`show_kind` prints of a name, for JSON; arguments and errors as of :func:`entries_named`."""
+    """Describe all that has a name, as :func:`show_kind` prints it, for JSON.
+
+    Arguments and errors are those of :func:`entries_named`.
+    """
     description: dict[str, Any] = {}
     kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
     if kinds_by_table:
@@ -241,7 +275,7 @@ def described_name(name: str) -> dict[str, Any]:
 
 
 def metric_description(metric: Metric) -> MetricDescription:
-    """Unit and meaning of a metric, and of what it is measured."""
+    """Describe a metric."""
     return {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
 
 
@@ -253,10 +287,10 @@ def show_kind(name: str) -> None:
     entries = entries_named(name)
     if name in LAWS:
         law = LAWS[name]
-        output().print(f"law {name} = {law.signature}: {law.rule[0]}", markup=False)
+        show_paragraph(f"law {name} = {law.signature}: {law.rule[0]}")
     if name in PACKAGE_METRICS:
         metric = PACKAGE_METRICS[name]
-        output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
+        show_paragraph(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}")
     for slot, entry in entries.items():
         show_rows(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', rows_of(entry))
     for (slot, kind), rows in fields_named(name).items():
@@ -264,8 +298,8 @@ def show_kind(name: str) -> None:
 
 
 def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
-    """Print fields under a title."""
-    output().print(title, markup=False)
+    """Print rows of fields under a title, and a remark if they have units that depend on the plant."""
+    show_paragraph(title)
     show_table(KIND_COLUMNS, rows)
     if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
-        output().print("y and u are the units of the plant's output and of its command", markup=False)
+        show_paragraph("y and u are the units of the plant's output and of its command")

@@ -1,10 +1,9 @@
-"""Print what a library of controllers in C exports, and the lines with which a study names it."""
+"""Print the controllers that a library in C exports, and the lines with which a study names it."""
 
-from functools import partial
 from pathlib import Path
 from typing import TypedDict
 
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import show_line, show_table
 from dssc_jax.core.native.description import NativeController
 from dssc_jax.core.native.libraries import (
     TRIED_SAMPLES,
@@ -18,7 +17,7 @@ from dssc_jax.models.controllers.library import KIND
 
 
 class ParameterSummary(TypedDict):
-    """A parameter: its default, unit, meaning, admissible values, and whether the default is one of them."""
+    """A parameter of a controller; ``default_admissible`` tells whether the default is an admissible value."""
 
     default: float
     unit: str
@@ -28,11 +27,17 @@ class ParameterSummary(TypedDict):
 
 
 class ControllerSummary(TypedDict):
-    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters,
-    and the units of its measured signals and telemetry.
+    """A controller of a library.
 
-    ``samples_not_finite`` counts those of a trial flight whose command is not finite; ``without_effect`` names the
-    parameters that change no command of one.
+    Args:
+        sample_time: Period between two calls [s].
+        precision: Size of its numbers [bit].
+        bytes: Size of the state of one flight [byte].
+        parameters: Parameters by name.
+        measured: Units of the measured signals, by name.
+        telemetry: Units of the telemetry, by name.
+        samples_not_finite: Number of samples of a trial flight whose command is not finite.
+        without_effect: Parameters that change no command of a trial flight.
     """
 
     sample_time: float
@@ -46,7 +51,7 @@ class ControllerSummary(TypedDict):
 
 
 class LibrarySummary(TypedDict):
-    """A library: its file, its digest and its controllers by name."""
+    """A library: file, digest (SHA-256), and controllers by name."""
 
     file: str
     sha256: str
@@ -54,13 +59,13 @@ class LibrarySummary(TypedDict):
 
 
 def library_summary(library: NativeLibrary) -> LibrarySummary:
-    """What a library exports, for JSON."""
+    """Describe a library and its controllers, for JSON."""
     controllers = {controller.name: controller_summary(controller) for controller in library.controllers}
     return {"file": library.file, "sha256": library.sha256, "controllers": controllers}
 
 
 def controller_summary(controller: NativeController) -> ControllerSummary:
-    """What a controller exports, for JSON."""
+    """Describe a controller, for JSON."""
     parameters: dict[str, ParameterSummary] = {}
     for (name, default), number in zip(default_values(controller).items(), controller.parameters, strict=True):
         quantity = number.quantity
@@ -84,11 +89,10 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
 
 
 def show_library(library: NativeLibrary, file: Path) -> None:
-    """Print every controller of a library, and how a study names it."""
-    say = partial(output().print, soft_wrap=True, markup=False)
+    """Print the controllers of a library with warnings, and the lines with which a study names it."""
     for name, summary in library_summary(library)["controllers"].items():
         memory = f"{summary['bytes']} bytes a flight"
-        say(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
+        show_line(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
         rows = []
         for parameter, number in summary["parameters"].items():
             default = f"{number['default']:g}"
@@ -97,18 +101,18 @@ def show_library(library: NativeLibrary, file: Path) -> None:
             show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
         measured_signals = ", ".join(f"{signal} [{unit}]" for signal, unit in summary["measured"].items())
         if measured_signals:
-            say(f"measured signals: {measured_signals}; a study lists them in [sensor] measures")
+            show_line(f"measured signals: {measured_signals}; a study lists them in [sensor] measures")
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
-        say(f"telemetry: {reported or 'none'}")
+        show_line(f"telemetry: {reported or 'none'}")
         for parameter, number in summary["parameters"].items():
             if not number["default_admissible"]:
                 default = f"the default of {parameter}, {number['default']:g}"
-                say(f"warning: {default}, is not {number['admissible']}: a study has to state it")
+                show_line(f"warning: {default}, is not {number['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
-            say(f"warning: {parameter} {WITHOUT_EFFECT}")
+            show_line(f"warning: {parameter} {WITHOUT_EFFECT}")
         if bad_samples := summary["samples_not_finite"]:
             trial = f"{bad_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
-            say(f"warning: its command is not finite in {trial}")
-    say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
+            show_line(f"warning: its command is not finite in {trial}")
+    show_line(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
     if len(library.controllers) > 1:
-        say(f"name = '{library.controllers[0].name}'")
+        show_line(f"name = '{library.controllers[0].name}'")

@@ -1,25 +1,23 @@
-"""Show what a log holds."""
+"""Print the content of a log."""
 
-from functools import partial
-
-from dssc_jax.console.terminal import output, show_table
-from dssc_jax.flight_logs.clocks import ClockStep
-from dssc_jax.flight_logs.contents import FieldValues, LogContents
-from dssc_jax.flight_logs.resets import reset_list
-from dssc_jax.flight_logs.ulog_scan import LogTopic
+from dssc_jax.console.terminal import show_line, show_table
+from dssc_jax.flight_logs.reading.clocks import ClockStep
+from dssc_jax.flight_logs.reading.contents import FieldValues, LogContents
+from dssc_jax.flight_logs.reading.resets import reset_list
+from dssc_jax.flight_logs.reading.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
-"""What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
+"""Printed entries of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
 NO_TIMES = "no column of times with numbers (t, or a name that begins with time, stamp or seconds)"
 DERIVED_MARK = "*"
-FAR = 1e6  # s; no log is as long
+LONGEST_LOG = 1e6
+"""Times beyond this [s] are those of an absolute clock or of damage, and are printed with four digits."""
 
 
 def show_log(log: LogContents) -> None:
-    """Print span, segments and topics of a log, and the fields of the topics that were asked for."""
-    say = partial(output().print, soft_wrap=True, markup=False)
+    """Print a log's span, segments, damage and topics, or in place of the topics the requested fields."""
     for line in (*span_lines(log), *damage_lines(log), *clock_lines(log), *validity_lines(log)):
-        say(line)
+        show_line(line)
     if log.topics and not log.fields:
         head = ("topic", "messages", "a second", "first [s]", "last [s]")
         show_table(head, [topic_row(topic) for topic in log.topics])
@@ -27,11 +25,13 @@ def show_log(log: LogContents) -> None:
         head = ("column", "values", "lowest", "median", "highest")
         show_table(head, [field_row(field) for field in log.fields])
     if any(field.derived for field in log.fields):
-        say(f"{DERIVED_MARK} in the model's axes: east, north, up; a body's forward, left, up; SI units and radians")
+        show_line(
+            f"{DERIVED_MARK} in the model's axes: east, north, up; a body's forward, left, up; SI units and radians"
+        )
 
 
 def span_lines(log: LogContents) -> list[str]:
-    """How long a log is, from what system, and when it was armed."""
+    """Lines on a log's duration, its system, and when the vehicle was armed."""
     system = ", ".join(log.system[name] for name in SYSTEM if name in log.system)
     duration = NO_TIMES if log.lacks_times else f"{log.duration:.4g} s"
     lines = [f"{log.name}: {duration}{f', {system}' if system else ''}"]
@@ -45,7 +45,7 @@ def span_lines(log: LogContents) -> list[str]:
 
 
 def damage_lines(log: LogContents) -> list[str]:
-    """What a log lacks: late messages, dropouts, damaged bytes, cells of text, and its end."""
+    """Lines on late messages, dropouts, damaged bytes, cells of text, and a missing end."""
     lines = []
     for message in log.late:
         lines.append(
@@ -55,30 +55,30 @@ def damage_lines(log: LogContents) -> list[str]:
     if count:
         lines.append(f"{count} dropouts of together {lost:.3g} s")
     if log.damaged is not None:
-        passed_over = f"{log.lost:,} bytes at {places(log.damages)} are passed over"
-        lines.append(f"damaged: byte {log.damaged} is no message; {passed_over}")
+        places = "1 place" if log.damages == 1 else f"{log.damages:,} places"
+        lines.append(f"damaged: byte {log.damaged} is no message; {log.lost:,} bytes at {places} are passed over")
     if log.text_columns:
-        places_of_texts = f" ({'; '.join(log.text_cells)})" if log.text_cells else ""
-        lines.append(f"text in some cells, and so not shown: {', '.join(log.text_columns)}{places_of_texts}")
+        cells = f" ({'; '.join(log.text_cells)})" if log.text_cells else ""
+        lines.append(f"text in some cells, and so not shown: {', '.join(log.text_columns)}{cells}")
     if log.cut:
         lines.append("cut off: the file ends within a message, and what was to come is not in it")
     return lines
 
 
 def clock_lines(log: LogContents) -> list[str]:
-    """Where a log's times fall, and where messages are missing."""
+    """Lines on the times at which a log's clock steps back, and on gaps between messages."""
     lines = []
     for step in log.falls:
         number = "once" if step.falls == 1 else f"{step.falls:,} times"
-        lines.append(f"times fall {number}, first {span(step)}: {', '.join(step.topics)}")
+        lines.append(f"times fall {number}, first {step_text(step)}: {', '.join(step.topics)}")
     for step in log.gaps:
         usual = f"where {step.rate:.3g} a second are usual (messages are missing, or the clock jumps)"
-        lines.append(f"no message {span(step)}, {usual}: {', '.join(step.topics)}")
+        lines.append(f"no message {step_text(step)}, {usual}: {', '.join(step.topics)}")
     return lines
 
 
 def validity_lines(log: LogContents) -> list[str]:
-    """Where an estimator was reset, and which fields are marked as invalid."""
+    """Lines on resets of the estimator, and on fields that are marked as invalid."""
     lines = []
     for label in dict.fromkeys(reset.label for reset in log.resets):
         resets = [reset for reset in log.resets if reset.label == label]
@@ -88,30 +88,23 @@ def validity_lines(log: LogContents) -> list[str]:
     return lines
 
 
-def span(step: ClockStep) -> str:
-    """Both ends of a step, to the millisecond."""
-    texts = [f"{value:.3f}" if abs(value) < FAR else f"{value:.4g}" for value in step.stamps]
+def step_text(step: ClockStep) -> str:
+    """Both ends of a step of the clock, to the millisecond."""
+    texts = [f"{value:.3f}" if abs(value) < LONGEST_LOG else f"{value:.4g}" for value in step.stamps]
     return f"from {texts[0]} s to {texts[1]} s"
 
 
-def places(count: int) -> str:
-    """A number of places in words."""
-    return "1 place" if count == 1 else f"{count:,} places"
-
-
 def topic_row(topic: LogTopic) -> tuple[str, ...]:
-    """A topic as a row."""
-    numbers = (topic.rate, topic.first, topic.last)
-    return (topic.name, f"{topic.messages:,}", *(number(value) for value in numbers))
+    """A row on a topic: name, number of messages, rate [1/s], first and last time [s]."""
+    return (topic.name, f"{topic.messages:,}", *map(four_digits, (topic.rate, topic.first, topic.last)))
 
 
 def field_row(field: FieldValues) -> tuple[str, ...]:
-    """A field as a row."""
-    values = (field.lowest, field.median, field.highest)
+    """A row on a field: name, number of finite values, and lowest, median and highest value."""
     mark = DERIVED_MARK if field.derived else ""
-    return (field.name + mark, f"{field.finite:,}", *(number(value) for value in values))
+    return (field.name + mark, f"{field.finite:,}", *map(four_digits, (field.lowest, field.median, field.highest)))
 
 
-def number(value: float) -> str:
-    """A number with four digits; nothing for NaN."""
+def four_digits(value: float) -> str:
+    """Format a number with four digits; empty for NaN."""
     return "" if value != value else f"{value:.4g}"

@@ -1,124 +1,136 @@
-"""Print classical margins: those of the draws, and their worst case."""
+"""Print classical margins of the linearised loop: those of the draws, and their worst case."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
 from dssc_jax.analyses.loop_margins.designed import DesignedMargins
 from dssc_jax.analyses.loop_margins.result import LoopStatistics, MultiloopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
 from dssc_jax.analyses.worst_loop.result import LoopWorst, MultiloopWorst
-from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.console.terminal import show_files, show_head, show_line, show_paragraph, show_table, values_text
 from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM
 from dssc_jax.statistics import wilks_draws
 from dssc_jax.study import Described, Study
 
-SAME = 1e-6
-"""Relative difference of margins of two break points that counts as rounding."""
-POINTS_SPENT = 0.9
-"""Share of the points from which on more of them are suggested."""
+ROUNDING = 1e-6
+"""Largest relative difference between the margins of two break points that counts as rounding."""
+HIGH_USE = 0.9
+"""Used share of the points above which ``--points`` is suggested."""
 
 
 def decibels(factor: float) -> str:
-    """A gain margin as a factor and in decibels."""
+    """Format a gain margin as a factor and in decibels."""
     return f"{factor:.4g} ({20.0 * math.log10(factor):.3g} dB)" if factor > 0.0 else "none"
 
 
+def degrees(angle: float) -> str:
+    """Format an angle [rad] in degrees."""
+    return f"{math.degrees(angle):.3g} deg"
+
+
 def seconds(value: float) -> str:
-    """A delay margin in seconds."""
+    """Format a time [s]."""
     return f"{value:.4g} s"
 
 
+def radians_per_second(value: float) -> str:
+    """Format a frequency [rad/s]."""
+    return f"{value:.4g} rad/s"
+
+
 def ratio(value: float) -> str:
-    """A number without a unit."""
+    """Format a number without a unit."""
     return f"{value:.3g}"
 
 
 MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
     "gain_upper": ("gain margin", decibels),
     "gain_lower": ("lower gain margin", decibels),
-    "phase": ("phase margin", lambda value: f"{math.degrees(value):.3g} deg"),
+    "phase": ("phase margin", degrees),
     "delay": ("delay margin", seconds),
     "disk": ("disk margin", ratio),
     "sensitivity_peak": ("peak sensitivity M_s", ratio),
     "complementary_peak": ("peak complementary M_t", ratio),
-    "crossover": ("crossover", lambda value: f"{value:.4g} rad/s"),
-    "bandwidth": ("bandwidth", lambda value: f"{value:.4g} rad/s"),
+    "crossover": ("crossover", radians_per_second),
+    "bandwidth": ("bandwidth", radians_per_second),
 }
-"""Row of each margin and its text."""
+"""Title of each margin's row, and the function that formats its values."""
 
 
 def margin_lines(margins: DesignedMargins) -> list[str]:
-    """The margins of a designed loop in words, one line each."""
+    """Lines on the gain, phase and delay margins of a designed loop, and on its crossings."""
     reduction = f", lower {decibels(margins.gain_lower_margin)}" if margins.gain_lower_margin > 0.0 else ""
     lines = [f"gain margin {margin_text(margins.gain_margin, decibels)}{reduction}"]
     if not margins.gain_crossovers:
         return [*lines, "the loop gain is never 1, so there is no phase or delay margin"]
-    lines.append(
-        f"phase margin {math.degrees(margins.phase_margin):.3g} deg at {margins.phase_margin_at:.4g} rad/s, "
-        f"delay margin {margin_text(margins.delay_margin, seconds)}"
-    )
-    for crossings, meaning in (
-        (margins.gain_crossovers, "the loop gain is 1 at"),
-        (margins.phase_crossings, "the phase is -180 degrees at"),
-    ):
-        if len(crossings) > 1:
-            frequencies = ", ".join(f"{crossing:.4g}" for crossing in crossings)
-            lines.append(f"{meaning} {len(crossings)} frequencies: {frequencies} rad/s")
+    phase_margin = f"{degrees(margins.phase_margin)} at {radians_per_second(margins.phase_margin_at)}"
+    lines.append(f"phase margin {phase_margin}, delay margin {margin_text(margins.delay_margin, seconds)}")
+    if len(margins.gain_crossovers) > 1:
+        lines.append(f"the loop gain is 1 at {crossings_text(margins.gain_crossovers)}")
+    if len(margins.phase_crossings) > 1:
+        lines.append(f"the phase is -180 degrees at {crossings_text(margins.phase_crossings)}")
     return lines
 
 
+def crossings_text(frequencies: Sequence[float]) -> str:
+    """Format the frequencies [rad/s] of several crossings."""
+    texts = ", ".join(f"{frequency:.4g}" for frequency in frequencies)
+    return f"{len(frequencies)} frequencies: {texts} rad/s"
+
+
 def show_loop(margins: LoopMargins, files: list[Path]) -> None:
-    """Print the margins of every operating point and break point."""
+    """Print a table of margins for each operating point and break point."""
     answer = margins.answer
     draws = answer.draws
-    console = output()
-    console.print(f"[bold]{escape(margins.study.name)}[/bold]  {draws} draws, T_s = {answer.sample_time:g} s")
+    show_head(margins.study.name, f"{draws} draws, T_s = {answer.sample_time:g} s")
     share = f"{100 * answer.share:g} % of all draws"
     confidence = f"{100 * answer.confidence:g} %"
     least_draws = wilks_draws(answer.share, answer.confidence)
     for point, loops in answer.operating_points.items():
         place = "at the equilibrium" if point == EQUILIBRIUM else f"at {point}"
-        for names, statistics in distinct(loops).items():
-            broken_at = " and ".join(names)
-            rows = []
-            for name, (text, form) in MARGIN_ROWS.items():
-                margin = statistics.margins[name]
-                numbers = (margin.median, margin.tolerance_limit, margin.worst)
-                rows.append((text, *(margin_text(number, form) for number in numbers)))
-            title = f"{broken_at}, {place}: {statistics.stable} of {draws} stable"
-            show_table((title, "median", f"{share}, confidence {confidence}", "worst drawn"), rows)
+        for names, statistics in merged_break_points(loops).items():
+            title = f"{' and '.join(names)}, {place}: {statistics.stable} of {draws} stable"
+            head = (title, "median", f"{share}, confidence {confidence}", "worst drawn")
+            show_table(head, margin_rows(statistics))
             reason = no_margins_text(statistics, draws, least_draws, f"{share} with {confidence} confidence")
             if reason:
-                console.print(reason, markup=False, soft_wrap=True)
+                show_line(reason)
         if point in answer.multiloop:
-            console.print(multiloop_text(answer.multiloop[point], place), markup=False, soft_wrap=True)
-    console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
-    if set(answer.operating_points) == {EQUILIBRIUM} and not runs_linear_plants(margins.study):
+            show_line(multiloop_text(answer.multiloop[point], place))
+    show_line(f"taken where there is no derivative: {answer.taken}")
+    if set(answer.operating_points) == {EQUILIBRIUM} and not has_linear_plant(margins.study):
         text = "margins hold at the equilibrium; where the plant is not linear, --at T1,T2 takes them along the flight"
-        console.print(text, markup=False, soft_wrap=True)
+        show_line(text)
     if draws < least_draws:
-        console.print(f"a limit needs at least {least_draws} draws", markup=False)
+        show_paragraph(f"a limit needs at least {least_draws} draws")
     show_files(files)
 
 
-def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
-    """The statistics under the names of all break points that share them, as where a controller takes y alone."""
+def merged_break_points(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
+    """Merge break points with equal statistics, such as those of a controller that reads y alone.
+
+    Args:
+        loops: Statistics over the draws, by break point.
+
+    Returns:
+        The statistics, by the names of all break points that have them.
+    """
     groups: list[tuple[list[str], LoopStatistics]] = []
     for name, statistics in loops.items():
-        group = next((names for names, margins in groups if same_margins(margins, statistics)), None)
-        if group is None:
-            groups.append(([name], statistics))
+        for names, margins in groups:
+            if have_equal_margins(margins, statistics):
+                names.append(name)
+                break
         else:
-            group.append(name)
+            groups.append(([name], statistics))
     return {tuple(names): statistics for names, statistics in groups}
 
 
-def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
+def have_equal_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
     """Whether two break points have the same statistics over the draws, up to rounding."""
     if (first.stable, first.no_operating_point) != (second.stable, second.no_operating_point):
         return False
@@ -126,29 +138,44 @@ def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
     for statistics in (first, second):
         margins = statistics.margins.values()
         numbers.append([(margin.median, margin.tolerance_limit, margin.worst) for margin in margins])
-    return bool(np.allclose(*numbers, rtol=SAME, atol=0.0, equal_nan=True))
+    return bool(np.allclose(*numbers, rtol=ROUNDING, atol=0.0, equal_nan=True))
+
+
+def margin_rows(statistics: LoopStatistics) -> list[tuple[str, ...]]:
+    """One row for each margin of a loop: title, median, tolerance limit and worst value over the draws."""
+    rows = []
+    for name, (title, form) in MARGIN_ROWS.items():
+        margin = statistics.margins[name]
+        numbers = (margin.median, margin.tolerance_limit, margin.worst)
+        rows.append((title, *(margin_text(number, form) for number in numbers)))
+    return rows
 
 
 def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:
-    """The disk margin of all loops at once, in words."""
+    """Describe the disk margin for perturbations of all commands at once.
+
+    Args:
+        statistics: The margin's statistics over the draws, and the smallest destabilising perturbation found.
+        place: The operating point.
+    """
     margin = statistics.margin
-    numbers = ", ".join(
-        f"{name} {margin_text(value, ratio)}"
-        for name, value in (("median", margin.median), ("limit", margin.tolerance_limit), ("worst drawn", margin.worst))
-    )
-    text = f"all commands at once, {place}: disk margin {numbers}"
+    median = margin_text(margin.median, ratio)
+    limit = margin_text(margin.tolerance_limit, ratio)
+    worst = margin_text(margin.worst, ratio)
+    text = f"all commands at once, {place}: disk margin median {median}, limit {limit}, worst drawn {worst}"
     if not math.isfinite(margin.worst) or not math.isfinite(statistics.found):
         return text
-    factors = ", ".join(
-        f"{channel} {gain:.3g} at {math.degrees(statistics.phases[channel]):.3g} deg"
-        for channel, gain in statistics.factors.items()
-    )
     cause = f"a perturbation of {ratio(statistics.found)} makes a loop oscillate at {statistics.frequency:.3g} rad/s"
-    return f"{text}; {cause}: {factors}"
+    return f"{text}; {cause}: {factors_text(statistics.factors, statistics.phases)}"
 
 
-def runs_linear_plants(study: Study | Described) -> bool:
-    """Whether a study's plant is known to be linear, so that its margins are the same along the flight."""
+def factors_text(gains: Mapping[str, float], phases: Mapping[str, float]) -> str:
+    """Format the complex factors of a perturbation: gain and phase [rad] by channel."""
+    return ", ".join(f"{channel} {gain:.3g} at {degrees(phases[channel])}" for channel, gain in gains.items())
+
+
+def has_linear_plant(study: Study | Described) -> bool:
+    """Whether a study's plant is declared linear, so that its margins are the same along the flight."""
     if isinstance(study, Described):
         return False
     plant = study.loop.plant
@@ -156,7 +183,14 @@ def runs_linear_plants(study: Study | Described) -> bool:
 
 
 def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, level: str) -> str:
-    """Why draws at one break point have no margin, and hence no limit may exist; empty if all have."""
+    """Tell why draws have no margin at a break point, and whether a limit can exist; empty if all draws have margins.
+
+    Args:
+        statistics: Statistics of the break point.
+        draws: Number of draws.
+        least_draws: Number of draws that a tolerance limit needs.
+        level: Share and confidence of the limit, in words.
+    """
     counts = {
         "the loop is unstable": draws - statistics.stable - statistics.no_operating_point,
         "no operating point within the limits": statistics.no_operating_point,
@@ -168,64 +202,63 @@ def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, le
 
 
 def margin_text(value: float, form: Callable[[float], str]) -> str:
-    """A margin as text; that of a loop without margins is infinite."""
+    """Format a margin; a dash if it is infinite, as that of a loop without margins is."""
     return form(value) if math.isfinite(value) else "-"
 
 
 def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
-    """Print the worst margins of every break point: drawn, found and bounded."""
+    """Print the worst margins of each break point: drawn, found by the search, and bounded over the box of the laws."""
     answer = worst.answer
-    console = output()
-    console.print(f"[bold]{escape(worst.study.name)}[/bold]  {escape(worst.headline)}", soft_wrap=True)
+    show_head(worst.study.name, worst.headline)
     for broken_at, loop in answer.loops.items():
         rows = []
         for name, margin in loop.margins.items():
-            text, form = MARGIN_ROWS[name]
-            numbers = ", ".join(f"{number} = {value:.6g}" for number, value in margin.numbers.items())
+            title, form = MARGIN_ROWS[name]
             values = (margin.drawn, margin.found, margin.bounded)
-            rows.append((text, *(margin_text(value, form) for value in values), numbers))
+            rows.append((title, *(margin_text(value, form) for value in values), values_text(margin.numbers)))
         head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
-        console.print(growth_text(loop), markup=False, soft_wrap=True)
+        show_line(growth_text(loop))
     for name, joint in answer.multiloop.items():
-        console.print(worst_multiloop_text(name, joint, answer.draws), markup=False, soft_wrap=True)
+        show_line(worst_multiloop_text(name, joint, answer.draws))
     effort = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
-    if answer.points >= POINTS_SPENT * answer.most_points:
+    if answer.points >= HIGH_USE * answer.most_points:
         effort += "; --points raises the number, and may find worse values and nearer bounds"
-    console.print(effort, markup=False, soft_wrap=True)
+    show_line(effort)
     cut_names = [name for name, side in answer.box.items() if side.cut]
     ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut_names)}" if cut_names else ""
     ranges = ", ".join(f"{name} in [{side.low:.6g}, {side.high:.6g}]" for name, side in answer.box.items())
-    console.print(f"box: {ranges}{ends}", markup=False, soft_wrap=True)
-    console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
+    show_line(f"box: {ranges}{ends}")
+    show_line(f"taken where there is no derivative: {answer.taken}")
     show_files(files)
 
 
 def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
-    """The worst disk margin of all commands at once, in words."""
+    """Describe the worst disk margin for perturbations of all commands at once.
+
+    Args:
+        name: Names of the commands.
+        worst: Worst case over the box of the laws.
+        draws: Number of draws.
+    """
     bound = f"no bound after {worst.cells} cells"
     if math.isfinite(worst.bounded):
         bound = f"bounded by {ratio(worst.bounded)}"
-    numbers = ", ".join(f"{number} = {value:.6g}" for number, value in worst.numbers.items())
     text = (
         f"{name} at once: disk margin {ratio(worst.drawn)} in the worst of {draws} draws, worst found "
-        f"{ratio(worst.found)}, {bound}; found at {numbers}"
+        f"{ratio(worst.found)}, {bound}; found at {values_text(worst.numbers)}"
     )
     if worst.found == 0.0:
         return f"{text}, where a loop is unstable"
-    factors = ", ".join(
-        f"{channel} {gain:.3g} at {math.degrees(worst.phases[channel]):.3g} deg"
-        for channel, gain in worst.factors.items()
-    )
+    factors = factors_text(worst.factors, worst.phases)
     return f"{text}; there the loop oscillates at {worst.frequency:.3g} rad/s with {factors}"
 
 
 def growth_text(loop: LoopWorst) -> str:
-    """How far the box may grow, in words."""
+    """Tell how far the box of the laws may grow before a loop is unstable."""
     if loop.unstable:
-        numbers = ", ".join(f"{name} = {value:.6g}" for name, value in loop.unstable.items())
         defect = "unstable" if loop.has_operating_point else "without an operating point within its limits"
-        nearest = f"; {defect} from {loop.growth_found:.4g} times its size on, at {numbers}"
+        nearest = f"; {defect} from {loop.growth_found:.4g} times its size on, at {values_text(loop.unstable)}"
     else:
         nearest = f"; no unstable loop was found up to {loop.growable:.4g} times its size"
     if loop.growth_bounded == 0.0:

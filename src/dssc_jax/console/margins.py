@@ -1,30 +1,43 @@
-"""Print margins: of one loop, of several controllers, and with theory."""
+"""Print critical values of one number: of a loop, of several controllers, and beside theory."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from rich.markup import escape
-
 from dssc_jax.analyses.comparison import MarginContest
 from dssc_jax.analyses.margins.result import CONTENT, MarginAnswer, Margins
 from dssc_jax.analyses.theory import Assessment
-from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
+from dssc_jax.console.terminal import (
+    number_text,
+    show_files,
+    show_head,
+    show_line,
+    show_pairs,
+    show_paragraph,
+    show_table,
+)
 from dssc_jax.statistics import CONFIDENCE, wilks_draws
 
-BEFORE = "before the start"
 SHARES = ("fail at the start already", "pass the whole way", "pass again beyond a failure")
-TURNED = 0.5  # share of draws that fail at the start and pass further on: the walk may be the wrong way round
+MOST_DRAWS = 0.5
+"""If more than this share of the draws fails at the start and passes further on, LO may not be the safe end."""
 
 
 def value_text(value: float | None, end: float, unit: str = "") -> str:
-    """A critical value of some rank as text; marked if it lies outside the walk."""
+    """Format a quantile of the critical values, and mark it if it lies outside the walk.
+
+    Args:
+        value: The quantile; None: before the start of the walk.
+        end: End of the walk.
+        unit: Unit of both.
+    """
     if value is None:
-        return BEFORE
-    return f"{value:.4g}{'' if unit in ('', '1') else f' {unit}'}{' or beyond' if value == end else ''}"
+        return "before the start"
+    text = f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+    return f"{text} or beyond" if value == end else text
 
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
-    """The lower tolerance limit, or the reason why there is none."""
+    """Format the lower tolerance limit of the critical values, or tell how many draws it would need."""
     least_draws = wilks_draws(CONTENT, CONFIDENCE)
     if draws < least_draws:
         return f"none of {draws} draws, {least_draws} are needed"
@@ -32,12 +45,10 @@ def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") 
 
 
 def show_margins(margins: Margins, files: list[Path]) -> None:
-    """Print the statistics of the critical values."""
+    """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved."""
     answer = margins.answer
-    console = output()
     start, end = answer.bounds
-    required = escape("; ".join(answer.criterion))
-    console.print(f"[bold]{escape(margins.study.name)}[/bold]  required: {required}")
+    show_head(margins.study.name, f"required: {'; '.join(answer.criterion)}")
     limit = tolerance_text(answer.lower_tolerance, answer.draws, end, answer.unit)
     rows = [
         ("draws", str(answer.draws)),
@@ -50,53 +61,50 @@ def show_margins(margins: Margins, files: list[Path]) -> None:
         rows.append((f"first violated: {text}", f"{count} of {answer.draws} draws"))
     rows.append(("seconds", f"{answer.seconds:.1f}, of which {answer.compile_seconds:.1f} compiling"))
     show_table((answer.parameter, ""), rows)
-    console.print(answer.certificate, markup=False, soft_wrap=True)
-    show_reach(answer.proof)
-    if min(answer.fail_at_start, answer.non_monotone) > TURNED:
-        console.print(f"most draws fail at {start:g} and pass further on: is {start:g} the safe end of the walk?")
+    show_line(answer.certificate)
+    show_proof_statement(answer.proof)
+    if min(answer.fail_at_start, answer.non_monotone) > MOST_DRAWS:
+        show_paragraph(f"most draws fail at {start:g} and pass further on: is {start:g} the safe end of the walk?")
     show_files(files)
 
 
 def share_texts(answer: MarginAnswer) -> list[str]:
-    """The shares named by ``SHARES``, in per cent."""
+    """Format the shares of draws that :data:`SHARES` names, in per cent."""
     return [f"{100 * share:.3g} %" for share in (answer.fail_at_start, answer.pass_to_end, answer.non_monotone)]
 
 
-def show_reach(proof: Mapping[str, object] | None) -> None:
+def show_proof_statement(proof: Mapping[str, object] | None) -> None:
     """Print how far the sampled loop is proved, if a proof was requested."""
     if proof is not None:
-        output().print(proof["statement"], markup=False, soft_wrap=True)
+        show_line(proof["statement"])
 
 
 def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
-    """Print the margins of each controller on the same draws, and the pairs' differences."""
+    """Print the margins of each controller on the same draws, and the paired differences."""
     answer = contest.answer
-    console = output()
     start, end = answer.bounds
-    required = escape("; ".join(answer.criterion))
-    console.print(f"[bold]{escape(contest.study.name)}[/bold]  {answer.draws} draws; required: {required}")
+    show_head(contest.study.name, f"{answer.draws} draws; required: {'; '.join(answer.criterion)}")
     rows = []
-    certificates: dict[str, list[str]] = {}
+    names_by_certificate: dict[str, list[str]] = {}
     for name, controller in answer.controllers.items():
         margins = controller.margins
         limit = tolerance_text(margins.lower_tolerance, answer.draws, end)
         rows.append((name, value_text(margins.median, end), limit, *share_texts(margins), f"{margins.seconds:.1f}"))
-        certificates.setdefault(margins.certificate, []).append(name)
+        names_by_certificate.setdefault(margins.certificate, []).append(name)
     head = ("controller", "median", "95 % of draws pass up to", *SHARES, "seconds")
     show_table(head, rows, f"{answer.parameter} [{answer.unit}] from {start:g} to {end:g}")
     show_pairs(answer.pairs, "share of draws that go further", "exact, paired")
-    for text in sorted(certificates):
-        console.print(f"{', '.join(certificates[text])}: {text}", markup=False, soft_wrap=True)
-    console.print(f"{answer.seconds:.1f} s in all")
+    for certificate, names in sorted(names_by_certificate.items()):
+        show_line(f"{', '.join(names)}: {certificate}")
+    show_paragraph(f"{answer.seconds:.1f} s in all")
     show_files(files)
 
 
 def show_theory(assessment: Assessment, files: list[Path]) -> None:
-    """Print the answers of theory and simulation, one row each, with the question that each one answers."""
+    """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies."""
     answer = assessment.answer
-    console = output()
     start, end = answer.bounds
-    console.print(f"[bold]{escape(assessment.study.name)}[/bold]  {answer.draws} draws, {escape(answer.parameter)}")
+    show_head(assessment.study.name, f"{answer.draws} draws, {answer.parameter}")
     rows = []
     for name, margin in {**answer.local, "simulated": answer.performance}.items():
         limit = tolerance_text(margin.lower_tolerance, answer.draws, end)
@@ -110,8 +118,8 @@ def show_theory(assessment: Assessment, files: list[Path]) -> None:
             rows.append((name, f"{oscillation.mu[k]:.3g}", f"{oscillation.amplitude[k]:.3g}", text))
     if rows:
         show_table(("oscillation", "mu [s]", "amplitude of sigma [output/s]", "by describing function"), rows)
-    console.print(answer.certificate.text, markup=False, soft_wrap=True)
-    show_reach(answer.proof)
+    show_line(answer.certificate.text)
+    show_proof_statement(answer.proof)
     for name, reason in answer.not_covered.items():
-        console.print(f"{name}: {reason}", markup=False, soft_wrap=True)
+        show_line(f"{name}: {reason}")
     show_files(files)

@@ -1,41 +1,56 @@
-"""Show a proof of the sampled loop, and a verifier's verdict."""
+"""Print a proof of the sampled loop, and the verdict of the verifier."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dssc_jax.console.terminal import output, show_table
+from dssc_jax.console.terminal import show_line, show_table
 
-MOST_SHOWN = 12
-"""Boxes without a proof that are listed."""
+MOST_LISTED = 12
+"""Largest number of boxes without a proof, or of invalid certificates, that are listed."""
 
 
 def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str] = ()) -> None:
-    """Print the statement, the boxes that are not proved, and remarks, of which empty ones are left out."""
-    console = output()
-    console.print(summary["statement"], soft_wrap=True, markup=False)
+    """Print the statement of a proof and the boxes that are not proved.
+
+    Args:
+        summary: Summary of the proof.
+        path: File of the certificate, if one was written.
+        remarks: Further lines; empty ones are left out.
+    """
+    show_line(summary["statement"])
     if any(failure["box"] for failure in summary["failures"]):  # a vehicle is no box: the statement has the reason
         rows = []
-        for failure in summary["failures"][:MOST_SHOWN]:
+        for failure in summary["failures"][:MOST_LISTED]:
             ranges = [f"{low:.4g} .. {high:.4g}" for low, high in failure["box"].values()]
             rows.append((*ranges, failure["text"]))
         show_table((*summary["failures"][0]["box"], "not proved because"), rows)
     for remark in filter(None, remarks):
-        console.print(remark, soft_wrap=True, markup=False)
+        show_line(remark)
     if path is not None:
-        console.print(f"wrote {path}", soft_wrap=True, markup=False)
+        show_line(f"wrote {path}")
 
 
 def show_verdict(verdict: str, loop: dict[str, str]) -> None:
-    """Print what a certificate's verdict says, and of which loop it is one."""
-    console = output()
-    console.print(verdict, soft_wrap=True, markup=False)
+    """Print the verdict on a certificate, and the loop that it is about.
+
+    Args:
+        verdict: The verdict in words.
+        loop: Description of the loop, by label.
+    """
+    show_line(verdict)
     for label, words in loop.items():
-        console.print(f"  {label:<13}{words}", soft_wrap=True, markup=False)
+        show_line(f"  {label:<13}{words}")
 
 
 def show_sweep_verdicts(points: int, certificate_count: int, reasons: list[str]) -> None:
-    """Print whether the certificates of a sweep's points are valid."""
-    valid = certificate_count - len(reasons)
-    text = f"{valid} of {certificate_count} certificates are valid; the sweep has {points} points"
-    output().print("\n".join([text, *reasons[:MOST_SHOWN]]), soft_wrap=True, markup=False)
+    """Print how many certificates of a sweep are valid.
+
+    Args:
+        points: Number of points of the sweep.
+        certificate_count: Number of certificates.
+        reasons: Why each other certificate is not valid.
+    """
+    valid_count = certificate_count - len(reasons)
+    text = f"{valid_count} of {certificate_count} certificates are valid; the sweep has {points} points"
+    show_line("\n".join([text, *reasons[:MOST_LISTED]]))

@@ -1,18 +1,16 @@
-"""Print the region of two numbers."""
+"""Print the region in which two numbers are safe."""
 
 from pathlib import Path
 
-from rich.markup import escape
-
 from dssc_jax.analyses.region.safe_region import RegionAnswer, SafeRegion
-from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.console.terminal import show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.results.schema import name_with_unit
 
 
 def show_region(region: SafeRegion, files: list[Path]) -> None:
-    """Print how many pairs meet the requirements, and what is claimed."""
+    """Print how many pairs of values meet the requirements, the safe ranges, and the claim."""
     answer = region.answer
-    console = output()
-    console.print(f"[bold]{escape(region.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    show_head(region.study.name, f"required: {'; '.join(answer.requirements)}")
     share = f"{100 * answer.passing:g} %"
     rows = [
         (f"at least {share} of all plants pass", str(answer.meets), f"at most {answer.failures_allowed} failures"),
@@ -23,19 +21,14 @@ def show_region(region: SafeRegion, files: list[Path]) -> None:
     head = (" and ".join(answer.names), "pairs", f"of {answer.draws} draws")
     show_table(head, rows, f"{answer.simulated_points} of {lattice} pairs simulated")
     show_safe_ranges(answer)
-    console.print(
-        f"{100 * answer.confidence:g} % confidence for all pairs together; nothing is claimed between them",
-        markup=False,
-    )
-    console.print(f"{answer.certificate}; it certifies {answer.certified} pairs", markup=False, soft_wrap=True)
+    show_paragraph(f"{100 * answer.confidence:g} % confidence for all pairs together; nothing is claimed between them")
+    show_line(f"{answer.certificate}; it certifies {answer.certified} pairs")
     show_files(files)
 
 
 def show_safe_ranges(answer: RegionAnswer) -> None:
-    """Print the safe ranges of the second number for some values of the first."""
-    first, second = (
-        name if unit in ("", "1") else f"{name} [{unit}]" for name, unit in zip(answer.names, answer.units, strict=True)
-    )
+    """Print the safe ranges of the second number at some values of the first."""
+    first, second = map(name_with_unit, answer.names, answer.units)
     rows = []
     for line in answer.safe_ranges:
         ranges = "; ".join(f"{low:.4g} to {high:.4g}" for low, high in line.second)

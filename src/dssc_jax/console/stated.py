@@ -1,4 +1,4 @@
-"""Print intervals of the failure probability if the laws are wrong by stated amounts."""
+"""Print the failure probability if the laws are wrong by stated amounts."""
 
 from collections.abc import Iterable
 
@@ -12,13 +12,13 @@ def show_stated(errors: Iterable[StatedError]) -> None:
     rows = []
     for error in errors:
         weighted = interval_text(error.weighted_interval) if error.weighted_interval else error.weights_refused
-        always = interval_text(error.interval) if error.interval else "none, correlated"
-        rows.append((error.text, always, weighted))
+        guaranteed = interval_text(error.interval) if error.interval else "none, correlated"
+        rows.append((error.text, guaranteed, weighted))
     if rows:
         show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
 
 
 def interval_text(interval: tuple[float, float]) -> str:
-    """An interval of a probability as text."""
+    """Format an interval of a probability; a bound below 1 is never rounded to 1."""
     low, high = map(rounded_probability, interval)
     return f"[{low}, {high}]"

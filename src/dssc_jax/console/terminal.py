@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 
+STAYS_FINITE = "that the draw stays finite"
+"""What is required of each draw of a study without requirements."""
 PIPE_WIDTH = 10_000
-FOLDED = 24  # characters that a column of prose keeps at least where it is folded
+NARROWEST_PROSE = 24  # least width of a column of prose that is folded, in characters
 
 
 def output() -> Console:
@@ -34,32 +36,46 @@ def errors() -> Console:
 
 
 def notify(text: str) -> None:
-    """Show a line on standard error during a run."""
+    """Print a line to standard error during a run."""
     errors().print(text, markup=False, soft_wrap=True)
 
 
+def show_head(name: str, text: str) -> None:
+    """Print the name of a study in bold, followed by a text."""
+    output().print(f"[bold]{escape(name)}[/bold]  {escape(text)}")
+
+
+def show_line(text: str) -> None:
+    """Print a text without line breaks, so that long names and paths can be copied from a terminal."""
+    output().print(text, markup=False, soft_wrap=True)
+
+
+def show_paragraph(text: str) -> None:
+    """Print a text, broken between words where the terminal is narrower than the text."""
+    output().print(text, markup=False)
+
+
 def announce_compiling(study: "Study", quiet: bool = False) -> None:
-    """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
-    if quiet:
-        return
-    notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")
+    """Tell on standard error that the loop is about to be compiled, unless ``quiet``."""
+    if not quiet:
+        notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")
 
 
 @contextmanager
 def progress_bar(
     study: "Study", quiet: bool, of: str = "draws", early: str | Callable[[], str] = "", compiles: bool = True
 ) -> Iterator["ProgressCallback"]:
-    """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
+    """Show a progress bar with the remaining time on standard error; with ``quiet`` only if that is a terminal.
 
     Args:
         study: The study that is computed.
         quiet: Whether a program reads the command's output.
-        of: The unit that is counted.
-        early: The reason why the work may end early, if it may, or a function that gives it once the work has ended.
+        of: Unit of the count.
+        early: Reason why the work may end early, or a function that returns it once the work has ended.
         compiles: Whether the loop is compiled first.
 
     Yields:
-        The progress callback; if the total is not known, the bar only counts.
+        The progress callback. Without a total, the bar only counts.
     """
     console = errors()
     columns = (
@@ -100,17 +116,22 @@ def progress_bar(
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-    """Print a plain table.
+    """Print a plain table of text cells.
 
-    Where it is wider than the terminal, its widest column is folded if it is prose; otherwise each row is printed as a
-    block of lines, so that no number is broken.
+    If the table is wider than the terminal, its widest column is folded where that is prose. Otherwise each row is
+    printed as a block of lines, so that no number is broken.
+
+    Args:
+        head: Names of the columns.
+        rows: Cells, one sequence for each row.
+        title: Title above the table, if any.
     """
     console = output()
     widths = [max(len(line) for line in column) for column in zip(head, *rows, strict=True)]
     widest = widths.index(max(widths))
     fixed = sum(widths) - widths[widest] + 2 * (len(widths) - 1)
     fits = fixed + widths[widest] <= console.width
-    if not fits and (console.width - fixed < FOLDED or not is_prose([row[widest] for row in rows])):
+    if not fits and (console.width - fixed < NARROWEST_PROSE or not is_prose([row[widest] for row in rows])):
         show_blocks(head, rows, title)
         return
     table = Table(title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
@@ -123,7 +144,7 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 
 def is_prose(cells: Sequence[str]) -> bool:
-    """Whether a column may be folded: words, not numbers or intervals."""
+    """Whether a column may be folded: at least one cell is mostly words, not numbers or an interval."""
     for cell in cells:
         words = cell.split()
         if " " in cell and sum(word.isalpha() for word in words) > len(words) // 2:
@@ -132,38 +153,38 @@ def is_prose(cells: Sequence[str]) -> bool:
 
 
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
-    """Print each row of a table as its first cell and a line for each other one."""
-    console = output()
+    """Print each row of a table as a block: the first cell in bold, and one line for each further cell."""
     if title is not None:
-        console.print(title, markup=False)
+        show_paragraph(title)
     width = max(map(len, head[1:]), default=0)
     for first, *cells in rows:
-        console.print(f"[bold]{escape(f'{head[0]} ' if head[0] else '')}{escape(first)}[/bold]")
+        block_title = f"{head[0]} {first}" if head[0] else first
+        output().print(f"[bold]{escape(block_title)}[/bold]")
         for name, cell in zip(head[1:], cells, strict=True):
-            console.print(f"  {name:<{width}}  {cell}", markup=False, soft_wrap=True)
+            show_line(f"  {name:<{width}}  {cell}")
 
 
 class PairedDifference(Protocol):
-    """The difference of a pair of controllers a, b, with its interval and the test's p-value."""
+    """Paired difference of two controllers a and b on the same draws."""
 
     @property
     def a(self) -> str:
-        """One controller."""
+        """Name of the first controller."""
         ...
 
     @property
     def b(self) -> str:
-        """The other controller."""
+        """Name of the second controller."""
         ...
 
     @property
     def difference(self) -> float:
-        """The compared number of a, minus that of b."""
+        """Compared number of a minus that of b."""
         ...
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval of the difference."""
+        """Lower and upper bound of the difference."""
         ...
 
     @property
@@ -173,7 +194,13 @@ class PairedDifference(Protocol):
 
 
 def show_pairs(pairs: Sequence[PairedDifference], title: str, test: str) -> None:
-    """Print the differences of all pairs of controllers, with their intervals and the test's p-values."""
+    """Print the difference of each pair of controllers with its 95 % interval and the p-value of a test.
+
+    Args:
+        pairs: The differences.
+        title: Name of the compared number.
+        test: Name of the test.
+    """
     rows = []
     for pair in pairs:
         low, high = pair.interval
@@ -183,16 +210,21 @@ def show_pairs(pairs: Sequence[PairedDifference], title: str, test: str) -> None
 
 
 def show_files(files: Sequence[Path]) -> None:
-    """Print the files that were written."""
+    """Print the path of each file that was written."""
     for path in files:
-        output().print(f"wrote {path}", soft_wrap=True, markup=False)
-
-
-def show_page(page: Path, note: str) -> None:
-    """Print the page that was written."""
-    output().print(f"wrote {page} ({note})", soft_wrap=True, markup=False)
+        show_line(f"wrote {path}")
 
 
 def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
-    """A number as text, or ``missing`` if there is none or it is not finite."""
+    """Format a number; ``missing`` if it is None, infinite or NaN."""
     return missing if value is None or not math.isfinite(value) else format(value, form)
+
+
+def values_text(values: Mapping[str, float], form: str = ".6g") -> str:
+    """Format numbers by name in one line.
+
+    Example:
+        >>> values_text({"k_p": 1.25, "mu": 0.02})
+        'k_p = 1.25, mu = 0.02'
+    """
+    return ", ".join(f"{name} = {value:{form}}" for name, value in values.items())

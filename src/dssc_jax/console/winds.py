@@ -2,34 +2,31 @@
 
 from pathlib import Path
 
-from rich.markup import escape
-
 from dssc_jax.analyses.worst_wind.worst_wind import WorstWind
-from dssc_jax.console.terminal import number_text, output, show_files, show_table
+from dssc_jax.console.terminal import number_text, show_files, show_head, show_line, show_table, values_text
 
 
 def show_worst_wind(worst_wind: WorstWind, files: list[Path]) -> None:
-    """Print the worst value of each signal, and the cost of the search."""
+    """Print the worst value of each signal under bounded winds, and the cost of the search."""
     answer = worst_wind.answer
-    console = output()
     rate = "it may jump" if answer.rate is None else f"|w'| <= {answer.rate:g} m/s^2"
     bounds = f"|w_h| <= {answer.speed:g} m/s, |w_z| <= {answer.vertical:g} m/s, {rate}"
-    console.print(f"[bold]{escape(worst_wind.study.name)}[/bold]  wind: {escape(bounds)}", soft_wrap=True)
+    show_head(worst_wind.study.name, f"wind: {bounds}")
+    has_laws = bool(worst_wind.study.laws)
     rows = []
     for signal in answer.signals:
         worst = number_text(signal.worst, ".4g", missing="ends early")
         candidate = number_text(signal.candidate, ".4g", missing="ends early")
-        numbers = ", ".join(f"{name} = {value:.4g}" for name, value in signal.numbers.items())
-        rows.append((signal.signal, worst, candidate, "" if signal.unit == "1" else signal.unit, numbers))
-    head = ("signal", "worst found", "of candidates", "unit", "with")
-    if not worst_wind.study.laws:
-        rows = [row[:-1] for row in rows]
-        head = head[:-1]
+        row = [signal.signal, worst, candidate, "" if signal.unit == "1" else signal.unit]
+        if has_laws:
+            row.append(values_text(signal.numbers, ".4g"))
+        rows.append(row)
+    head = ["signal", "worst found", "of candidates", "unit"]
+    if has_laws:
+        head.append("with")
     show_table(head, rows)
-    console.print(
+    show_line(
         f"{answer.flights:,} flights and {answer.slopes:,} with a derivative in {answer.seconds:.3g} s; "
-        "winds that were not tried may be worse",
-        markup=False,
-        soft_wrap=True,
+        "winds that were not tried may be worse"
     )
     show_files(files)

@@ -1,7 +1,7 @@
 """Contracts built from others: of several channels, of sums, and of linear systems."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 
@@ -13,7 +13,7 @@ from dssc_jax.core.contracts import (
     Reference,
     Unmodelled,
     Variation,
-    as_given,
+    unchanged_params,
 )
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold
@@ -36,7 +36,7 @@ from dssc_jax.core.wind import Wind, WindBounds
 def linear_derivative(
     linear: Callable[[Params], LinearDynamics],
 ) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
-    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d and its named inputs."""
+    """The ``derivative`` of a linear plant with one channel: A x + b u_p + e d + the effect of its named inputs."""
 
     def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
         del t
@@ -53,7 +53,7 @@ def linear_derivative(
 
 
 def quiet_inputs(plant: Plant, params: Params) -> Signals:
-    """No disturbance at each input that a plant names, as ``input.inputs`` has it."""
+    """``PlantInput.inputs`` without disturbances: a zero for each disturbance input that the plant names."""
     return (0.0,) * len(plant.inputs(params)) if plant.inputs else ()
 
 
@@ -71,33 +71,16 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     if software is not None:
         sample = software.sample
         software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
-    return Plant(
-        plant.params,
-        plant.init,
+    same: Plant[Any, Any] = plant
+    return same._replace(
         derivative=lambda params, state, drive, t: plant.derivative(params, state, plain(drive), t),
         measure=lambda params, state, drive: (plant.measure(params, state, plain(drive)),),
         input_gain=lambda params: (plant.input_gain(params),),
-        velocities=plant.velocities,
-        prepare=plant.prepare,
-        channels=plant.channels,
-        angles=plant.angles,
-        units=plant.units,
-        project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
-        broken=plant.broken,
         grounded=lambda params, state, drive, t, dt: plant.grounded(params, state, plain(drive), t, dt),
-        linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
-        onboard=plant.onboard,
-        smooth=plant.smooth,
-        info=plant.info,
-        outputs=plant.outputs,
-        inputs=plant.inputs,
         software=software,
-        estimation=plant.estimation,
         advance=advance and (lambda params, state, drive, t, h: advance(params, state, plain(drive), t, h)),
-        begin=plant.begin,
-        native=plant.native,
     )
 
 
@@ -107,7 +90,7 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
 
 
 def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Reference[ReferencePoints]:
-    """The reference of several channels for another number of them: its first points, and zero for further channels."""
+    """A reference of several channels, cut to ``count`` channels or extended by channels that stay at zero."""
 
     def at(params: Params, t: Scalar) -> ReferencePoints:
         points = tuple(reference.at(params, t))[:count]
@@ -117,42 +100,66 @@ def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Ref
 
 
 class ReplacedParams(NamedTuple):
-    """Parameters of a joint reference, and of the references of those channels that have their own."""
+    """Parameters of :func:`replace_channels`.
+
+    Args:
+        joint: Parameters of the reference of all channels.
+        replacements: Parameters of the reference of each channel that has its own.
+    """
 
     joint: Params
-    replaced: tuple[Params, ...]
+    replacements: tuple[Params, ...]
 
 
 def replace_channels(
     joint: Reference[ReferencePoints], replacements: dict[int, Reference[ReferencePoint]]
 ) -> Reference:
-    """The reference of several channels in which some, by index, follow references of their own."""
+    """A reference of several channels, with the references of some channels replaced.
+
+    Args:
+        joint: The reference of all channels.
+        replacements: The new reference of a channel, by the channel's index.
+    """
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
         points = list(joint.at(params.joint, t))
-        for (index, reference), channel_params in zip(replacements.items(), params.replaced, strict=True):
+        for (index, reference), channel_params in zip(replacements.items(), params.replacements, strict=True):
             points[index] = reference.at(channel_params, t)
         return tuple(points)
 
     return Reference(ReplacedParams, at)
 
 
-def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
-    """The sum of several winds; the parameters are a tuple, and each wind has random numbers of its own."""
+def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params, ...], jax.Array], tuple[State, ...]]:
+    """The ``init`` of several parts: a tuple of their states, each from random numbers of its own."""
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
         states = []
-        for index, (wind, wind_params) in enumerate(zip(parts, params, strict=True)):
-            states.append(wind.init(wind_params, jax.random.fold_in(key, index)))
+        for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
+            states.append(part.init(part_params, jax.random.fold_in(key, index)))
         return tuple(states)
+
+    return init
+
+
+def separate_step(
+    parts: Sequence[Wind | Disturbance],
+) -> Callable[[tuple[Params, ...], tuple[State, ...], jax.Array, Scalar, Scalar], tuple[State, ...]]:
+    """The ``step`` of several parts: a tuple of their states, each from random numbers of its own."""
 
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
         states = []
-        for index, (wind, wind_params, wind_state) in enumerate(zip(parts, params, state, strict=True)):
-            states.append(wind.step(wind_params, wind_state, jax.random.fold_in(key, index), t, dt))
+        for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
+            states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
         return tuple(states)
+
+    return step
+
+
+def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
+    """The sum of several winds; its parameters are a tuple of theirs."""
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
         total = Vec3(0.0, 0.0, 0.0)
@@ -175,30 +182,18 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
         return total
 
     has_bounds = all(wind.bounds is not None for wind in parts)
+    init = separate_init(parts)
+    step = separate_step(parts)
     return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None, mean=mean)
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place; a single one is returned as it is.
+    """The sum of several disturbances at one place; its parameters are a tuple of theirs.
 
-    The parameters of several are a tuple. Each disturbance draws random numbers of its own.
+    A single disturbance is returned as it is, with its own parameters.
     """
     if len(parts) == 1:
         return parts[0]
-
-    def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
-        states = []
-        for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
-            states.append(part.init(part_params, jax.random.fold_in(key, index)))
-        return tuple(states)
-
-    def step(
-        params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
-    ) -> tuple[State, ...]:
-        states = []
-        for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
-            states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
-        return tuple(states)
 
     def value(
         params: tuple[Params, ...], state: tuple[State, ...], measurement: Measurement, sigma: Scalar, t: Scalar
@@ -209,10 +204,12 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
             total = total + part.value(part_params, part_state, measurement, sigma, t)
         return total
 
-    variations = list(Variation)  # from the least to the most varying
-    varying = max((part.variation for part in parts), key=variations.index)
+    order = list(Variation).index
+    variation = max((part.variation for part in parts), key=order)
     smooth = SMOOTH if all(part.smooth == SMOOTH for part in parts) else None
-    return Disturbance(NoParams, init, step, value, variation=varying, smooth=smooth)
+    init = separate_init(parts)
+    step = separate_step(parts)
+    return Disturbance(NoParams, init, step, value, variation=variation, smooth=smooth)
 
 
 def static_unmodelled(
@@ -222,9 +219,18 @@ def static_unmodelled(
     held: bool = True,
     smooth: Declaration = None,
     continuous: bool = False,
-    prepare: Callable[[Params], Params] = as_given,
+    prepare: Callable[[Params], Params] = unchanged_params,
 ) -> Unmodelled:
-    """Unmodelled dynamics without a state: their output depends on the present command alone."""
+    """Unmodelled dynamics without a state, such as a saturation.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        output: ``(params, command) -> command`` received by the plant.
+        held: Whether the output is constant between the samples if the command is.
+        smooth: As in :class:`Plant`.
+        continuous: As in :class:`Unmodelled`.
+        prepare: As in :class:`Plant`.
+    """
     return Unmodelled(
         params,
         init=lambda params: (),
@@ -238,7 +244,11 @@ def static_unmodelled(
 
 
 def unit_gain(params: type) -> Substitution:
-    """The substitution of a static element, with parameters of a type, by a gain of 1."""
+    """The substitution of a static element by a gain of 1.
+
+    Args:
+        params: NamedTuple type of the element's parameters, which the gain keeps.
+    """
     model = static_unmodelled(params, lambda params, command: command, smooth=SMOOTH, continuous=True)
     return lambda params: (model, params)
 
@@ -247,10 +257,18 @@ def linear_unmodelled(
     params: type,
     init: Callable[[Params], State],
     linear: Callable[[Params], LinearSystem],
-    prepare: Callable[[Params], Params] = as_given,
+    prepare: Callable[[Params], Params] = unchanged_params,
     time_constant: str = "",
 ) -> Unmodelled:
-    """Linear unmodelled dynamics: their step and output follow from the system."""
+    """Unmodelled dynamics from a linear system, with its exact solution over a step.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params) -> state``, at rest; its leaves are the states of the system.
+        linear: ``(params) -> LinearSystem`` from the command to the output.
+        prepare: As in :class:`Plant`.
+        time_constant: As in :class:`Unmodelled`.
+    """
 
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
         system = linear(values)

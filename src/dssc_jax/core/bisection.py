@@ -11,16 +11,16 @@ def bisect(
     outside: float | np.ndarray,
     halvings: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Halve intervals, all at once, each towards the end of the range in which its condition holds.
+    """Halve intervals, all at once, so that each encloses a point where its condition ceases to hold.
 
     Args:
-        holds: (the middles of the intervals) -> whether the condition holds at each of them.
-        inside: The ends at which the condition holds; a number, or shape (n,).
-        outside: The ends at which it does not, of the same shape; on either side of ``inside``.
+        holds: (middles of the intervals) -> whether the condition holds at each of them; the same shape.
+        inside: The end of each interval at which the condition holds; a number, or shape (n,).
+        outside: The other end of each interval, of the same shape; it may lie above or below ``inside``.
         halvings: Number of halvings.
 
     Returns:
-        The ends of the halved intervals: where the condition was seen to hold, and where not.
+        The ends of the halved intervals in the same order.
 
     Example:
         >>> inside, outside = bisect(lambda x: x**2 < 2.0, 1.0, 2.0, halvings=20)

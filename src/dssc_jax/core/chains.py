@@ -1,9 +1,9 @@
 """Several actuators in series as one, whose properties follow from those of its elements.
 
-The elements act on the command in their order. Those before the first one that moves between the samples act on the
-sampled command, so their output is constant. Delays commute with everything that does not depend on time, and act
-there, too, wherever they stand. The linear elements at the end are one linear system, which the loop holds exactly
-together with the plant. The elements between these two groups are integrated from Gauss node to Gauss node of a step:
+The elements act on the command in their order. Those before the first element that moves between the samples act on the
+sampled command, so their output is constant over a sample. Delays commute with everything that does not depend on time,
+so they act there, too, wherever they stand. The linear elements at the end are one linear system, which the loop solves
+exactly together with the plant. The elements between these two groups are integrated between the Gauss nodes of a step:
 linear ones by their exact solution for the straight line with the mean and the first moment of their input, all others
 as if their input were straight between the nodes. Behind a static element the error is of order 4 in the step where
 signals are smooth. It is of order 2 where a signal passes a corner such as a limit, and behind an element with a state.
@@ -41,7 +41,7 @@ ORDER = 2
 
 
 class Element(NamedTuple):
-    """An element of a chain: its kind, by which messages name it, and its model."""
+    """An element of a chain: its kind in the registry, for messages, and its model."""
 
     kind: str
     model: Unmodelled
@@ -51,8 +51,8 @@ class Course(NamedTuple):
     """A signal over a step.
 
     Args:
-        nodes: Its values at :data:`NODES`.
-        line: The straight line with its mean and first moment.
+        nodes: Values of the signal at :data:`NODES`.
+        line: The straight line with the mean and the first moment of the signal.
     """
 
     nodes: tuple[Scalar, ...]
@@ -64,15 +64,15 @@ States: TypeAlias = tuple[State, ...]
 Values: TypeAlias = tuple[Params, ...]
 """The parameters of each element."""
 Stage: TypeAlias = Callable[[States, Course], tuple[dict[int, State], Course]]
-"""``(states, input) -> (new states by element, output)`` of one or several elements over a step."""
+"""``(states, input) -> (new states by index of the element, output)`` of one or several elements over a step."""
 
 
 class Arrangement(NamedTuple):
-    """Indices of the elements in the order in which they act.
+    """The elements of a chain in the order in which they act, by index.
 
     Args:
         sampled: Elements that act on the sampled command.
-        integrated: Elements after these, which move between the samples and are integrated.
+        integrated: Elements that move between the samples and are integrated, except the linear ones at the end.
         linear: Linear elements directly before the plant.
     """
 
@@ -82,16 +82,16 @@ class Arrangement(NamedTuple):
 
     @property
     def head(self) -> tuple[int, ...]:
-        """The elements before the linear ones that lie directly before the plant."""
+        """All elements before those of ``linear``."""
         return self.sampled + self.integrated
 
 
 def arrange(elements: Sequence[Element]) -> Arrangement:
-    """The order in which the elements act.
+    """Sort the elements of a chain into the groups of an :class:`Arrangement`.
 
     Raises:
-        ConfigError: An element that acts on the sampled command stands behind one that moves between the samples; or an
-            element does both.
+        ConfigError: An element that acts on the sampled command stands behind one that moves between the samples, or an
+            element both acts at the samples and moves between them.
     """
     sampled = []
     moving = []
@@ -115,7 +115,7 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
 
 @lru_cache(maxsize=256)
 def chain(elements: tuple[Element, ...]) -> Unmodelled:
-    """The elements in series; parameters and state are tuples with those of each element, in the order given.
+    """Actuators in series as one; its parameters and its state are tuples of theirs, in the order of the elements.
 
     Raises:
         ConfigError: As for :func:`arrange`.
@@ -194,7 +194,13 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
 
 
 def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
-    """Linear elements in series as one system, whose state lists theirs."""
+    """Linear elements in series as one system, whose state is the sequence of their states.
+
+    Args:
+        models: The models of the chain.
+        indices: The linear elements, at least one.
+        params: Parameters of each element of the chain.
+    """
     systems = []
     for index in indices:
         system = models[index].linear
@@ -207,14 +213,21 @@ def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 
 
 def time_constant_path(models: Sequence[Unmodelled]) -> str:
-    """Path of the parameter that scales the chain's time; empty unless exactly one element has one."""
+    """Dotted path of the ``time_constant`` of the only element that declares one; else empty."""
     names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
     return names[0] if len(names) == 1 else ""
 
 
 def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar) -> list[Stage]:
-    """The stages of a step in order: consecutive linear elements as one, every other element alone."""
-    stages: list[Stage] = []  # only the first one's input, the held command, is constant
+    """The stages of a step in order: consecutive linear elements are one stage, every other element is a stage.
+
+    Args:
+        models: The models of the chain.
+        indices: The elements that move between the samples.
+        params: Parameters of each element of the chain.
+        dt: Length of the step [s].
+    """
+    stages: list[Stage] = []  # only the input of the first one, the held command, is constant
     for is_linear, group in groupby(indices, key=lambda index: models[index].linear is not None):
         if is_linear:
             stages.append(linear_stage(models, tuple(group), params, dt, constant=not stages))
@@ -227,13 +240,13 @@ def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 def linear_stage(
     models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar, constant: bool
 ) -> Stage:
-    """The stage of linear elements: their exact solution at the nodes.
+    """The stage of linear elements, by their exact solution at the nodes.
 
     Args:
         models: The models of the chain.
         indices: The linear elements.
-        params: The parameters of each element.
-        dt: The step [s].
+        params: Parameters of each element of the chain.
+        dt: Length of the step [s].
         constant: Whether the input is constant over the step.
     """
     system = in_series(models, indices, params)
@@ -256,7 +269,15 @@ def linear_stage(
 
 
 def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
-    """The stage of another element: from node to node; if its input is constant, with its moments."""
+    """The stage of an element that is not linear, by steps from node to node.
+
+    Args:
+        model: The element.
+        index: Index of the element in the chain.
+        params: Parameters of the element.
+        dt: Length of the step [s].
+        constant: Whether the input is constant over the step; then the element's own ``moments`` give the output.
+    """
     follow = model.follow or follow_mean(model)
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
@@ -280,21 +301,21 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
 
 
 def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
-    """A ``follow`` for a model without one: its step with the mean of the command, which is of order 2."""
+    """The ``follow`` of a model that declares none: its step with the mean of the command, of order 2."""
     return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
 
 
 def line_through(nodes: Sequence[Scalar]) -> Moments:
-    """The moments of a signal from its values at the Gauss nodes, exact for polynomials of degree 2."""
+    """The moments of a signal from its values at :data:`NODES`, exact for polynomials of degree 2."""
     _, first, second, _ = nodes
     return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))
 
 
 def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
-    """Where a chain has a derivative: where all its elements have one.
+    """The smoothness of a chain: it has a derivative where all its elements have one.
 
     Raises:
-        ConfigError: An element does not declare it.
+        ConfigError: An element does not declare its smoothness.
     """
     smoothness = []
     for (kind, model), values in zip(elements, params, strict=True):
@@ -323,12 +344,12 @@ def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
 def substitution(
     elements: tuple[Element, ...], smoothness: Sequence[Smoothness], indices: Sequence[int]
 ) -> Substitution:
-    """A function of a chain's parameters: the chain in which substitutes replace some elements, and its parameters.
+    """The substitution of a chain by one in which the substitutes of some elements replace them.
 
     Args:
         elements: The elements of the chain.
         smoothness: The smoothness that each element declares.
-        indices: The elements to replace; each has a substitute.
+        indices: Indices of the elements to replace, each of which has a substitute.
     """
 
     def substitute(params: Values) -> tuple[Unmodelled, Values]:

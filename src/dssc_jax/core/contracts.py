@@ -44,7 +44,7 @@ class NoParams(NamedTuple):
     """The parameters of a model that has none."""
 
 
-def as_given(params: Params) -> Params:
+def unchanged_params(params: Params) -> Params:
     """Return the parameters unchanged."""
     return params
 
@@ -102,29 +102,33 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         velocities: Names of the state's fields that semi-implicit Euler advances first.
         prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         channels: Names of the channels; empty for a plant with one channel.
-        angles: Channels whose output is an angle: its error is wrapped to (-pi, pi].
+        angles: Channels whose output is an angle [rad]; the loop wraps the errors of these to (-pi, pi].
         units: Units and meanings of each channel's output and command; without them, results show the symbols y and u.
         project: ``(params, state) -> state`` after each integrator step, back onto the state's manifold.
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
-        broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
-            then frozen.
-        grounded: ``(params, state, input, t, dt) -> bool``: whether it flies into the ground in the sample that begins
-            with this state; False itself: there is none.
+        broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude), which ends the
+            draw.
+        grounded: ``(params, state, input, t, dt) -> bool``: whether the plant hits the ground in the sample that begins
+            with this state; the constant False: the model has no ground.
         linear: ``(params) -> LinearDynamics``: the plant's linear part, which the loop advances by its exact solution.
             None: the loop integrates ``derivative`` by its fixed-step method.
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
             where it adds nothing. None: the plant is linear.
-        onboard: What of the plant is software of the vehicle, in words: generated code of its controllers lacks it.
-        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
+        onboard: Names, in words, of the parts of the plant that are software of the vehicle; the generated code of the
+            controllers does not contain them.
+        smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the
+            loop refuse it.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
-        outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
-        inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
-            ``input.inputs`` in this order, one for each in every call, 0 where nothing acts; None: there are none.
+        outputs: ``(params) -> signals`` that ``monitor`` reports, for a plant whose table names them; None: those of
+            ``info``.
+        inputs: ``(params) -> signals``: the disturbance inputs beside those of the channels. Every call gets one value
+            for each of them in ``input.inputs``, in this order, 0 where nothing acts. None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
-        advance: ``(params, state, input, t, h) -> state`` after its own step h, input held; None: the loop's steps.
-        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
+        advance: ``(params, state, input, t, h) -> state`` after a step of length h [s] with constant input, for a plant
+            with a solver of its own; None: the loop integrates ``derivative``.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the plant keeps no state outside of JAX.
         native: As in :class:`Controller`.
         settle: ``(params, state, wind) -> state`` at t = 0 in the mean wind at the start [m/s], if the parameters ask
             for an equilibrium with it, from the state of ``init``; None: the wind does not count. Not called without a
@@ -137,7 +141,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     measure: Callable[[Params, State, PlantInput[Signal]], Output]
     input_gain: Callable[[Params], Signal]
     velocities: tuple[str, ...] = ()
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     channels: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
     units: tuple[ChannelUnits, ...] = ()
@@ -160,21 +164,27 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     settle: Callable[[Params, State, Vec3], State] | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
-        """The signals that ``monitor`` reports with these parameters, if they are declared with unit and meaning."""
+        """The signals that ``monitor`` reports with these parameters; those without unit and meaning are left out."""
         outputs = self.outputs(params) if self.outputs else ()
         return outputs or tuple(NamedSignal.of(name, quantity) for name, quantity in quantities_of(self.info).items())
 
 
 class Preset(NamedTuple):
-    """A parameter type with an instance that a table overrides field by field."""
+    """A part of a study whose table overrides the fields of a complete instance.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        defaults: The instance.
+        prepare: As in :class:`Plant`.
+    """
 
     params: type
     defaults: Params
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
-def takes_none(gains: Params) -> int:
-    """Take no measured signals."""
+def no_signals(gains: Params) -> int:
+    """The number of measured signals of a controller that takes y and y' alone: 0."""
     return 0
 
 
@@ -187,36 +197,38 @@ class Controller(NamedTuple):
         step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
             scalars for metrics and plots, and is never fed back.
         prepare: As in :class:`Plant`.
-        transfer: ``(gains, measurement, reference, command, dt) -> state`` whose first step at that sample gives the
-            whole command, for a bumpless start; None: the state cannot carry a command.
+        transfer: ``(gains, measurement, reference, command, dt) -> state`` for a bumpless start: the first step from
+            this state gives ``command``. None: no state of the controller does.
         smooth: As in :class:`Plant`.
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
-        takes: ``(gains) -> n``: how many measured signals it takes from ``measurement.signals``; 0: y and y' alone.
+        takes: ``(gains) -> n``: number of measured signals that it takes from ``measurement.signals``; 0: it takes y
+            and y' alone.
         signals: The measured signals that it takes by name, in its order; (): those of the study, in the study's order.
-        fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
-            sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
-        tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function of the
-            gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
-        from_dssc: ``(gains of DSSC) -> table`` that corresponds to them; None: a comparison needs ``[compare.NAME]``.
+        fit: ``(gains, LoopSetting) -> gains`` when the study is built: computes gains from the nominal plant and the
+            sample time, or checks them; raises ConfigError. None: the gains need neither.
+        tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function from
+            the gains to these names. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
+        from_dssc: ``(gains of DSSC) -> table`` of this controller that corresponds to them; None: a comparison needs
+            ``[compare.NAME]``.
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
-        native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
-        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
-        takes_rate: Whether it takes y'; None: trial steps tell.
-        without_effect: Names of the gains that change no command of trial flights of native code.
+        native: File of the native code that it calls, which has no derivative; empty: all of it is JAX.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the controller keeps no state outside of JAX.
+        takes_rate: Whether its command depends on y'; None: the package finds out by trial steps.
+        without_effect: Names of the parameters of native code whose change altered no command in trial flights.
     """
 
     gains: type
     init: Callable[[Params, Measurement, ReferencePoint], State]
     step: Callable[[Params, State, Measurement, ReferencePoint, Scalar], tuple[State, Command, Info]]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     transfer: Callable[[Params, Measurement, ReferencePoint, Scalar, Scalar], State] | None = None
     smooth: Declaration = None
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
-    takes: Callable[[Params], int] = takes_none
+    takes: Callable[[Params], int] = no_signals
     signals: tuple[NamedSignal, ...] = ()
     fit: Callable[[Params, LoopSetting], Params] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
@@ -239,25 +251,35 @@ class Controller(NamedTuple):
 
 
 class Reference(NamedTuple, Generic[Desired]):
-    """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
+    """A desired trajectory.
 
-    ``defaults`` is an instance of the parameters with the values that a table does not give. ``level`` of one channel,
-    ``(params) -> y``, is the constant about which it moves or at which it ends; None: 0. ``of_angle`` is the form for
-    an output that is an angle, such as one that goes from value to value by the shorter way; None: the same.
+    Args:
+        params: NamedTuple type of the parameters.
+        at: ``(params, t) -> ReferencePoint``; for several channels, a tuple with a point for each.
+        prepare: As in :class:`Plant`.
+        defaults: Instance of the parameters with the values of the fields that a table leaves out; None: those of the
+            type.
+        level: ``(params) -> y`` of a reference of one channel: the constant about which it moves or at which it ends;
+            None: 0.
+        of_angle: The reference for an output that is an angle, such as one that takes the shorter way from value to
+            value; None: the same for all outputs.
     """
 
     params: type
     at: Callable[[Params, Scalar], Desired]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     defaults: Params = None
     level: Callable[[Params], Scalar] | None = None
     of_angle: "Reference[Desired] | None" = None
 
 
 class Variation(StrEnum):
-    """What a disturbance varies with in a sample, which selects the integration; from the least to the most varying."""
+    """Variables on which a disturbance depends within a sample; they select the method of integration.
 
-    HELD = "held"  # nothing: it is constant from one sample to the next
+    The members are in rising order of dependence.
+    """
+
+    HELD = "held"  # none: the disturbance is constant from one sample to the next
     TIME = "time"  # time alone
     STATE = "state"  # time and the plant's state
 
@@ -271,7 +293,7 @@ class Disturbance(NamedTuple):
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
-        variation: What ``value`` varies with within a sample.
+        variation: Variables on which ``value`` depends within a sample.
         smooth: As in :class:`Plant`.
     """
 
@@ -279,7 +301,7 @@ class Disturbance(NamedTuple):
     init: Callable[[Params, jax.Array], State]
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Measurement, Scalar, Scalar], Scalar]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     variation: Variation = Variation.STATE
     smooth: Declaration = None
 
@@ -298,7 +320,7 @@ class Sensor(NamedTuple):
     params: type
     init: Callable[[Params, Measurement, jax.Array], State]
     step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
 
 
@@ -307,7 +329,7 @@ class Differentiator(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        init: ``(params, measurement) -> state`` from the first measurement, whose velocity is not to be used.
+        init: ``(params, measurement) -> state`` from the first measurement; of it only y may be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
         smooth: As in :class:`Plant`.
@@ -316,24 +338,24 @@ class Differentiator(NamedTuple):
     params: type
     init: Callable[[Params, Measurement], State]
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
 
 
 class Timing(StrEnum):
-    """When a part with a state whose output is held acts on its command, which decides its place in a chain."""
+    """When an actuator with a state and a piecewise constant output acts on its input; decides its place in a chain."""
 
-    SAMPLED = "sampled"  # once a sample, as a computer does: it stands before everything that moves between the samples
+    SAMPLED = "sampled"  # once a sample, as a computer does: before all elements that move between the samples
     INVARIANT = "invariant"  # it commutes with dynamics, as a delay does: it acts before them wherever it stands
-    INSTANT = "instant"  # at every instant: between the samples, `follow` advances it
+    INSTANT = "instant"  # at every instant: `follow` advances it between the samples
 
 
 Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
-"""``(state, command) -> (state, Moments)`` after a step with the command held, and of the output over it."""
+"""``(state, command) -> (state after a step with the command held, Moments of the output over the step)``."""
 
 
 def never_averages(params: Params) -> bool:
-    """Change the output at the samples alone, or follow it between them."""
+    """Report that the output never acts through its mean over a sample."""
     return False
 
 
@@ -357,12 +379,15 @@ class Unmodelled(NamedTuple):
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt; None: by Simpson's rule.
         smooth: As in :class:`Plant`.
         continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
-        time_constant: Name of the parameter that scales their time, over which oscillations are predicted; empty: none.
+        time_constant: Name of the parameter that scales all their times, such as mu of a lag; the theory predicts
+            oscillations as a function of it. Empty: there is none.
         timing: When they act, if their output is held and they have a state.
-        advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. Beside
-            ``linear`` it advances what acts before the linear part, whose states it leaves, and gives the linear part's
-            input; ``held`` then says that this input is constant from one sample to the next.
-        follow: ``(params, state, start, end, dt) -> state`` for a command straight from start to end; None: its mean.
+        advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. If ``linear``
+            is declared, too, ``advance`` moves only the elements before the linear part, leaves the states of the
+            linear part alone, and returns the moments of its input; ``held`` then says that this input is constant from
+            one sample to the next.
+        follow: ``(params, state, start, end, dt) -> state`` for a command that goes in a straight line from start to
+            end over dt; None: a step with its mean.
         order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
         superposes: Whether ``sample`` and ``output`` are linear in state and command; ``linear`` implies it.
         averages: ``(params) -> bool``: whether the output may change within a sample, and then acts through its mean.
@@ -372,7 +397,7 @@ class Unmodelled(NamedTuple):
     init: Callable[[Params], State]
     step: Callable[[Params, State, Scalar, Scalar], State]
     output: Callable[[Params, State, Scalar], Scalar]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     sample: Callable[[Params, State, Scalar, jax.Array, Scalar], State] = ignore_sample
     linear: Callable[[Params], LinearSystem] | None = None
     held: bool = False

@@ -26,11 +26,11 @@ class ConfigError(ValueError):
         return ConfigError, (self.where, self.rule)
 
     def within(self, place: str) -> "ConfigError":
-        """Return the same error with ``place`` (usually a file) in front of its path."""
+        """Return the same error with ``place``, usually a file, in front of its location."""
         return ConfigError(f"{place}: {self.where}" if self.where else place, self.rule)
 
     def within_path(self, path: str) -> "ConfigError":
-        """Return the same error with the dotted ``path`` of the table in front of the field's name."""
+        """Return the same error with the dotted ``path`` of a table in front of the field's name."""
         return ConfigError(".".join(part for part in (path, self.where) if part), self.rule)
 
 
@@ -62,7 +62,15 @@ def errors_in_file(name: str) -> Iterator[None]:
 
 @contextmanager
 def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[None]:
-    """Report an exception of a user's own code in one line, with the line of the user's file; raises ConfigError."""
+    """Turn any exception of a user's code into a ConfigError of one line, which tells the line of the user's file.
+
+    Args:
+        subject: The part of the study that the code belongs to.
+        function: The user's function, whose place is told if the exception comes from a library.
+
+    Raises:
+        ConfigError: The code raises an exception.
+    """
     try:
         yield
     except ConfigError:
@@ -70,20 +78,23 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
     except Exception as error:
         text = str(error).strip().partition("\n")[0]
         frames = traceback.extract_tb(error.__traceback__)
-        own_frames = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
+        user_frames = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
         code = getattr(function, "__code__", None)
-        location = f", in line {code.co_firstlineno} of {code.co_filename}" if code is not None else ""
-        location = f", in line {own_frames[-1].lineno} of {own_frames[-1].filename}" if own_frames else location
+        location = ""
+        if user_frames:
+            location = f", in line {user_frames[-1].lineno} of {user_frames[-1].filename}"
+        elif code is not None:
+            location = f", in line {code.co_firstlineno} of {code.co_filename}"
         raise ConfigError(subject, f"{type(error).__name__}: {text}{location}") from error
 
 
 def folded(name: str) -> str:
-    """A name without what people confuse first: capital letters, underscores and hyphens."""
+    """A name in small letters without underscores and hyphens, so that misspelt names compare equal."""
     return name.lower().replace("_", "").replace("-", "")
 
 
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
-    """The valid name that a misspelt one stands for; empty if none is near."""
+    """The valid name nearest to a misspelt one, in a list of length 1; an empty list if none is near."""
     names = sorted(map(str, valid))
     equal_names = [valid_name for valid_name in names if folded(valid_name) == folded(name)]
     return equal_names[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
@@ -93,9 +104,9 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
     names = sorted(map(str, valid))
     words = sorted(name.split("_"))
-    exchanged = [full for full in names if sorted(full.split("_")) == words]  # e_x for x_e
-    closest = exchanged or close_names(name, names)
-    if not closest:  # the last part of a dotted path is what people remember
+    reordered = [full for full in names if sorted(full.split("_")) == words]  # e_x for x_e
+    closest = reordered or close_names(name, names)
+    if not closest:  # people remember the last part of a dotted path
         tail = name.rpartition(".")[2]
         closest = [full for full in names if full.rpartition(".")[2] == tail][:1]
     return f"did you mean '{closest[0]}'?" if closest else f"valid names are {', '.join(names) or 'none'}"

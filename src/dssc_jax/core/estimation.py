@@ -11,14 +11,14 @@ from dssc_jax.core.signals import Params, Scalar, State
 class Estimation(NamedTuple):
     """Sensors and an estimator that are part of a plant.
 
-    The error of the estimate at a sample is part of the plant's state, and constant until the next sample: between two
-    samples the software on board sees the true state with this error.
+    The error of the estimate is part of the plant's state, and constant between two samples: there the software on
+    board sees the true state plus this error. ``memory`` is the state of sensors and estimator.
 
     Args:
         is_enabled: ``(params) -> bool``: whether the parameters select an estimator.
         start: ``(params, state, key) -> (state, memory)`` at t = 0.
         step: ``(params, state, memory, key, k, dt) -> (state, memory)`` at sample k > 0.
-        estimated_state: ``(params, state) -> state``: the state as the controllers see it.
+        estimated_state: ``(params, state) -> state`` as the controllers see it.
     """
 
     is_enabled: Callable[[Params], bool]

@@ -1,8 +1,7 @@
-"""Contracts of what happens to a loop at a time: an event declares which number of which part it changes.
+"""Contracts of events, which change a loop at a time.
 
-An event of the vehicle changes its :class:`Condition`, which the vehicle receives with its input, as it receives the
-wind. An event of a channel is a part in series with the channel's sensor or with its command. A loop without events has
-neither.
+An event of the vehicle changes its :class:`Condition`, which is a part of the vehicle's input, as the wind is. An event
+of a channel is a part in series with the channel's sensor or with its command. A loop without events has neither.
 """
 
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Sensor, Unmodelled, as_given
+from dssc_jax.core.contracts import Sensor, Unmodelled, unchanged_params
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3
@@ -20,10 +19,10 @@ UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0, ends
 
 
 class Load(NamedTuple):
-    """Moments of point masses that the vehicle carries beyond its own, about its centre of mass, in body axes.
+    """Moments of the point masses that events have added to the vehicle, about its centre of mass, in body axes.
 
     Args:
-        mass: sum m [kg]; below 0 what it has lost.
+        mass: sum m [kg]; negative if the vehicle has lost mass.
         first: sum m r [kg m].
         square: sum m r_i^2 for i = x, y, z [kg m^2].
         product: sum m r_y r_z, sum m r_z r_x, sum m r_x r_y [kg m^2].
@@ -36,20 +35,27 @@ class Load(NamedTuple):
 
 
 class Shear(NamedTuple):
-    """A wind that changes with height: gradient [1/s] times the height above ``height`` [m]."""
+    """A wind that grows with height.
+
+    Args:
+        gradient: Change of the wind with height [1/s].
+        height: Height at which this wind is zero [m].
+    """
 
     gradient: Vec3
     height: Scalar
 
 
 class Condition(NamedTuple):
-    """What events have made of a vehicle; what none of them changes is None or empty, and left out of the program.
+    """The changes that events have made to a vehicle.
+
+    A field that no event changes is None or empty, and is left out of the program.
 
     Args:
-        effectiveness: Thrust of each rotor relative to what it would be.
-        voltage: Speed of all rotors relative to what it would be.
-        load: Masses beyond the vehicle's own.
-        shears: Winds that change with height.
+        effectiveness: Thrust of each rotor relative to its thrust without events.
+        voltage: Speed of all rotors relative to their speed without events.
+        load: Additional masses.
+        shears: Additional winds that change with height.
     """
 
     effectiveness: tuple[Scalar, ...] = ()
@@ -62,39 +68,54 @@ class VehicleEvent(NamedTuple):
     """An event of the vehicle.
 
     Args:
-        params: NamedTuple type of the parameters, with the time ``at``, and ``until`` and ``rise`` where it has them.
-        change: ``(params, condition, share, rotors) -> condition``, where the share of the event that has happened is
-            in [0, 1], and ``rotors`` is the number of rotors.
-        changes: The number of the loop that it changes, in words.
+        params: NamedTuple type of the parameters: the time ``at`` and, if the event has them, ``until`` and ``rise``
+            [s].
+        change: ``(params, condition, share, rotors) -> condition``. ``share`` in [0, 1] tells how much of the event has
+            happened, ``rotors`` is the number of rotors.
+        changes: Name, in words, of the number of the loop that the event changes.
         prepare: ``(params) -> params`` before tracing; raises ConfigError.
     """
 
     params: type
     change: Callable[[Params, Condition, Scalar, int], Condition]
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class SensorEvent(NamedTuple):
-    """An event of a channel's sensor: ``wrap(sensor)`` is the sensor with it, whose parameters are ``Wrapped``."""
+    """An event of a channel's sensor.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
+        changes: As in :class:`VehicleEvent`.
+        prepare: As in :class:`VehicleEvent`.
+    """
 
     params: type
     wrap: Callable[[Sensor], Sensor]
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class CommandEvent(NamedTuple):
-    """An event of a channel's command: unmodelled dynamics in series with those of the study."""
+    """An event of a channel's command.
+
+    Args:
+        params: NamedTuple type of the parameters.
+        model: Unmodelled dynamics with the event, in series with those of the study.
+        changes: As in :class:`VehicleEvent`.
+        prepare: As in :class:`VehicleEvent`.
+    """
 
     params: type
     model: Unmodelled
     changes: str
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
 
 
 class Wrapped(NamedTuple):
-    """Parameters of a part with an event around it."""
+    """Parameters of a part (``inner``), and of the event that wraps it (``event``)."""
 
     inner: Params
     event: Params
@@ -104,11 +125,11 @@ AnyEvent = VehicleEvent | SensorEvent | CommandEvent
 
 
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean over the sample [t, t + dt) of how much of an event has happened, in [0, 1].
+    """Share of an event that has happened, in [0, 1], averaged over the sample [t, t + dt).
 
-    An event that begins within a sample therefore acts with its mean, as a signal that is held. Times within the sample
-    are shares of it, clipped to [0, 1]: before the event the result is exactly 0, and after its rise exactly 1, however
-    the times round.
+    So an event that begins within a sample acts with its mean. It grows in a straight line over its ``rise``, and
+    vanishes at ``until``. Times are clipped to the sample, so rounding changes nothing: before the event the share is
+    exactly 0, and after its rise exactly 1.
     """
     rise = getattr(params, "rise", None)
     until = getattr(params, "until", None)
@@ -132,7 +153,15 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
 def condition_at(
     events: tuple[VehicleEvent, ...], params: tuple[Params, ...], t: Scalar, dt: Scalar, rotors: int
 ) -> Condition | None:
-    """The condition of the vehicle after the events up to the sample at t; None where there are none."""
+    """The condition of the vehicle in the sample [t, t + dt); None if the study has no events of the vehicle.
+
+    Args:
+        events: The events in the order of the study.
+        params: Parameters of each event.
+        t: Start of the sample [s].
+        dt: Length of the sample [s].
+        rotors: Number of rotors.
+    """
     if not events:
         return None
     condition = Condition()

@@ -10,7 +10,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -32,14 +32,14 @@ READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0
 DIRECTORY = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
 POSIX = os.name == "posix"
 
-FILE_TYPES: tuple[tuple[Callable[[int], bool], str], ...] = (
-    (stat.S_ISLNK, "a symbolic link"),
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
+FILE_TYPES = {
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
 
 class UnsafeFileError(OSError):
@@ -47,15 +47,12 @@ class UnsafeFileError(OSError):
 
 
 def file_type(mode: int) -> str:
-    """The type of a file that is not regular, in words."""
-    for matches, description in FILE_TYPES:
-        if matches(mode):
-            return description
-    return "no regular file"
+    """The type of a file that is not regular, in words, from its ``st_mode``."""
+    return FILE_TYPES.get(stat.S_IFMT(mode), "no regular file")
 
 
 def mode_of(path: Path) -> int | None:
-    """Type and permissions of a path, not of what it links to; None if there is nothing."""
+    """``st_mode`` of a path, of a symbolic link itself; None if nothing is there."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -64,7 +61,7 @@ def mode_of(path: Path) -> int | None:
 
 @contextmanager
 def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a regular file to read it piece by piece; a symbolic link is followed.
+    """Open a regular file for reading; a symbolic link is followed.
 
     Args:
         path: The file.
@@ -81,22 +78,26 @@ def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | Path, size: int = -1) -> bytes:
-    """The content of a regular file, as of :func:`open_regular_file`.
+    """The content of a regular file; errors as for :func:`open_regular_file`.
 
     Args:
         path: The file.
-        size: Bytes to read at most; -1: all.
+        size: Maximum number of bytes to read; -1: all.
     """
     with open_regular_file(path) as file:
         return file.read(size)
 
 
 def require_readable(path: Path, mode: int) -> None:
-    """Require that a path, whose symbolic links were followed, leads to a regular file.
+    """Require that a path leads to a regular file.
+
+    Args:
+        path: The path, for messages.
+        mode: ``st_mode`` of the file at the end of its symbolic links.
 
     Raises:
         IsADirectoryError: It leads to a folder.
-        UnsafeFileError: It leads to something else.
+        UnsafeFileError: It leads to a pipe, a device or a socket.
     """
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -105,13 +106,22 @@ def require_readable(path: Path, mode: int) -> None:
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
-    """The content of a regular UTF-8 file, with the same errors as :func:`read_bytes`; raises UnicodeDecodeError."""
+    """The content of a regular UTF-8 file, with line ends as ``\\n``.
+
+    Args:
+        path: The file.
+        errors: How bytes that are not UTF-8 are handled, as for :meth:`bytes.decode`.
+
+    Raises:
+        UnicodeDecodeError: The file is not UTF-8, and ``errors`` is ``strict``.
+        OSError: As for :func:`open_regular_file`.
+    """
     text = read_bytes(path).decode("utf-8", errors)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_text(path: Path, text: str | Iterable[str], within: Path | None = None, durable: bool = True) -> None:
-    """Write a UTF-8 file whole, or not at all; arguments and errors as for :func:`replacing`.
+    """Write a UTF-8 file completely, or not at all; errors as for :func:`replacing`.
 
     Args:
         path: The file.
@@ -126,26 +136,26 @@ def write_text(path: Path, text: str | Iterable[str], within: Path | None = None
 
 
 def write_bytes(path: Path, content: bytes | memoryview, within: Path | None = None, durable: bool = True) -> None:
-    """Write a file whole, or not at all; arguments and errors as for :func:`replacing`."""
+    """Write a file completely, or not at all; arguments and errors as for :func:`replacing`."""
     with replacing(path, within, durable) as file:
         file.write(content)
 
 
 def write_parts(path: Path, parts: Iterable[bytes]) -> None:
-    """Write a file whole from its parts, or not at all; errors as for :func:`replacing`."""
+    """Write a file completely from its parts, or not at all; errors as for :func:`replacing`."""
     with replacing(path) as file:
         for part in parts:
             file.write(part)
 
 
 def create_text(path: Path, text: str) -> None:
-    """Write a new UTF-8 file whole, or not at all.
+    """Write a new UTF-8 file completely, or not at all.
 
     Raises:
-        FileExistsError: There is something in its place.
+        FileExistsError: The path exists.
         OSError: It cannot be written.
     """
-    create_file(path).close()  # takes the name
+    create_file(path).close()  # reserves the name
     try:
         write_text(path, text)
     except BaseException:
@@ -155,13 +165,13 @@ def create_text(path: Path, text: str) -> None:
 
 @contextmanager
 def replacing(path: Path, within: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
-    """A binary file to write, which replaces ``path`` if the block ends without an exception.
+    """Open a temporary binary file that replaces ``path`` if the block ends without an exception.
 
-    The permissions of a file that is replaced are kept.
+    A replaced file hands its permissions on to the new one.
 
     Args:
         path: The file.
-        within: The folder below which no part of the path may be a symbolic link; None: the file's own folder.
+        within: The folder below which no part of the path may be a symbolic link; None: only the file itself may not.
         durable: Flush file and folder to disk, so that not even a power cut leaves a part.
 
     Raises:
@@ -189,9 +199,9 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
         flush_folder(path.parent)
 
 
-def create_file(partial: Path) -> BinaryIO:
-    """A new file to write."""
-    return os.fdopen(os.open(partial, CREATION, 0o666), "wb")
+def create_file(path: Path) -> BinaryIO:
+    """A new file, open for writing; raises FileExistsError if the path exists, be it a symbolic link."""
+    return os.fdopen(os.open(path, CREATION, 0o666), "wb")
 
 
 def partial_path(path: Path) -> Path:
@@ -218,7 +228,11 @@ def flush_folder(folder: Path) -> None:
 
 
 def require_replaceable(path: Path) -> int | None:
-    """Require that a path is absent or a regular file; return its mode; raises UnsafeFileError."""
+    """Require that a path is absent or a regular file; raises UnsafeFileError.
+
+    Returns:
+        ``st_mode`` of the file; None if it is absent.
+    """
     mode = mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):
         raise unsafe(path, f"is {file_type(mode)}, which is not overwritten")
@@ -226,7 +240,10 @@ def require_replaceable(path: Path) -> int | None:
 
 
 def require_inside(path: Path, within: Path | None) -> None:
-    """Require that the folders of a path below ``within`` are folders, not symbolic links; raises UnsafeFileError."""
+    """Require that no folder of a path below ``within`` is a symbolic link or a file; raises UnsafeFileError.
+
+    Folders that do not exist yet, and ``within`` None, are accepted.
+    """
     if within is None:
         return
     folder = within
@@ -238,7 +255,7 @@ def require_inside(path: Path, within: Path | None) -> None:
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder which is to be written contains regular files and folders only; raises ConfigError."""
+    """Require that a folder contains regular files and folders only, before anything is written; raises ConfigError."""
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -253,7 +270,7 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
 
     Args:
         folder: The folder.
-        within: An existing folder below which no part of the path may be a symbolic link; None: any may be.
+        within: An existing folder below which no part of the path may be a symbolic link; None: links are followed.
 
     Raises:
         UnsafeFileError: A part of the path is a symbolic link or a file.
@@ -270,7 +287,11 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
 
 
 def delete(path: Path, within: Path | None = None) -> None:
-    """Delete a file if it exists; of a symbolic link, the link; raises UnsafeFileError."""
+    """Delete a file if it exists; a symbolic link is itself deleted.
+
+    Raises:
+        UnsafeFileError: A folder of the path below ``within`` is a symbolic link or a file.
+    """
     require_inside(path, within)
     path.unlink(missing_ok=True)
 
@@ -288,7 +309,7 @@ def delete_tree(folder: Path, within: Path | None = None) -> None:
 
 
 def delete_partials(folder: Path) -> None:
-    """Delete what killed writers have left in a folder and below it."""
+    """Delete the temporary files that killed writers have left in a folder and below it."""
     for place, _, names in os.walk(folder):
         for name in names:
             if name.endswith(PARTIAL):
@@ -296,15 +317,15 @@ def delete_partials(folder: Path) -> None:
 
 
 def unsafe(path: Path, rule: str) -> UnsafeFileError:
-    """The error for a path that is not used; its text names the path."""
+    """The error for a path that is not followed or overwritten; ``rule`` continues a sentence about the path."""
     return UnsafeFileError(errno.ELOOP, f"'{path}' {rule}", str(path))
 
 
 class HeldFolder:
-    """A folder recognised by its device and inode: another one in its place, or none, is noticed.
+    """A folder identified by its device and inode, which notices if its path leads to another folder or to none.
 
     Args:
-        path: An existing folder. It is kept open until :meth:`close`, so that no other can get its identity.
+        path: An existing folder. It is kept open until :meth:`close`, so that no new folder gets the same inode.
 
     Raises:
         OSError: It cannot be opened.
@@ -340,13 +361,13 @@ class HeldFolder:
         return "was moved or deleted while it was written; it is not complete: run again"
 
     def close(self) -> None:
-        """Let the folder go."""
+        """Close the folder's descriptor."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
 
 def device_and_inode(path: Path) -> tuple[int, int]:
-    """Device and number of a file or folder, which no other one has at the same time."""
+    """Device and inode of a file or folder, which identify it among all that exist at the same time."""
     status = path.stat()
     return status.st_dev, status.st_ino

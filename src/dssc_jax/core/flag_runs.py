@@ -1,16 +1,16 @@
-"""Runs of true flags, such as the samples in a row at which something holds."""
+"""Runs of true flags, such as consecutive samples at which a condition holds."""
 
 import numpy as np
 
 
 def flag_runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first position of each run of true flags, and the position after its last one.
+    """Find the runs of true flags.
 
     Args:
         flags: Shape (n,).
 
     Returns:
-        Two arrays of one length, in order; empty where no flag is true.
+        The position at which each run begins, and the position after its end, shape (runs,) each.
 
     Example:
         >>> [ends.tolist() for ends in flag_runs(np.array([True, False, True, True]))]
@@ -21,6 +21,6 @@ def flag_runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def longest_run(flags: np.ndarray) -> int:
-    """The largest number of true flags in a row; 0 where none is true."""
+    """The length of the longest run of true flags; 0 if no flag is true."""
     begins, ends = flag_runs(flags)
     return int(np.max(ends - begins, initial=0))

@@ -1,4 +1,4 @@
-"""Files that a command writes again: it replaces those which it wrote and which nobody has changed since."""
+"""Generated files: a command replaces a file only if it wrote the file and nobody has changed it since."""
 
 import hashlib
 from collections.abc import Iterable
@@ -12,14 +12,14 @@ SUMS = "dssc_jax_files.sha256"
 
 
 def require_replaceable(folder: Path, names: Iterable[str]) -> None:
-    """Require that nothing in a folder is in the place of files to write, except those written before.
+    """Require that the files which a command is about to replace are unchanged files of an earlier command.
 
     Args:
         folder: The folder; it need not exist.
         names: Names of the files to write.
 
     Raises:
-        ConfigError: A file is not as :func:`write_sums` found it; it may be somebody's work.
+        ConfigError: A file has not the digest that :func:`write_sums` stored; it may be somebody's work.
     """
     sums = stored_sums(folder)
     for name in names:
@@ -30,13 +30,13 @@ def require_replaceable(folder: Path, names: Iterable[str]) -> None:
 
 
 def write_sums(folder: Path, names: Iterable[str]) -> None:
-    """Write the digests of files that were generated; raises OSError."""
+    """Write the digests of generated files to :data:`SUMS`; raises OSError."""
     lines = [f"{digest(folder / name)}  {name}\n" for name in names]
     files.write_text(folder / SUMS, lines)
 
 
 def stored_sums(folder: Path) -> dict[str, str]:
-    """Digests by name; none where nothing was generated."""
+    """The digests that :func:`write_sums` stored, by name; empty where it stored none."""
     path = folder / SUMS
     if not path.is_file():
         return {}

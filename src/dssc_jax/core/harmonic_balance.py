@@ -8,8 +8,9 @@ class HarmonicBalance(NamedTuple):
     """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
 
     Args:
-        amplitude: ``(q) -> A`` from the real part.
-        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
+        amplitude: ``(q) -> A``, the amplitude of sigma at which the real parts balance.
+        residual: ``(q, A, w) -> float``, the difference of the imaginary parts at the angular frequency w [rad/s]; 0 in
+            balance.
     """
 
     amplitude: Callable[[complex], float]

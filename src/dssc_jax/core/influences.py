@@ -1,14 +1,17 @@
-"""Which states influence which others, directly or not."""
+"""The states that influence given states, directly or through other states."""
 
 import numpy as np
 
 
 def closure(states: np.ndarray, influences: np.ndarray) -> np.ndarray:
-    """Extend sets of states by all states that influence them, directly or not.
+    """Extend sets of states by all states that influence them, directly or through other states.
 
     Args:
-        states: Masks of states, shape (..., states).
-        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
+        states: Masks of the sets, shape (..., n) for n states.
+        influences: Whether the state of each row depends on the state of each column, shape (..., n, n).
+
+    Returns:
+        Masks of the extended sets, shape (..., n).
     """
     influencing = states
     while True:

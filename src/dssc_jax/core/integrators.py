@@ -21,12 +21,15 @@ class Integrator(StrEnum):
 
 
 def advance(state: S, rate: S, h: Scalar) -> S:
-    """Return state + h rate, leaf by leaf."""
+    """The state after a step of length h [s] with a constant rate: state + h rate, leaf by leaf."""
     return jax.tree.map(lambda x, dx: x + h * dx, state, rate)
 
 
 def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """The classical Runge-Kutta method of order 4; ``velocities`` is not used."""
+    """The state after a step of length h [s] by the classical Runge-Kutta method of order 4.
+
+    All methods have the same arguments; this one makes no use of ``velocities``.
+    """
     del velocities
     k1 = derivative(state, 0)
     k2 = derivative(advance(state, k1, 0.5 * h), 1)
@@ -37,11 +40,21 @@ def rk4(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...
 
 
 def semi_implicit_euler(derivative: VectorField, state: S, h: Scalar, velocities: tuple[str, ...]) -> S:
-    """Advance velocities first, then everything else with the new velocities; order 1, symplectic on oscillators."""
-    kicked = advance(state, derivative(state, 0), h)
-    middle = state._replace(**{name: getattr(kicked, name) for name in velocities})  # type: ignore[attr-defined]
-    drifted = advance(middle, derivative(middle, 0), h)
-    return drifted._replace(**{name: getattr(middle, name) for name in velocities})
+    """The state after a step of length h [s]: first the velocities advance, then all other fields with the new ones.
+
+    The method has order 1, and keeps the energy of oscillators bounded (it is symplectic).
+
+    Args:
+        derivative: The derivative of the state.
+        state: The state, a NamedTuple.
+        h: The step [s].
+        velocities: Names of the fields that advance first.
+    """
+    first = advance(state, derivative(state, 0), h)
+    new_velocities = {name: getattr(first, name) for name in velocities}
+    middle = state._replace(**new_velocities)  # type: ignore[attr-defined]
+    last = advance(middle, derivative(middle, 0), h)
+    return last._replace(**new_velocities)
 
 
 ORDERS = {Integrator.RK4: 4, Integrator.EULER: 1}

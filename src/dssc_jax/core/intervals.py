@@ -25,12 +25,13 @@ TURN = 2.0 * math.pi
 
 
 class Interval(NamedTuple):
-    """Values between two ends.
+    """An array of intervals.
 
     Args:
-        low: Lowest value, any shape.
-        high: Highest value, of the same shape.
-        defined: Whether the function that gave it has a value everywhere.
+        low: Lower ends, any shape.
+        high: Upper ends, of the same shape.
+        defined: Whether the function whose range the interval is has a value at every point of its arguments, of the
+            same shape.
     """
 
     low: np.ndarray
@@ -49,7 +50,13 @@ Function: TypeAlias = Callable[..., Interval]
 
 
 def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarray | bool = True) -> Interval:
-    """The interval of the least and the greatest of several values; nothing bounds a value that is no number."""
+    """The smallest interval that contains several values.
+
+    Args:
+        corners: The values, arrays of one shape; a NaN makes the interval unbounded.
+        arguments: The arguments of the operation, whose ``defined`` the result inherits.
+        defined: Whether the operation itself has a value everywhere.
+    """
     stacked = np.stack(np.broadcast_arrays(*corners))
     low = np.where(np.isnan(stacked), -np.inf, stacked).min(axis=0)
     high = np.where(np.isnan(stacked), np.inf, stacked).max(axis=0)
@@ -115,12 +122,12 @@ def logarithm(a: Interval) -> Interval:
 
 
 def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
-    """The range over ``a`` of a sine.
+    """The range of a sine or cosine over an interval.
 
     Args:
-        function: The sine. Its maxima 1 are at ``crest`` + 2 pi k, its minima -1 half a turn later.
-        crest: One of the maxima.
-        a: The argument.
+        function: The sine or cosine. Its maxima 1 are at ``crest`` + 2 pi k, its minima -1 half a turn later.
+        crest: Place of a maximum [rad].
+        a: The interval of its argument [rad].
     """
     first_crest = np.ceil((a.low - crest) / TURN)  # k of the first maximum from the lower end on
     first_trough = np.ceil((a.low - crest - math.pi) / TURN)
@@ -163,7 +170,8 @@ class Range(NamedTuple):
     Args:
         low: A lower bound of its values, near the least one.
         high: An upper bound, near the greatest.
-        undefined: A point near which it may have no value, one coordinate for each side; None if it has one everywhere.
+        undefined: A point near which the function may have no value, with a coordinate for each side of the box; None
+            if the function has a value everywhere.
     """
 
     low: float
@@ -172,23 +180,29 @@ class Range(NamedTuple):
 
 
 def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
-    """Bound the values of a function over a box; parts of the box that may hold its extremes are halved.
+    """Bound the values of a function over a box.
+
+    Interval arithmetic encloses the values over each part of the box. Parts whose enclosure exceeds the values found so
+    far by more than a tolerance are halved.
 
     Args:
-        function: Takes an interval for each side, of arrays of any shape.
-        sides: Ends of each argument.
+        function: Takes an interval for each argument, arrays of any shape.
+        sides: Lower and upper end of each argument.
     """
     with np.errstate(all="ignore"):
         box = Interval.of(*np.array(sides, float).reshape(-1, 2).T[:, None, :])
         lowest, greatest = values_at(function, corner_points(box))
-        low, high = math.inf, -math.inf
-        lows, highs = box.low, box.high
+        low = math.inf
+        high = -math.inf
+        lows = box.low
+        highs = box.high
         for remaining in reversed(range(ROUNDS)):
             enclosures = function(*intervals(lows, highs))
             shape = (len(lows),)
             outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in enclosures)
             inner = values_at(function, 0.5 * lows + 0.5 * highs)
-            lowest, greatest = min(lowest, inner[0]), max(greatest, inner[1])
+            lowest = min(lowest, inner[0])
+            greatest = max(greatest, inner[1])
             tolerance = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
             is_undecided = ~defined | (outer_low < lowest - tolerance) | (outer_high > greatest + tolerance)
             if not remaining or 2 * np.count_nonzero(is_undecided) > MOST_BOXES:
@@ -206,19 +220,25 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
 
 
 def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:
-    """The sides of boxes, shape (boxes, sides), as one interval for each side."""
+    """Boxes as intervals: one for each side, of shape (boxes,); the arguments have shape (boxes, sides)."""
     return [Interval.of(low, high) for low, high in zip(lows.T, highs.T, strict=True)]
 
 
 def corner_points(box: Interval) -> np.ndarray:
-    """The corners of one box, shape (points, sides); of a box with many sides only two."""
+    """The corners of one box, shape (corners, sides).
+
+    A box with more than :data:`MOST_CORNERS` sides has too many; of these, only the two extreme ones are taken.
+    """
     ends = list(zip(box.low[0], box.high[0], strict=True))
     points = list(itertools.product(*ends)) if len(ends) <= MOST_CORNERS else [*zip(*ends, strict=True)]
     return np.array(points).reshape(len(points), len(ends))
 
 
 def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest value at points, shape (n, sides), where the function has one."""
+    """The least and the greatest value of a function at points of shape (n, sides).
+
+    Points where the function has no value are ignored; without any other, the result is (inf, -inf).
+    """
     values = function(*intervals(points, points))
     has_value = np.broadcast_to(values.defined, (len(points),))
     low, high = (np.broadcast_to(end, (len(points),))[has_value] for end in values[:2])
@@ -226,11 +246,21 @@ def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
 
 
 def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Halve boxes along their longest sides, relative to the widths of the whole."""
+    """Halve each box along its longest side.
+
+    Args:
+        lows: Lower ends, shape (boxes, sides).
+        highs: Upper ends, the same shape.
+        widths: Widths of the whole box, relative to which sides are compared, shape (sides,).
+
+    Returns:
+        Lower and upper ends of the halves, shape (2 boxes, sides).
+    """
     side = np.argmax((highs - lows) / np.where(widths > 0.0, widths, 1.0), axis=1)
     rows = np.arange(len(lows))
     middle = 0.5 * lows[rows, side] + 0.5 * highs[rows, side]
-    upper_lows, lower_highs = lows.copy(), highs.copy()
+    upper_lows = lows.copy()
+    lower_highs = highs.copy()
     upper_lows[rows, side] = middle
     lower_highs[rows, side] = middle
     return np.concatenate([lows, upper_lows]), np.concatenate([lower_highs, highs])

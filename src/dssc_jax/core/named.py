@@ -1,4 +1,4 @@
-"""Signals that a study names: words in a model's parameters, and the type of what a plant reports under these names."""
+"""Signals that a study names: their declaration, and the NamedTuple type in which a plant reports them."""
 
 import re
 from collections import namedtuple
@@ -19,15 +19,19 @@ Item = TypeVar("Item")
 
 @jax.tree_util.register_static
 class Text(str):
-    """A unit or a meaning in a model's parameters: part of their structure, no number among their leaves."""
+    """A unit or a meaning among a model's parameters, which JAX takes for structure and not for a leaf."""
 
     __slots__ = ()
 
 
 class NamedSignal(NamedTuple):
-    """Name, unit and meaning of a signal, and whether it is an angle that begins again after a turn.
+    """A declared signal.
 
-    A signal without a unit has an empty one.
+    Args:
+        name: Name in the study and in results.
+        unit: Unit; empty: none is declared.
+        meaning: Meaning in words; empty: none is declared.
+        periodic: Whether it is an angle that begins again after a turn.
     """
 
     name: str
@@ -37,12 +41,12 @@ class NamedSignal(NamedTuple):
 
     @classmethod
     def of(cls, name: str, quantity: Quantity) -> "NamedSignal":
-        """The signal with a name that a quantity describes."""
+        """The signal ``name`` with the unit and meaning of a quantity."""
         return cls(name, quantity.unit, quantity.meaning, quantity.periodic)
 
     @property
     def quantity(self) -> Quantity:
-        """What the signal is; without a meaning, its name stands for it."""
+        """Unit and meaning of the signal; a signal without a meaning has its name for it."""
         return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 
@@ -50,11 +54,11 @@ COMPONENTS = (*Vec3._fields, *Quaternion._fields)
 REPORT = "Report"
 SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 SEPARATOR = "__"
-"""Between the names of a report's fields in the name of its type; no signal has it in its name."""
+"""Separator of the fields' names in the name of a report's type; no signal's name contains it."""
 
 
 def require_signal_name(name: str) -> None:
-    """Require that a name can be that of a signal, and so that of a field of a report; raises ConfigError."""
+    """Require that a name is a valid field of a report: an identifier without ``__``; raises ConfigError."""
     if not SIGNAL_NAME.fullmatch(name):
         raise ConfigError("", "must be named by letters and digits, with single _ between them")
     if iskeyword(name):
@@ -63,15 +67,18 @@ def require_signal_name(name: str) -> None:
 
 @cache
 def report_type(names: tuple[str, ...]) -> type:
-    """The NamedTuple type of a plant's report with these fields."""
+    """The NamedTuple type of a plant's report with these fields.
+
+    Its name contains the fields, so that :func:`__getattr__` can make the type again in another process.
+    """
     return namedtuple(SEPARATOR.join((REPORT, *names)), names, module=__name__)  # type: ignore[return-value]
 
 
 def __getattr__(name: str) -> type:
-    """The type of a report by its name: what was computed with it in another process is restored by that.
+    """The type of :func:`report_type` by its name, so that reports of other processes can be unpickled.
 
     Raises:
-        AttributeError: it is no name of such a type.
+        AttributeError: The name is not that of a report's type.
     """
     first, *names = name.split(SEPARATOR)
     if first != REPORT or not all(names):
@@ -80,10 +87,10 @@ def __getattr__(name: str) -> type:
 
 
 def signals_in(info: Info) -> dict[str, Any]:
-    """The signals of an info by name: its fields, and those of a part that declares quantities in place of the part.
+    """The signals of an info by name.
 
-    A vector's components have its name with their own behind it, as ``wind_x``, and several values of a field their
-    number, as ``rotor_1``. A part that is () is left out, and an info that is () has no signal.
+    A field that is itself an info, with declared quantities, is replaced by its fields. A vector is replaced by its
+    components, such as ``wind_x``, and a tuple by its numbered elements, such as ``rotor_1``. Empty tuples vanish.
     """
     signals = {}
     for name, value in zip(getattr(info, "_fields", ()), info, strict=True):
@@ -95,7 +102,7 @@ def signals_in(info: Info) -> dict[str, Any]:
 
 
 def components_of(name: str, value: Any) -> dict[str, Any]:
-    """A signal by its name, or the components of a tuple by theirs."""
+    """A scalar under its name, or the elements of a tuple under ``name_x`` or ``name_1`` and so on."""
     if not isinstance(value, tuple):
         return {name: value}
     ends = getattr(value, "_fields", range(1, len(value) + 1))
@@ -106,10 +113,7 @@ def components_of(name: str, value: Any) -> dict[str, Any]:
 
 
 def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | None:
-    """What a signal is: as declared under its name, or under that of the vector that it is a component of.
-
-    None if neither is declared.
-    """
+    """The quantity that is declared for a signal, or for the vector of which it is a component; None if neither is."""
     if name in quantities:
         return quantities[name]
     vector, _, component = name.rpartition("_")
@@ -120,5 +124,5 @@ def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | Non
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:
-    """Named items in the order of their names, the order of a mapping's leaves; none of None."""
+    """Items sorted by name, which is JAX's order of a mapping's leaves; empty for None."""
     return sorted((items or {}).items())

@@ -21,7 +21,7 @@ VANISHING = 1e-9
 
 
 class RealisedSystem(NamedTuple):
-    """x' = A x + b u, y = c x, in plain numbers."""
+    """A linear system x' = A x + b u, y = c x in plain numbers: A row by row, b and c as tuples of length n."""
 
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
@@ -29,7 +29,7 @@ class RealisedSystem(NamedTuple):
 
 
 class NormalForm(NamedTuple):
-    """A linear plant's place in the class (5)-(8).
+    """The form (5)-(8) of a linear plant, as far as it has one.
 
     Args:
         relative_degree: Order of the first derivative of the output that depends on the command.
@@ -55,8 +55,8 @@ class NormalForm(NamedTuple):
         return all(zero.real < 0.0 for zero in self.zeros)
 
     @property
-    def silence(self) -> str:
-        """Why the plant is not of the class (5)-(8); empty if it is."""
+    def obstacle(self) -> str:
+        """The reason why the plant is not of the class (5)-(8); empty if it is."""
         if self.relative_degree != 2:
             return f"the plant has relative degree {self.relative_degree}, not two as (5)-(8)"
         if not self.minimum_phase:
@@ -69,7 +69,7 @@ class NormalForm(NamedTuple):
 def relative_degree(system: RealisedSystem) -> int | None:
     """The smallest r with c A^(r-1) b not zero; None if the command does not reach the output.
 
-    A product counts as zero if it is rounding of the terms that it is the sum of.
+    A product counts as zero if it is as small as the rounding errors of its terms.
     """
     a = np.array(system.a)
     row = np.array(system.c)
@@ -84,8 +84,8 @@ def relative_degree(system: RealisedSystem) -> int | None:
 def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
     """Numerator and monic denominator, highest power first; the numerator without leading zeros.
 
-    With chi the characteristic polynomial of A, the numerator's coefficients are its convolution with the Markov
-    parameters c A^k b, which no subtraction of two determinants spoils.
+    The numerator is the convolution of the characteristic polynomial chi of A with the Markov parameters c A^k b. It is
+    more exact than the difference of two determinants, whose leading digits cancel.
 
     Raises:
         ValueError: the command does not reach the output.

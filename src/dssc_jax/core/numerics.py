@@ -22,13 +22,19 @@ LOG_2 = math.log(2.0)
 
 @contextmanager
 def arithmetic(precision: int = 64) -> Iterator[None]:
-    """Set JAX's precision in bits, and silence NumPy's overflow warnings: an overflow is an outcome."""
+    """Set JAX's precision, 32 or 64 bits, and silence NumPy's floating-point warnings.
+
+    An overflow is no fault of the program: the draw ends early.
+    """
     with jax.enable_x64(precision == 64), np.errstate(all="ignore"):
         yield
 
 
 def namespace(*values: object) -> ModuleType:
-    """``jax.numpy`` if a value is JAX's, else NumPy, which uses float64 for every precision of JAX."""
+    """The module to compute with: ``jax.numpy`` if a value is an array of JAX, else NumPy.
+
+    NumPy computes in float64 whatever the precision of JAX.
+    """
     return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
@@ -41,7 +47,7 @@ def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
 
 @root_abs.defjvp
 def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> tuple[Scalar, Scalar]:
-    """The root, and its slope sgn(x)/(2 r) where |x| > floor^2, else 0."""
+    """The JVP of :func:`root_abs`: the slope is sgn(x)/(2 r) where |x| > floor^2, else 0."""
     (x,) = at
     (x_dot,) = tangent
     is_steep = jnp.abs(x) > floor**2
@@ -50,7 +56,10 @@ def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> t
 
 
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
-    """k and 2^-k with 2^-k x in [2^(-1/2), 2^(1/2)), for x >= 1; read from the bits of x, which vectorises."""
+    """k and 2^-k such that 2^-k x is in [2^(-1/2), 2^(1/2)), for x >= 1.
+
+    They are read from the bits of x, because that vectorises.
+    """
     x = jax.lax.stop_gradient(jnp.asarray(x))
     is_double = x.dtype == jnp.float64
     integer, digits, bias = (jnp.int64, 52, 1023) if is_double else (jnp.int32, 23, 127)
@@ -82,7 +91,7 @@ def log_defect(x: Scalar) -> Scalar:
 
 
 def root_of(excess: Scalar, slope: Scalar) -> Scalar:
-    """The non-negative s with s^2 + slope s = excess, for excess >= 0; 0 otherwise."""
+    """The non-negative root s of s^2 + slope s = excess if excess > 0; 0 otherwise."""
     is_positive = excess > 0.0
     positive_excess = jnp.where(is_positive, excess, 1.0)
     # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
@@ -97,54 +106,54 @@ def sign(x: Scalar) -> Scalar:
 
 
 def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """X within [low, high]. NaN stays NaN; a bound that is NaN does not bind.
+    """The value in [low, high] that is nearest to x. A NaN stays NaN; a bound that is NaN does not bind.
 
-    With it a bound costs one machine instruction. It costs three with ``jnp.clip``, where a NaN bound gives NaN.
+    So each bound costs one machine instruction. With ``jnp.clip``, where a NaN bound gives NaN, it costs three.
     """
     x = jnp.where(low > x, low, x)
     return jnp.where(high < x, high, x)
 
 
 def as_arrays(tree: Tree) -> Tree:
-    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types.
+    """Convert the numbers of a tree to arrays of the working precision, so that the carry of a scan keeps its types.
 
-    Words of memory stay as they are.
+    Words of memory (:func:`is_word`) stay as they are.
     """
     return jax.tree.map(lambda x: x if is_word(x) else jnp.asarray(x, dtype=jnp.result_type(float)), tree)
 
 
 def is_word(x: Scalar) -> bool:
-    """Whether a value is a word of memory, such as the state of a controller in C, and no number of the loop."""
+    """Whether a value is a word of memory, such as a part of the state of a controller in C, and not a real number."""
     return isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.unsignedinteger)
 
 
 def is_zero(value: Scalar) -> bool:
-    """Whether a number is known to be 0 before tracing."""
+    """Whether a value is a constant 0, so that the program can do without it."""
     return is_known(value) and float(value) == 0.0
 
 
 def is_known(value: Scalar) -> bool:
-    """Whether a number is known before tracing."""
+    """Whether a value is a constant number and not a traced one."""
     return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
 def times(left: Scalar, right: Scalar) -> Scalar:
-    """The product; 0 if one of the factors is known to be 0 before tracing."""
+    """The product; a plain 0.0 if a factor is a constant 0."""
     return 0.0 if is_zero(left) or is_zero(right) else left * right
 
 
 def difference(minuend: Scalar, subtrahend: Scalar) -> Scalar:
-    """The difference; the minuend itself if the subtrahend is known to be 0 before tracing."""
+    """The difference; the minuend itself if the subtrahend is a constant 0."""
     return minuend if is_zero(subtrahend) else minuend - subtrahend
 
 
 def at_least(x: Scalar, low: float) -> Scalar:
-    """The larger of x and low; a plain number if x is one, so that constants stay constants."""
+    """The larger of x and low; a Python float if x is one, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)
 
 
 def saturate(x: Scalar, limit: Scalar) -> Scalar:
-    """X clipped to [-limit, limit]."""
+    """The value in [-limit, limit] that is nearest to x; see :func:`clip`."""
     return clip(x, -limit, limit)
 
 
@@ -156,22 +165,28 @@ def newton(
     start: Scalar,
     steps: int,
 ) -> Scalar:
-    """x with f(x) = value, by Newton's method; ``tangent(parameters, x)`` is (f(x), f'(x)).
+    """The x with f(x) = value, after a fixed number of steps of Newton's method.
 
-    ``tangent`` is a function of a module, no closure: each new function object is traced anew.
+    Args:
+        tangent: ``(parameters, x) -> (f(x), f'(x))``, a function of a module and no closure: each new function object
+            is traced anew.
+        parameters: Parameters of f.
+        value: The value that f is to have.
+        start: First x.
+        steps: Number of steps.
     """
 
-    def nearer(_: int, x: Scalar) -> Scalar:
+    def newton_step(_: int, x: Scalar) -> Scalar:
         f, slope = tangent(parameters, x)
         return x + (value - f) / slope
 
-    return jax.lax.fori_loop(0, steps, nearer, jnp.asarray(start))
+    return jax.lax.fori_loop(0, steps, newton_step, jnp.asarray(start))
 
 
 def turned_near(angle: Scalar, target: Scalar) -> Scalar:
-    """The angle, shifted by whole turns to lie within pi of a target: their difference is in (-pi, pi] [rad].
+    """The angle plus the whole turns that bring its difference from a target into (-pi, pi] [rad].
 
-    An angle that is near the target already keeps its bits.
+    An angle that needs no turn keeps its bits.
     """
     return angle - 2.0 * math.pi * jnp.ceil((angle - target - math.pi) / (2.0 * math.pi))
 
@@ -182,19 +197,25 @@ def wrap_angle(angle: Scalar) -> Scalar:
 
 
 def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
-    """Share of the sample [t, t + dt) after ``at``: a signal that begins within a sample is held at its mean."""
+    """Share in [0, 1] of the sample [t, t + dt) that lies after ``at`` [s].
+
+    A held signal that begins within the sample acts with its mean, which is its value times this share.
+    """
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
 
 
 def stream(name: str) -> int:
-    """The index of a named factor's random stream; adding a factor does not change the draws of the others."""
+    """The index of the random stream of an uncertain number, from its name.
+
+    So the draws of a number do not change when others are added.
+    """
     return zlib.crc32(name.encode())
 
 
 def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
-    """Sum of products of two short tuples, written out because scalars compile to scalar arithmetic.
+    """The scalar product of two tuples, term by term, because scalars compile to scalar arithmetic.
 
-    If a number on the left is known to be 0 or 1 before tracing, its product is omitted or is the other factor.
+    A term whose left factor is a constant 0 is omitted; one whose left factor is a constant 1 is the right factor.
     """
     total: Scalar = 0.0
     for a, b in zip(left, right, strict=True):
@@ -205,10 +226,10 @@ def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
 
 
 def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
-    """The sum of c_i B(x - i) with the cubic B-spline B of support (-2, 2) and knots at the whole numbers.
+    """The sum of c_i B(x - i), where B is the cubic B-spline with support (-2, 2) and knots at the whole numbers.
 
     Its value lies between the smallest and the largest of (0, c_0, c_1, ..., 0), and its slope between the smallest
-    and the largest difference of consecutive coefficients.
+    and the largest difference of two consecutive coefficients.
 
     Reference:
         C. de Boor, A Practical Guide to Splines, revised ed. (2001), chapters IX to XI.
@@ -223,12 +244,13 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent numbers, uniform in [0, 1); in float32 the leading bits of those in float64.
+    """Independent random numbers, uniform in [0, 1).
 
-    The precision of a study therefore does not change its random numbers, as that of ``jax.random.uniform`` would.
+    Those in float32 have the leading bits of those in float64, so the precision of a study does not change its draws,
+    as it would with ``jax.random.uniform``.
 
-    In a batch, each number is an array over the lanes and is vectorised along them; a single array of all numbers
-    would be vectorised along its short last axis. The bits of a number come from the key folded with its index.
+    The numbers are scalars, each from the key folded with its index. So a batch is vectorised along its lanes; an array
+    of all numbers would be vectorised along its short last axis.
     """
     real = jnp.result_type(float)
 
@@ -244,7 +266,7 @@ def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
 
 
 def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
-    """Independent standard normal numbers, from :func:`uniforms`.
+    """Independent standard normal random numbers, from :func:`uniforms`.
 
     In float64 they equal ``jax.random.normal(key, (count,))``; in float32 they are the same numbers up to rounding.
     """
@@ -258,5 +280,5 @@ def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
 
 
 def standard_normal(key: jax.Array) -> Scalar:
-    """The first of :func:`standard_normals`."""
+    """A standard normal random number; the first of :func:`standard_normals`."""
     return standard_normals(key, 1)[0]

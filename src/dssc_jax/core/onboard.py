@@ -11,21 +11,13 @@ WHOLE = 1e-9
 """Relative deviation of a ratio that counts as a whole number."""
 
 
-def no_sentences(params: Params) -> tuple[str, ...]:
-    """Nothing to tell."""
-    del params
-    return ()
-
-
-def no_integrals(params: Params) -> tuple[str, ...]:
-    """The software has no integrals whose start a study gives."""
-    del params
+def no_strings(params: Params) -> tuple[str, ...]:
+    """No sentences or names, whatever the parameters."""
     return ()
 
 
 def not_settled(params: Params) -> bool:
-    """The integrals start at their numbers."""
-    del params
+    """Report that the integrals start at the numbers of the study."""
     return False
 
 
@@ -37,23 +29,23 @@ class Onboard(NamedTuple):
 
     Args:
         period: ``(params) -> time between two ticks [s]``; None: these parameters choose no sampled software.
-        start: ``(params, state, wind) -> held``: its part of the plant's state at the first sample, from the rest of it
-            and the mean wind at the start [m/s]; None: there is no wind.
-        held: ``(state) -> held``: its part of a state.
-        holding: ``(state, held) -> state`` with another such part.
+        start: ``(params, state, wind) -> held``: the software's part of the plant's state at the first sample, from the
+            other parts and the mean wind at the start [m/s], which is None without a wind.
+        held: ``(state) -> held``: the software's part of the plant's state.
+        holding: ``(state, held) -> state`` with the software's part replaced.
         sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
         tick: ``(params, state, dt) -> state`` at each tick, dt apart.
         frequency: Name of the plant's number that gives the period, dotted, for messages.
-        outputs: ``(params) -> sentences`` of the generated documentation on what its results drive.
+        outputs: ``(params) -> sentences`` for the generated documentation: what the results of the software drive.
         directions: Fields of the state that are vectors of length 1, such as a unit quaternion.
-        integrals: ``(params) -> names`` of the plant's numbers at which integrals start that a flight in the air has
-            filled, dotted.
-        settled: ``(params) -> whether they start in the equilibrium of the draw``; the numbers then add to it.
-        drives: Field of its part of the state with the numbers that drive actuators.
-        tunable: Fields of the plant's parameters whose numbers its C may change in flight.
-        taken_over: ``(params, state, driven, dt) -> (held, whether)``: its part of the plant's state from which it goes
-            on driving the actuators as another software did, in steady motion with samples dt apart; whether its limits
-            let it do so. None: it cannot.
+        integrals: ``(params) -> names`` of the plant's numbers, dotted, that are the start values of integrals.
+        settled: ``(params) -> bool``: whether the integrals start in the equilibrium of the draw, to which these
+            numbers are added.
+        drives: Field of ``held`` with the numbers that drive the actuators.
+        tunable: Fields of the plant's parameters whose numbers the generated C may change in flight.
+        taken_over: ``(params, state, driven, dt) -> (held, feasible)`` for a handover in steady motion, with samples dt
+            apart: the ``held`` from which the software goes on driving the actuators with the numbers ``driven``, and
+            whether its limits allow this. None: no handover is possible.
     """
 
     period: Callable[[Params], float | None]
@@ -63,9 +55,9 @@ class Onboard(NamedTuple):
     sample: Callable[[Params, State, PlantInput, float], State]
     tick: Callable[[Params, State, float], State]
     frequency: str = ""
-    outputs: Callable[[Params], tuple[str, ...]] = no_sentences
+    outputs: Callable[[Params], tuple[str, ...]] = no_strings
     directions: tuple[str, ...] = ()
-    integrals: Callable[[Params], tuple[str, ...]] = no_integrals
+    integrals: Callable[[Params], tuple[str, ...]] = no_strings
     settled: Callable[[Params], bool] = not_settled
     drives: str = ""
     tunable: tuple[str, ...] = ()

@@ -6,8 +6,8 @@ from typing import TypeAlias
 from dssc_jax.core.signals import Params, Scalar, State
 
 Begin: TypeAlias = Callable[[Params, State, Scalar, int], State]
-"""``(params, state, lane, steps) -> state`` at t = 0, which binds a part's state to an object outside of JAX.
+"""``(params, state, lane, steps) -> state`` at t = 0, which binds the state of a part to an object outside of JAX.
 
-``lane`` is a word that is traced for each draw, ``steps`` the number of steps of the flight. A part that has this keeps
-its state in that object: each step must be made once, in order. What makes steps otherwise refuses the part by name.
+``lane`` is a traced word that differs from draw to draw, ``steps`` the number of steps of the flight. Such a part keeps
+its state in the object, so each step must be made once, in order. Analyses that make steps in another way refuse it.
 """

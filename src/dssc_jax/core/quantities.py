@@ -9,18 +9,18 @@ class Quantity:
     """Unit, meaning and admissible interval of one number of a model.
 
     Args:
-        unit: SI unit, with ``y`` and ``u`` for those of the plant's output and command (:mod:`dssc_jax.core.units`);
-            ``"1"`` when dimensionless.
-        meaning: The standard term, with the paper's symbol.
+        unit: SI unit, in which ``y`` and ``u`` stand for the units of the plant's output and command
+            (:mod:`dssc_jax.core.units`); ``"1"``: dimensionless.
+        meaning: The standard term, with the article's symbol.
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
         below: Exclusive upper bound.
         at_most: Inclusive upper bound.
         law: Whether a probability law may replace the number.
         data: Whether it is one of many values of a record, which have no names in the study.
-        leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
-        begins: Whether it is a time at which something begins, which has no effect after the end of the loop.
-        ends: Whether it is a time at which something ends.
+        leading: Whether it is among the few numbers for which an exploration shows sliders at first.
+        begins: Whether it is the time at which an effect begins: after the end of the loop it would have no effect.
+        ends: Whether it is the time at which an effect ends.
         periodic: Whether it is an angle that begins again after a turn.
         whole: Whether it is a whole number, whose law is a choice of whole numbers.
     """
@@ -40,7 +40,7 @@ class Quantity:
     whole: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
-        """Return the rule that the interval [low, high] violates, or None."""
+        """The rule that the values in [low, high] violate, such as ``must be > 0``; None if they violate none."""
         if self.above is not None and not low > self.above:
             return f"must be > {self.above:g}"
         if self.at_least is not None and not low >= self.at_least:
@@ -53,18 +53,25 @@ class Quantity:
 
     @property
     def interval(self) -> str:
-        """The admissible values, in words; empty if all are."""
-        lower = f"> {self.above:g}" if self.above is not None else None
-        lower = f">= {self.at_least:g}" if self.at_least is not None else lower
-        upper = f"< {self.below:g}" if self.below is not None else None
-        upper = f"<= {self.at_most:g}" if self.at_most is not None else upper
-        return " and ".join(filter(None, (lower, upper)))
+        """The admissible values as text, such as ``> 0 and <= 1``; empty if all values are admissible."""
+        bounds = []
+        if self.at_least is not None:
+            bounds.append(f">= {self.at_least:g}")
+        elif self.above is not None:
+            bounds.append(f"> {self.above:g}")
+        if self.at_most is not None:
+            bounds.append(f"<= {self.at_most:g}")
+        elif self.below is not None:
+            bounds.append(f"< {self.below:g}")
+        return " and ".join(bounds)
 
 
 def quantities_of(kind: type | None) -> dict[str, Quantity]:
-    """The quantity of each field of a NamedTuple type that declares one, by name; empty for None."""
+    """The quantities of a NamedTuple type by field, of the fields that declare one; empty for None."""
+    if kind is None:
+        return {}
     quantities = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items() if kind else ():
+    for name, hint in get_type_hints(kind, include_extras=True).items():
         for mark in getattr(hint, "__metadata__", ()):
             if isinstance(mark, Quantity):
                 quantities[name] = mark
@@ -72,11 +79,11 @@ def quantities_of(kind: type | None) -> dict[str, Quantity]:
 
 
 def extent(value: Any) -> tuple[float, float]:
-    """Lowest and highest value of a number or of the law that replaces it."""
+    """Lowest and highest value of a parameter: those of its law, or twice the number itself."""
     support = getattr(value, "support", None)
     return support if support is not None else (float(value), float(value))
 
 
 def nominal(value: Any) -> float:
-    """A number, or the nominal value of the law that replaces it."""
+    """Nominal value of a parameter: that of its law, or the number itself."""
     return float(getattr(value, "nominal", value))

@@ -32,7 +32,7 @@ class Pieces(NamedTuple):
 
 
 class Interpolation(StrEnum):
-    """How values between two recorded times are found."""
+    """Rule by which values between two recorded times are found: the earlier value, a straight line, or a spline."""
 
     HOLD = "hold"
     LINEAR = "linear"
@@ -40,18 +40,18 @@ class Interpolation(StrEnum):
 
 
 def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of a value that holds until the next one, shape (n - 1, 4)."""
+    """Coefficients of a value that is held until the next time, shape (n - 1, 4); arguments have shape (n,)."""
     return np.pad(value[:-1, None], ((0, 0), (0, 3)))
 
 
 def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of straight lines, shape (n - 1, 4)."""
+    """Coefficients of straight lines through the values, shape (n - 1, 4); arguments have shape (n,)."""
     slope = np.diff(value) / np.diff(time)
     return np.pad(np.column_stack([value[:-1], slope]), ((0, 0), (0, 2)))
 
 
 def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of the natural cubic spline, shape (n - 1, 4): y_m' and y_m'' are continuous."""
+    """Coefficients of the natural cubic spline, shape (n - 1, 4), whose first two derivatives are continuous."""
     return CubicSpline(time, value, bc_type="natural").c[::-1].T
 
 
@@ -82,7 +82,7 @@ def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
 
 
 def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
-    """The piecewise cubics through several columns with the same times; raises ConfigError."""
+    """The piecewise cubic through each of several columns with the same times; raises ConfigError."""
     parts = []
     for name, values in columns.items():
         with errors_under("" if len(values) == len(time) else name):
@@ -91,7 +91,10 @@ def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolat
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
-    """The value at t with its derivatives; a piece begins at its time, up to the rounding of t = k T_s."""
+    """The value of a piecewise cubic at t [s], with its first two derivatives.
+
+    The times of samples are k T_s with a rounding error, so a piece begins a few units in the last place early.
+    """
     t = jnp.asarray(t, jnp.result_type(float))
     begins = jnp.asarray(pieces.begins, t.dtype)
     rounded_time = t + 4.0 * jnp.finfo(t.dtype).eps * jnp.abs(t)

@@ -1,4 +1,4 @@
-"""Registries of the model kinds available in a study, their options, and slots for parts of a model."""
+"""Registries of the kinds of model that a study can name, their options, and slots for parts of a model."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from dssc_jax.core.toml import TomlTable
 
 @dataclass(frozen=True)
 class Slot:
-    """Marks a parameter field that holds a part chosen by ``kind`` from ``registry``.
+    """Annotation of a parameter field whose value is a part: a table in the study with a ``kind`` of ``registry``.
 
     A part is a ``NamedTuple`` of numbers with methods. Its type determines what the step computes, so no decision
     depends on traced values.
 
     Args:
         registry: The admissible kinds.
-        number: The kind that a bare number selects; the number becomes its first field.
-        default: The kind if the table gives none; without a default, ``kind`` is required.
+        number: The kind of the part if the study gives a number instead of a table; the number is its first field.
+        default: The kind if the table names none; None: ``kind`` is required.
     """
 
     registry: "Registry"
@@ -32,13 +32,13 @@ class Entry(NamedTuple):
     Args:
         members: The model for each value of the option; a single model has the key ``None``.
         option: Name of the option's field, e.g. ``discretisation``.
-        default: The option's value if the table does not give it.
-        summary: One line for ``dssc-jax info``.
-        base: The table that the study's own table overrides.
-        default_of: ``(table) -> value`` of the option where a part in the table decides on its default; None where
-            ``default`` holds for every table.
+        default: The option's value if the table does not give one.
+        summary: Description in one line, for ``dssc-jax info``.
+        base: A table that the study's table overrides.
+        default_of: ``(table) -> value`` of the option if the default depends on a part in the table; None: it is
+            ``default``.
         example: A small table of the kind, without ``kind``; tests take their cases from it.
-        loaded: ``(table) -> model`` where a file that the table names defines the model; None: ``members`` does.
+        loaded: ``(table) -> model`` if a file that the table names defines the model; None: ``members`` has it.
         keys: Names in the table that ``loaded`` reads, with their meanings.
         native: Whether the file is native code: bound to the study by its digest, and loaded only on request.
     """
@@ -64,12 +64,12 @@ Registry: TypeAlias = dict[str, Entry]
 
 
 def single(model: Any, summary: str, **example: Any) -> Entry:
-    """A registry row without options, with the fields of its example."""
+    """A registry row of one model without options; ``example`` holds the fields of its example."""
     return Entry({None: model}, summary, example=example)
 
 
 class Discretisation(StrEnum):
-    """How a continuous-time law is sampled; see docs/model.md, Sampling."""
+    """Sampled form of a continuous-time control law; see docs/model.md, Sampling."""
 
     IMPLICIT = "implicit"
     EXPLICIT = "explicit"

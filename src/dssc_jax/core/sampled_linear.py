@@ -28,7 +28,7 @@ DOUBLINGS = 64
 """Number of doublings, from a step of h 2^-64 to one of h: a pole may be as fast as 1e18/h."""
 
 FASTEST = 1e-15
-"""Shortest time constant of unmodelled dynamics that is told from none [s]."""
+"""Time constant of unmodelled dynamics below which they count as absent [s]."""
 
 Entries = dict[tuple[int, int], Scalar]
 """The entries of a matrix that may differ from zero, by row and column."""
@@ -54,11 +54,11 @@ class LinearDynamics(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """A signal over a step, as the straight line with the same mean and the same first moment.
+    """A signal over a step, as the straight line that has its mean and its first moment.
 
     Args:
         mean: Mean of the signal over the step.
-        rise: Rise of the line from the start to the end of the step.
+        rise: Difference of the line's values at the end and at the start of the step.
     """
 
     mean: Scalar
@@ -82,12 +82,15 @@ class LinearSystem(NamedTuple):
 
 
 def scale_column(column: Column, factor: Scalar) -> Column:
-    """A column times a number; products with a known 0 are plain zeros."""
+    """A column times a number; a product with a constant factor 0 is a plain 0.0."""
     return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
 
 
 def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
-    """The second system driven by the output of the first; its state lists that of the first, then of the second."""
+    """Two systems in series: the output of the first is the input of the second.
+
+    The state is that of the first system followed by that of the second.
+    """
     rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
     for entry, row in zip(second.b, second.a, strict=True):
         rows.append((*scale_column(first.c, entry), *row))
@@ -97,7 +100,13 @@ def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
 
 
 def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSystem:
-    """The system among further states, which stand still: state i of the system is state ``places[i]`` of ``size``."""
+    """A system with additional states, which are constant and have no effect.
+
+    Args:
+        system: The system.
+        places: Index of each of its states among all states.
+        size: Number of all states.
+    """
     index = {place: i for i, place in enumerate(places)}
 
     def wide(row: Column) -> Column:
@@ -108,11 +117,11 @@ def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSyst
 
 
 class Forcing(NamedTuple):
-    """An input of a linear system, by its column g and the number of terms of its polynomial p in time.
+    """An input of a linear system that is a polynomial in time over a step.
 
     Args:
-        column: g, shape (n,).
-        terms: 1: constant over the step; 2: linear in time; 3: quadratic.
+        column: Column g of the input, shape (n,).
+        terms: Number of terms of the polynomial. 1: constant; 2: linear; 3: quadratic.
     """
 
     column: Column
@@ -120,14 +129,15 @@ class Forcing(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """The exact solution over one step, or half of it: the state x changes by X x + sum over j, k of G_jk p_jk.
+    """The exact solution of a linear system over a time t.
 
-    X = exp(A t) - 1; G_jk is the column of the term p_jk, number k of input j.
+    The state x changes by X x + sum of G_jk p_jk, where X = exp(A t) - 1, p_jk is term k of the polynomial of input j,
+    and G_jk is its column.
 
     Args:
-        size: n.
-        entries: Entries of [X, G_11, G_12, ..., G_21, ...] by row and column; those that are left out are zero.
-        starts: Column of the first term of each input.
+        size: Number of states n.
+        entries: Entries of the matrix [X, G_11, G_12, ..., G_21, ...] by row and column; entries left out are zero.
+        starts: Column of that matrix with the first term of each input.
     """
 
     size: int
@@ -135,13 +145,13 @@ class Transition(NamedTuple):
     starts: tuple[int, ...]
 
     def apply(self, state: Sequence[Scalar], inputs: Sequence[Sequence[Scalar]]) -> tuple[Scalar, ...]:
-        """The state after the step.
+        """The state at the end of the step, length n.
 
         Args:
-            state: x(0), length n.
-            inputs: The terms p_1, p_2, ... of each input; those that are left out are zero.
+            state: State at the start, length n.
+            inputs: The terms p_1, p_2, ... of each input; terms that are left out are zero.
         """
-        factors: dict[int, Scalar] = dict(enumerate(state))  # what each column is multiplied by
+        factors: dict[int, Scalar] = dict(enumerate(state))  # the factor of each column
         for start, terms in zip(self.starts, inputs, strict=True):
             for k, term in enumerate(terms):
                 factors[start + k] = term
@@ -187,7 +197,13 @@ def hold(a: Rows, forcings: Sequence[Forcing], h: Scalar) -> HeldSystem:
 
 
 def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Entries, Entries]:
-    """X over half a step and over the whole step, in the rows of the state."""
+    """The entries of exp(M t) - 1 in the rows of the state, over half a step and over the whole step.
+
+    Args:
+        size: Number of states n.
+        rates: Entries of A h and g h; with the shifts of ``chains`` they make up the augmented matrix M h.
+        chains: Column of the next term of a polynomial, by the column of a term.
+    """
     pattern = nonzero_places(rates, size, chains)
     shortest = 2.0**-DOUBLINGS
     first = {place: number * shortest for place, number in rates.items()}
@@ -229,7 +245,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
 
 
 def product(left: Entries, right: Entries, size: int) -> Entries:
-    """The product of two matrices in the rows of the state."""
+    """The product of two matrices, both without the rows below the state's ``size`` rows, where they are zero."""
     by_row: dict[int, list[tuple[int, Scalar]]] = {}
     for (row, column), number in right.items():
         by_row.setdefault(row, []).append((column, number))
@@ -242,12 +258,15 @@ def product(left: Entries, right: Entries, size: int) -> Entries:
 
 
 def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
-    """Add a number to an entry."""
+    """Add a number to an entry of a matrix, in place."""
     entries[place] = entries[place] + number if place in entries else number
 
 
 def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
-    """The places where the exponential may differ from the identity: where a path of the matrix leads."""
+    """The places, by row and column, where the exponential may differ from the identity; sorted.
+
+    They are those that paths along the nonzero entries of the augmented matrix connect.
+    """
     places = set(rates)
     while True:
         extension = {(row, chains[column]) for row, column in places if column in chains}

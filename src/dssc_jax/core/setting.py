@@ -1,4 +1,4 @@
-"""What a controller is fitted to when a study is built: the nominal plant, the sample time, the measured signals."""
+"""The loop to which a controller is fitted when a study is built: nominal plant, sample time and measured signals."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,16 @@ import numpy as np
 
 
 class NominalPlant(NamedTuple):
-    """A linear plant of one channel with the medians of its laws, in plain numbers.
+    """A linear plant x' = A x + b u_p + E d of one channel, with the medians of its laws.
 
     Args:
         a: A, shape (n, n).
-        command: Column of the command, shape (n,).
-        disturbances: Columns of the disturbance beside the command and of each named input, shape (n, q).
+        command: b, shape (n,).
+        disturbances: E: the column of the disturbance at the command, then that of each named input, shape (n, q).
         output: Row of y, shape (n,).
         signals: Row of each measured signal, shape (m, n).
-        feedthrough: Feedthrough of the command to each of them, shape (m,).
-        inputs: Names of the columns of ``disturbances``.
+        feedthrough: Feedthrough of the command to each measured signal, shape (m,).
+        inputs: Names of the columns of ``disturbances``, length q.
     """
 
     a: np.ndarray
@@ -33,7 +33,7 @@ class LoopSetting(NamedTuple):
     Args:
         sample_time: T_s [s].
         measures: Names of the measured signals beside y and y'.
-        plant: The nominal plant; None: it has several channels, or no linear form.
+        plant: The nominal plant; None: the plant has several channels, or is not linear.
     """
 
     sample_time: float

@@ -19,10 +19,13 @@ ProgressCallback: TypeAlias = Callable[[int, int | None], None]
 
 
 class Measurement(NamedTuple):
-    """The plant's measurement: output ``y`` [m] and its derivative ``y_dot`` [m/s].
+    """A measurement of one channel.
 
-    What reaches a controller has the other measured ``signals`` as well, in the order of the study's ``measures``. The
-    plant's own measurement, and what passes through sensor and differentiator of a channel, has none.
+    Args:
+        y: Output [m].
+        y_dot: Derivative of the output [m/s].
+        signals: The other measured signals in the order of the study's ``measures``. Only the controller gets them: the
+            measurements of the plant, of sensors and of differentiators have none.
     """
 
     y: Scalar
@@ -31,7 +34,7 @@ class Measurement(NamedTuple):
 
 
 class ReferencePoint(NamedTuple):
-    """Desired output ``y`` = y_m [m] with first and second derivative [m/s], [m/s^2]."""
+    """Desired output ``y`` = y_m [m] with its first derivative ``y_dot`` [m/s] and second ``y_ddot`` [m/s^2]."""
 
     y: Scalar
     y_dot: Scalar
@@ -52,7 +55,7 @@ Signal = TypeVar("Signal", bound=Scalar | Signals)
 
 
 class Command(NamedTuple):
-    """Plant input u_p of equation (11) in its two parts [m/s]."""
+    """A controller's command u_p of equation (11) in its two parts, u (robust) and u_n (nominal) [m/s]."""
 
     robust: Scalar
     nominal: Scalar
@@ -64,11 +67,15 @@ class Command(NamedTuple):
 
 
 class PlantInput(NamedTuple, Generic[Signal]):
-    """The plant's input: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
+    """The plant's input.
 
-    Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
-    ``Vec3`` [m/s] for flying plants. ``inputs`` are the disturbances at the inputs that the plant names, in their
-    order. ``condition`` is what events have made of a vehicle; None: nothing has happened.
+    Args:
+        command: The command u_p after the actuators [m/s]; a tuple for a plant with several channels.
+        disturbance: The matched disturbance d [m/s]; a tuple for a plant with several channels.
+        wind: A ``Vec3`` [m/s] for flying plants; None: there is no wind.
+        inputs: The disturbances at the inputs that the plant names, in their order.
+        condition: The changes that events have made to a vehicle, a :class:`dssc_jax.core.events.Condition`; None: no
+            event has happened.
     """
 
     command: Signal
@@ -99,6 +106,12 @@ class TrackingError(NamedTuple):
 
 
 def tracking_error(measurement: Measurement, reference: ReferencePoint, l0: Scalar) -> TrackingError:
-    """Equations (9) and (10)."""
+    """Equations (9) and (10).
+
+    Args:
+        measurement: y and y'.
+        reference: y_m and y_m'.
+        l0: Error pole l_0 [1/s].
+    """
     e = measurement.y - reference.y
     return TrackingError(e, measurement.y_dot - reference.y_dot + l0 * e)

@@ -25,17 +25,17 @@ Substitution: TypeAlias = Callable[[Params], tuple[Any, Params]]
 
 
 class Smoothness(NamedTuple):
-    """Where a part has a derivative, and what an analysis takes where it has none.
+    """Declares where a part has a derivative, and which part an analysis linearises where it has none.
 
     Args:
-        extent: ``everywhere``; ``piecewise``, except on boundaries such as a limit; or ``nowhere`` that helps, as with
-            a quantiser or a switching law.
-        meaning: In words that follow the part's name: its boundaries or, if it is smooth nowhere, why not. With a
-            substitute, what the substitute is; the output of an analysis repeats it.
-        substitute: ``(params) -> (part, params)``: the smooth part that is differentiated instead. For a piecewise part
-            it is the part on the inner side of its boundaries, taken where the operating point lies on one; for a part
-            that is smooth nowhere it is taken always. Its state has the same structure. Without one, the analysis
-            refuses.
+        extent: ``everywhere``; ``piecewise``: except on boundaries such as a limit; ``nowhere``: no derivative is
+            useful, as with a quantiser or a switching law.
+        meaning: Words that follow the part's name: the boundaries of a piecewise part, or the reason why a part is
+            smooth nowhere. With a substitute, a description of it, which the output of an analysis repeats.
+        substitute: ``(params) -> (part, params)``: the smooth part that is differentiated instead, with a state of the
+            same structure. For a piecewise part it is the part on the inner side of its boundaries, and is taken where
+            the operating point lies on a boundary. For a part that is smooth nowhere it is taken always. None: the
+            analysis refuses the part.
     """
 
     extent: SmoothExtent
@@ -60,24 +60,24 @@ SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 
 
 def piecewise(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """A part with a derivative except on boundaries; see :class:`Smoothness`."""
+    """The declaration of a part with a derivative except on boundaries; arguments as for :class:`Smoothness`."""
     return Smoothness(SmoothExtent.PIECEWISE, meaning, substitute)
 
 
 def not_smooth(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """A part without a derivative that helps; see :class:`Smoothness`."""
+    """The declaration of a part without a useful derivative; arguments as for :class:`Smoothness`."""
     return Smoothness(SmoothExtent.NOWHERE, meaning, substitute)
 
 
 def declared_smoothness(part: object, params: Params) -> Smoothness:
-    """The declaration of a part with these parameters.
+    """The smoothness that a part declares for its parameters.
 
     Args:
         part: An instance of a contract, or any object with the field ``smooth``.
-        params: Its parameters, in which laws may stand for numbers.
+        params: Parameters of the part, in which laws may stand for numbers.
 
     Raises:
-        ConfigError: there is none, or it is not a :class:`Smoothness`.
+        ConfigError: The part declares none, or something that is not a :class:`Smoothness`.
     """
     declaration = getattr(part, "smooth", None)
     smoothness = declaration(params) if callable(declaration) else declaration

@@ -35,7 +35,7 @@ Powers: TypeAlias = dict[str, Fraction]
 class ChannelUnits(NamedTuple):
     """Units and meanings of one channel's output and command.
 
-    A plant that names none keeps the symbols ``y`` and ``u``: its errors have the unit y, and so on.
+    A plant that declares no units keeps the symbols: the unit of its errors is then written ``y``.
 
     Args:
         output: Unit of the output y.
@@ -57,11 +57,11 @@ class ChannelUnits(NamedTuple):
     command_meaning: str = "command"
 
     def of(self, unit: str) -> str:
-        """The unit with this channel's own units in place of ``y`` and ``u``; several are separated by commas."""
+        """The unit with this channel's units in place of ``y`` and ``u``; ``unit`` may be a list with commas."""
         return ", ".join(substitute_units(part, self.output, self.command) for part in unit.split(", "))
 
     def named(self, meaning: str) -> str:
-        """The meaning with this channel's own words in place of ``output`` and ``command``."""
+        """The meaning with this channel's meanings in place of the words ``output`` and ``command``."""
         replacements = {"output": self.output_meaning, "command": self.command_meaning}
         return re.sub(r"\b(output|command)\b", lambda match: replacements[match[0]], meaning)
 
@@ -78,7 +78,7 @@ ANGLE = ChannelUnits("rad", "rad/s")
 
 @cache
 def substitute_units(unit: str, output: str, command: str) -> str:
-    """A unit with ``y`` and ``u`` replaced by two others, reduced; one without these symbols is returned as it is."""
+    """A unit with ``y`` and ``u`` replaced by two units, reduced; a unit without these symbols is returned as it is."""
     if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
         return unit
     replacements = {OUTPUT: parse_unit(output), COMMAND: parse_unit(command)}
@@ -89,16 +89,18 @@ def substitute_units(unit: str, output: str, command: str) -> str:
 
 
 def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
-    """Multiply ``total`` by a power of a factor, in place."""
+    """Multiply a unit by another one to a power: adds ``power`` times the exponents of ``factor`` to ``total``."""
     for symbol, exponent in factor.items():
         total[symbol] = total.get(symbol, Fraction(0)) + power * exponent
 
 
 def parse_unit(text: str) -> Powers:
-    """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``; a slash divides by the next factor.
+    """The exponents of a unit such as ``N m``, ``rad/s^2`` or ``V (y/s)^(-1/2)``.
+
+    A slash divides by the next factor alone.
 
     Raises:
-        ValueError: the text is not a product of powers.
+        ValueError: The text is not a product of powers.
     """
     with_powers = re.sub(r"(?<=[^\W\d_])(?=\d)", "^", text)
     hint = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
@@ -113,7 +115,7 @@ def parse_unit(text: str) -> Powers:
 
 
 def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
-    """The symbols of a unit that are not of the SI itself: each with its factor and the unit of the SI.
+    """The symbols of a unit that are no SI units without prefix: the factor and the SI unit of each.
 
     Example:
         >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
@@ -129,12 +131,15 @@ def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
 
 
 def product(text: str, position: int) -> tuple[Powers, int]:
-    """The exponents of the product that begins at a position, and where it ends.
+    """Parse the product of powers that begins at a position of a text.
 
-    It ends at a closing parenthesis, at the text's end, or before text that is no part of a unit.
+    It ends at a closing parenthesis, at the end of the text, or before text that is no part of a unit.
+
+    Returns:
+        Its exponents, and the position of its end.
 
     Raises:
-        StopIteration: a factor is missing, or a parenthesis.
+        StopIteration: A factor or a parenthesis is missing.
     """
     total: Powers = {}
     sign = 1
@@ -157,14 +162,17 @@ def product(text: str, position: int) -> tuple[Powers, int]:
         token = TOKEN.match(text, position)
         if token is None or token["mark"] == ")":
             return total, position
-        divides = token["mark"] == "/"
-        sign, position = (-1, token.end()) if divides else (1, position)  # a slash holds for the next factor alone
+        sign = 1
+        if token["mark"] == "/":  # holds for the next factor alone
+            sign = -1
+            position = token.end()
 
 
 def unit_text_of(powers: Powers) -> str:
     """A unit as text: ``m/s^2``, ``rad/(s^3 V)``, ``(m/s)^(1/2)``; ``1`` if it is dimensionless.
 
-    A root of a rate is written as such, because the square-root functions of DSSC are functions of |sigma|^(1/2).
+    The root of a rate stays together, as in ``(m/s)^(1/2)``: the square-root functions of DSSC depend on
+    |sigma|^(1/2).
     """
     powers = {symbol: power for symbol, power in powers.items() if power}
     roots = [symbol for symbol, power in powers.items() if power.denominator == 2 and symbol != "s"]
@@ -196,7 +204,7 @@ def unit_text_of(powers: Powers) -> str:
 
 
 def power_text(symbol: str, power: Fraction) -> str:
-    """One factor."""
+    """One factor of a unit, such as ``s``, ``s^2`` or ``V^(1/2)``."""
     if power == 1:
         return symbol
     return f"{symbol}^{power}" if power.denominator == 1 else f"{symbol}^({power})"

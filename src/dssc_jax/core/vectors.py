@@ -67,7 +67,7 @@ def minor(a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
 
 
 class Mat3(NamedTuple):
-    """A matrix by rows, with ``@`` on vectors and matrices."""
+    """A 3 x 3 matrix with rows a, b and c; ``@`` multiplies it by a vector."""
 
     a: Vec3
     b: Vec3
@@ -85,7 +85,7 @@ class Mat3(NamedTuple):
 
 
 class Quaternion(NamedTuple):
-    """A rotation from body to inertial frame, scalar part first; of unit length up to drift."""
+    """A rotation from body to inertial frame as a quaternion, scalar part first; of unit length up to drift."""
 
     w: Scalar
     x: Scalar
@@ -107,7 +107,11 @@ class Quaternion(NamedTuple):
         )
 
     def rate(self, body_rate: Vec3) -> "Quaternion":
-        """q' = q (0, Omega)/2, the kinematics R' = R [Omega]_x."""
+        """q' = q (0, Omega)/2, the kinematics R' = R [Omega]_x.
+
+        Args:
+            body_rate: Omega, the angular velocity in body axes [rad/s].
+        """
         w, x, y, z = self
         p, q, r = body_rate
         return Quaternion(

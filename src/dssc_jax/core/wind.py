@@ -5,18 +5,19 @@ from typing import NamedTuple
 
 import jax
 
-from dssc_jax.core.contracts import as_given
+from dssc_jax.core.contracts import unchanged_params
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
 
 
 class WindBounds(NamedTuple):
-    """Bounds that every wind of a kind keeps at all times, whatever its random numbers.
+    """Bounds that a wind keeps at all times, whatever its random numbers.
 
     Args:
-        speed: Bound of the norm of the horizontal wind [m/s].
+        speed: Bound of the horizontal wind speed [m/s].
         vertical: Bound of the vertical wind |w_z| [m/s].
-        rate: Bound of |w'| of the horizontal vector, and of the vertical component [m/s^2]; None: the wind may jump.
+        rate: Bound of the rate of change [m/s^2], for the horizontal vector and for the vertical component each; None:
+            the wind may jump.
     """
 
     speed: Scalar
@@ -34,20 +35,20 @@ class Wind(NamedTuple):
         value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
         bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
-        mean: ``(params, dt) -> Vec3``: the mean of the wind over the first sample, of length dt; None: its value, which
-            is the mean of a wind without random numbers.
+        mean: ``(params, dt) -> Vec3``: the expected wind over the first sample, of length dt; None: the wind has no
+            random numbers, so its value is its mean.
     """
 
     params: type
     init: Callable[[Params, jax.Array], State]
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Scalar], Vec3]
-    prepare: Callable[[Params], Params] = as_given
+    prepare: Callable[[Params], Params] = unchanged_params
     bounds: Callable[[Params], WindBounds] | None = None
     mean: Callable[[Params, Scalar], Vec3] | None = None
 
     def at_start(self, params: Params, dt: Scalar) -> Vec3:
-        """The mean wind over the first sample, of length dt."""
+        """The expected wind over the first sample, of length dt [m/s]."""
         if self.mean is not None:
             return self.mean(params, dt)
         key = jax.random.key(0)

@@ -11,10 +11,12 @@ from dssc_jax.core.signals import Scalar
 
 
 class ZeroDynamics(NamedTuple):
-    """A_eta in controllable canonical form and C_eta.
+    """Zero dynamics of order m, with A_eta in controllable canonical form.
 
-    ``a = (a_0, ..., a_{m-1})`` are the coefficients of s^m + a_{m-1} s^{m-1} + ... + a_0 in ascending powers; the
-    last row of A_eta is -a. ``c`` is the row C_eta in the same order.
+    Args:
+        a: Coefficients (a_0, ..., a_{m-1}) of the characteristic polynomial s^m + a_{m-1} s^{m-1} + ... + a_0; the last
+            row of A_eta is -a.
+        c: Row C_eta, length m.
     """
 
     a: Annotated[tuple[Scalar, ...], Quantity("1/s^(m-i)", "characteristic coefficients of A_eta, rising powers")]
@@ -22,7 +24,7 @@ class ZeroDynamics(NamedTuple):
 
 
 def companion(a: tuple[float, ...]) -> np.ndarray:
-    """A_eta, (m, m), from its characteristic coefficients in ascending powers."""
+    """A_eta, shape (m, m), from its characteristic coefficients in ascending powers."""
     m = len(a)
     matrix = np.eye(m, k=1)
     matrix[-1] = -np.asarray(a, dtype=float)
@@ -35,18 +37,23 @@ def is_hurwitz(a: tuple[float, ...]) -> bool:
 
 
 def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, ...]]:
-    """Kharitonov's four polynomials, whose stability implies that of the whole box of coefficients.
+    """Kharitonov's four polynomials: if these are stable, so are all with coefficients between low and high.
+
+    Coefficients are in ascending powers, without the leading 1.
 
     Reference:
-        V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485. Coefficients in ascending powers; the leading
-        one is 1 at both ends.
+        V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485.
     """
     patterns = ("llhh", "hhll", "lhhl", "hllh")
     return [tuple(low[i] if p[i % 4] == "l" else high[i] for i in range(len(low))) for p in patterns]
 
 
 def require_hurwitz(dynamics: ZeroDynamics) -> None:
-    """Check lengths, and that A_eta is Hurwitz for every admissible value of its coefficients; raises ConfigError."""
+    """Require that a and c have one length, and that A_eta is Hurwitz for all values of its coefficients' laws.
+
+    Raises:
+        ConfigError: One of the two does not hold.
+    """
     if len(dynamics.a) != len(dynamics.c) or not dynamics.a:
         raise ConfigError(
             "zero_dynamics", f"a and c must have the same length >= 1, got {len(dynamics.a)} and {len(dynamics.c)}"
@@ -68,7 +75,7 @@ def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
     holds up to |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t).
 
     Raises:
-        ConfigError: as :func:`require_hurwitz`.
+        ConfigError: As for :func:`require_hurwitz`.
     """
     require_hurwitz(dynamics)
     matrix = companion(tuple(float(value) for value in dynamics.a))

@@ -289,8 +289,8 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
         raise NotCovered("the disturbance has an input column of its own, and (7) takes it where the command acts")
     if is_certain(low, high):
         form = form_of(model, low)
-        if form.silence:
-            raise NotCovered(form.silence)
+        if form.obstacle:
+            raise NotCovered(form.obstacle)
         dynamics = ZeroDynamics(form.zero_a, form.zero_c) if form.zero_a else None
         return PlantBounds(form.gain, form.gain, abs(form.damping), dynamics, abs(form.stiffness))
     if model is STATE_SPACE or len(low.denominator) != 3 or len(low.numerator) != 1:

@@ -1,8 +1,8 @@
-"""Batching of lanes. No other module adds batch axes.
+"""Batches of lanes, and the blocks of a run. No other module adds batch axes.
 
 A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
 (sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.engine.kernels`. Lanes are
-independent, so results do not depend on the size of a block, nor on the cores that share it.
+independent, so results depend neither on the size of a block nor on the cores that share it.
 """
 
 import itertools
@@ -29,7 +29,7 @@ from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
 
-BLOCK = 16384  # lanes
+BLOCK = 16384  # most lanes of a block
 PROBES = 16  # draws that are simulated twice to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "xarray", "zarr")
 
@@ -37,20 +37,20 @@ Block = tuple[slice, ...]
 """A box of the grid."""
 
 Lanes = tuple[np.ndarray, ...]
-"""Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""
+"""Lanes of a result: indices along every swept parameter, then along the draws, shape (n,) each."""
 
 Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
-"""(each of the lane's own numbers, draw index) -> the results of the lane."""
+"""(numbers of the lane by name, draw index) -> results by name."""
 
 BlockRun = tuple[Block, Callable[[], Arrays], Arrays]
 """A block that is being computed, the function that waits for its results, and the drawn values of its draws."""
 
 
 def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
-    """Compute a lane's metrics, slacks, outcome and the time of its early end.
+    """The program of a lane: a function that simulates its draw.
 
     Args:
-        study: What to simulate.
+        study: The study.
         axis_name: See :func:`dssc_jax.closed_loop.draw.simulate_draw`; None if derivatives are taken.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
     """
@@ -59,7 +59,7 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
         key = draw_key(study.config.seed, index)
         loop = study.loop
         params = study.params(values)
-        margins = {name: values[name] for name in margins_of(study.measures)}
+        margins = margins_in(study, values)
         criteria = study.measures, study.requirements
         run = simulate_draw(loop, params, key, *criteria, axis_name=axis_name, segment=segment, margins=margins)
         return results_of(study, run)
@@ -67,8 +67,18 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
     return lane
 
 
+def margins_in(study: Study, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """The margins of the linearised loop that a study requires, among the numbers of a lane."""
+    return {name: values[name] for name in margins_of(study.measures)}
+
+
+def lane_names(study: Study) -> list[str]:
+    """Names of the numbers of a lane: swept and uncertain numbers, and margins of the linearised loop."""
+    return [*study.axes, *study.laws, *margins_of(study.measures)]
+
+
 def results_of(study: Study, run: Run) -> dict[str, Scalar]:
-    """The results of a finished lane by name."""
+    """The results of a lane by their names in a dataset."""
     results = {**run.metrics, **run.slacks, **run.violated_at, "outcome": run.outcome, "failed_at": run.failed_at}
     if study.loop.settled:
         results["settled_at"] = run.settled_at
@@ -77,11 +87,11 @@ def results_of(study: Study, run: Run) -> dict[str, Scalar]:
 
 @dataclass(frozen=True)
 class Layout:
-    """The grid of all lanes and its blocks.
+    """The grid of all lanes, and its division into blocks.
 
     Args:
-        shape: Points of each axis, then draws.
-        block: Shape of a block; blocks at the far edges may be smaller.
+        shape: Number of points of each swept parameter, then number of draws.
+        block: Shape of a block; those at the far edges may be smaller.
     """
 
     shape: tuple[int, ...]
@@ -89,16 +99,17 @@ class Layout:
 
     @classmethod
     def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
-        """Blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
+        """The grid of a study in blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
 
-        If one block contains the whole grid, it leaves room for more draws.
+        A block that contains the whole grid is as long as the lanes allow, so that a run may get more draws later.
         """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
         block = []
         room = lanes
         for size in reversed(shape):
-            block.append(max(1, min(size, room)))
-            room //= block[-1] if block[-1] == size else room + 1
+            length = max(1, min(size, room))
+            block.append(length)
+            room = room // size if length == size else 0
         block[0] *= max(1, room)
         return cls(shape, tuple(reversed(block)))
 
@@ -113,11 +124,11 @@ class Layout:
 
     @property
     def lanes(self) -> int:
-        """Lanes of the largest block."""
+        """Number of lanes of the largest block."""
         return math.prod(map(min, self.shape, self.block))
 
     def index(self, block: Block) -> tuple[int, ...]:
-        """The index of a block, or of the block that contains a part, among the blocks."""
+        """The index along each dimension of a block, or of the block that contains a part of one."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
     def blocks(self) -> list[Block]:
@@ -130,9 +141,9 @@ class Layout:
 
 @dataclass
 class Clock:
-    """Seconds spent compiling, on margins and running, lanes done, and how often the step was traced.
+    """Times and counts of an engine: seconds of compilation, margins and runs; lanes done; traces of the lane.
 
-    A step that the cache has is never traced.
+    A lane whose machine code is in the cache is never traced.
     """
 
     compile_seconds: float = 0.0
@@ -157,16 +168,17 @@ class CountedLane:
 
 @dataclass
 class Engine:
-    """A study compiled once for batches of a fixed size.
+    """A study compiled once for batches of a fixed size; an instance is a function of a batch's numbers.
 
     Args:
-        study: What to simulate.
+        study: The study.
         lanes: Lanes of a batch; smaller ones are padded.
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
-        program: The program to run for each lane.
+        clock: Its times and counts.
+        program: The program of a lane, from the study.
         kernel: The form, see :func:`dssc_jax.engine.kernels.requested_form`.
-        extra: Numbers of each lane that the program needs in addition to those of the study.
+        extra: Names of further numbers of each lane that the program needs.
     """
 
     study: Study
@@ -190,11 +202,11 @@ class Engine:
         return [*self.study.axes, *self.study.laws, *self.extra]
 
     def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
-        """Start a batch and return a function that waits for its results.
+        """Start a batch, and return a function that waits for its results.
 
         Args:
-            values: For each of ``names`` an array of shape (n,), n <= lanes. Margins of the linearised loop are
-                computed unless they are among them.
+            values: For each of ``names`` an array of shape (n,), n <= lanes; also for each required margin of the
+                linearised loop, unless the engine is to compute them all.
             indices: Draw index of each lane, shape (n,).
         """
         count = len(indices)
@@ -223,7 +235,7 @@ class Engine:
         return finish
 
     def compiled(self) -> kernels.Start:
-        """The compiled program of a batch; compiled once, on first use."""
+        """The program of a batch, compiled on first use."""
         if self._start is None:
             start_time = time.perf_counter()
             lane = CountedLane(self.program(self.study), self.clock)
@@ -235,14 +247,14 @@ class Engine:
 
     @property
     def margins(self) -> MarginValues:
-        """The required margins of the linearised loop, which are computed before the flight."""
+        """The function that computes the required margins of the linearised loop, before the flight."""
         if self._margins is None:
             self._margins = margin_values(self.study)
         return self._margins
 
     @property
     def rate(self) -> float:
-        """Draws times samples per second, without compilation."""
+        """Lanes times samples per second, without compilation; 0 before the first batch."""
         return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
 
     def times(self, start_time: float) -> dict[str, float]:
@@ -258,7 +270,7 @@ class Engine:
 
 
 def medians(study: Study) -> dict[str, float]:
-    """Each uncertain number at its median."""
+    """The median of each uncertain number."""
     return {name: law.median for name, law in study.laws.items()}
 
 
@@ -268,13 +280,21 @@ def values_of_draws(study: Study, draws: slice) -> Arrays:
 
 
 def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.ndarray]:
-    """Values and draw indices of every lane of a block, flattened in C order; ``values`` are those of its draws."""
+    """Numbers and draw indices of every lane of a block, flattened in C order, shape (lanes,) each.
+
+    Args:
+        study: The study.
+        block: The block.
+        values: Values of the laws for the block's draws, shape (draws,) each.
+    """
     *points, draws = block
-    shape = tuple(part.stop - part.start for part in block)
+    shape = shape_of(block)
     flat = {}
     for position, ((name, axis), part) in enumerate(zip(study.axes.items(), points, strict=True)):
-        column_along_axis = np.asarray(axis[part]).reshape([-1 if i == position else 1 for i in range(len(shape))])
-        flat[name] = np.broadcast_to(column_along_axis, shape).reshape(-1)
+        shape_along_axis = [1] * len(shape)
+        shape_along_axis[position] = -1
+        column = np.asarray(axis[part]).reshape(shape_along_axis)
+        flat[name] = np.broadcast_to(column, shape).reshape(-1)
     for name, column in values.items():
         flat[name] = np.broadcast_to(column, shape).reshape(-1)
     indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
@@ -289,13 +309,18 @@ def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
     return numbers
 
 
+def shape_of(block: Block) -> tuple[int, ...]:
+    """The shape of a block."""
+    return tuple(part.stop - part.start for part in block)
+
+
 def lanes_in(block: Block) -> int:
     """Number of lanes of a block."""
-    return math.prod(part.stop - part.start for part in block)
+    return math.prod(shape_of(block))
 
 
 def computing() -> JsonObject:
-    """Factors other than the study that affect a result's last digits: versions, device, compiler settings."""
+    """What affects the last digits of a result beside the study: versions, device and compiler settings, for JSON."""
     device = jax.devices()[0]
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
@@ -305,12 +330,12 @@ def computing() -> JsonObject:
 
 
 def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-    """Compute blocks in turn: while the caller handles one block, the next is being computed.
+    """Compute blocks in turn, each in the background while the caller handles the one before it.
 
     The first block starts when this function is called, not when the iterator is first read.
 
     Returns:
-        An iterator of the blocks: each with its results in the block's shape, and the drawn values of its draws.
+        An iterator over the blocks: block, results in its shape by name, and values of the laws for its draws.
     """
     engine.compiled()  # a program that cannot be compiled fails here, before anything is drawn
 
@@ -333,12 +358,12 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
 
 
 def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
-    """Results at any number of given points, in batches of the engine's size.
+    """Results of any number of lanes, in batches of the engine's size.
 
     Args:
         engine: The compiled study.
         values: For each of the engine's names an array of shape (n,).
-        indices: Draw index of each lane, which decides its in-loop noise, shape (n,).
+        indices: Draw index of each lane, which selects its in-loop noise, shape (n,).
 
     Returns:
         Each metric, slack, ``outcome`` and ``failed_at``, shape (n,).
@@ -353,7 +378,7 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
 
 
 def is_noisy(engine: Engine) -> bool:
-    """Whether a draw's result depends on its index apart from its values: noise of sensors, wind or disturbances."""
+    """Whether the loop has in-loop noise: the results of draws with equal numbers differ if their indices differ."""
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     results = evaluate(engine, values, np.arange(PROBES))
     results_of_other_draws = evaluate(engine, values, np.arange(PROBES, 2 * PROBES))
@@ -361,6 +386,6 @@ def is_noisy(engine: Engine) -> bool:
 
 
 def collect(block: Block, finish: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:
-    """Wait for a block and give its results the block's shape."""
-    shape = tuple(part.stop - part.start for part in block)
+    """Wait for a :data:`BlockRun`, and give its results the shape of the block."""
+    shape = shape_of(block)
     return block, {name: array.reshape(shape) for name, array in finish().items()}, values

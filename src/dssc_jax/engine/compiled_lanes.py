@@ -1,4 +1,4 @@
-"""Machine code of lanes whose signature is known from the user's cache, so that a known lane is not even traced."""
+"""Machine code of lanes. The user's cache remembers signatures, so that a lane it knows is not even traced."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,9 +20,17 @@ from dssc_jax.lanes.llvm import machine
 def compiled_lanes(
     lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False, gpu: bool = False
 ) -> CompiledLanes:
-    """The program of a lane as machine code; arguments and errors as for :class:`CompiledLanes`.
+    """The program of a lane as machine code for a CPU, or as a kernel for a GPU.
 
-    ``gpu`` makes a kernel of it, see :class:`KernelLanes`.
+    Args:
+        lane: A function of trees of scalars.
+        arguments: ``jax.ShapeDtypeStruct`` in place of the scalars.
+        width: Lanes of a vector; None: by the size of the program.
+        strict: Without contraction, for the same bits on every machine.
+        gpu: Whether to compile a kernel, see :class:`KernelLanes`.
+
+    Raises:
+        Unsupported: An operation has no translation.
     """
     lanes = KernelLanes if gpu else CompiledLanes
     translator = ptx.translator() if gpu else machine.translator()
@@ -34,13 +42,13 @@ def compiled_lanes(
 
 
 class LaneBatch:
-    """A lane's program as machine code, for batches of its numbers by name.
+    """The program of a lane as machine code, for batches of lanes.
 
     Args:
         lane: (numbers by name, draw index) -> results.
         names: Names of the numbers.
         cores: Cores to use; None: all.
-        strict: See :class:`CompiledLanes`.
+        strict: See :func:`compiled_lanes`.
         gpu: See :func:`compiled_lanes`.
 
     Raises:
@@ -57,7 +65,7 @@ class LaneBatch:
         self._threads = min(cores or machine.usable_cores(), machine.usable_cores())
 
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`.
+        """Start a batch; see :data:`dssc_jax.engine.kernels.Start`.
 
         Raises:
             ConfigError: A GPU refuses the batch, such as for want of memory; the returned function raises it, too.
@@ -74,7 +82,7 @@ class LaneBatch:
 
 @contextmanager
 def gpu_errors() -> Iterator[None]:
-    """Turn what a GPU's driver refuses into an error for the user."""
+    """A context in which an error of the GPU's driver becomes a ConfigError."""
     try:
         yield
     except GpuError as problem:

@@ -1,4 +1,4 @@
-"""Evaluation of a study at any values of chosen numbers by one compiled program, optionally with derivatives."""
+"""Evaluation of a study at any values of some of its numbers by one compiled program, optionally with derivatives."""
 
 import math
 from collections import OrderedDict
@@ -23,16 +23,16 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
-DIRECTION = "direction"  # index, among an evaluator's names, of the number along which a lane differentiates
+DIRECTION = "direction"  # further number of a lane: index of the number by which it differentiates
 
 
 def is_differentiated(name: str) -> bool:
-    """Whether a result has derivatives: outcomes, and times that are known to the sample, have none."""
+    """Whether a result has derivatives: outcomes have none, nor have times that are whole samples."""
     return name not in NOT_DIFFERENTIATED and not name.startswith(VIOLATED_AT)
 
 
 class Derivative(NamedTuple):
-    """Key of a result that holds the derivative of a metric or slack with respect to a number of the study."""
+    """Key of a result: the derivative of a metric or slack ``of`` with respect to a number ``by`` of the study."""
 
     of: str
     by: str
@@ -40,13 +40,13 @@ class Derivative(NamedTuple):
 
 @dataclass
 class Evaluator:
-    """A compiled study in which every batch sets new values of the numbers in ``extents``.
+    """A compiled study whose numbers in ``extents`` have a value of their own in every lane.
 
     Args:
-        study: The study; its own sweep is ignored.
-        extents: The range in which later batches may set each number. Both ends are checked like values of a sweep. A
-            set value replaces the number's law.
-        lanes: Maximum number of lanes of a batch.
+        study: The study; its sweep is ignored.
+        extents: Lowest and highest value of each number that lanes set. Both are checked like values of a sweep. The
+            values replace the number's law.
+        lanes: Most lanes of a batch.
 
     Raises:
         ConfigError: A name is not a number of the loop, an end is not admissible, or values between are no whole
@@ -65,19 +65,19 @@ class Evaluator:
         self.engine = self.compiled()
 
     def compiled(self) -> Engine:
-        """The program that all batches share."""
+        """The engine that all batches share."""
         return Engine(self.swept, self.lanes)
 
     def values_of_draws(self, draws: slice) -> Arrays:
-        """Values of the remaining laws, for a range of draws."""
+        """Values of the remaining laws for a range of draws, shape (draws,) each."""
         return values_of_draws(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
-        """Metrics, slacks and outcome of each lane.
+        """Metrics, slacks and outcome of each lane, shape (n,) each.
 
         Args:
-            indices: Draw of each lane, shape (n,).
-            values: Every law's and every chosen number's value, each of shape (n,).
+            indices: Draw index of each lane, shape (n,).
+            values: Value of every number with a law or in ``extents``, shape (n,) each.
         """
         accepted_names = {*self.engine.names, *margins_of(self.swept.measures)}
         accepted = {name: column for name, column in values.items() if name in accepted_names}
@@ -96,8 +96,7 @@ class Evaluator:
         if not margins:
             return self(indices, values)["outcome"] != Outcome.OK
         required = [rule for rule in self.swept.requirements if rule.measure.name in margins]
-        # First the flights, with margins that are set instead of computed: NaN, or a bound where one is required, so
-        # that the requirement is met.
+        # First the flights: placeholders that meet the requirements stand for the margins.
         placeholders = {name: np.full(len(indices), np.nan) for name in margins}
         placeholders |= {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
         flights = self(indices, {**values, **placeholders})
@@ -117,7 +116,7 @@ def require_values_between(study: Study, extents: Mapping[str, tuple[float, floa
     """Require that numbers may have any value between the ends of their ranges.
 
     Raises:
-        ConfigError: One is a whole number, or a whole number follows from it.
+        ConfigError: A number must be whole, or a number that must be whole follows from it.
     """
     for name, (low, high) in extents.items():
         whole_names = [n.name for n in study.numbers.values() if n.quantity.whole and name in (n.name, *n.sources)]
@@ -126,14 +125,14 @@ def require_values_between(study: Study, extents: Mapping[str, tuple[float, floa
             raise ConfigError(name, f"{rule}; sweep it instead, over whole numbers")
 
 
-def driven_parts(study: Study) -> list[tuple[str, Plant | Controller]]:
-    """The plant and the controllers of a study, each with the name of its table."""
+def plant_and_controllers(study: Study) -> list[tuple[str, Plant | Controller]]:
+    """The parts of a study that may be native code, each with the name of its table."""
     return [("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)]
 
 
 def native_code(study: Study) -> str:
-    """The file of native code that a study's plant or a controller calls; empty if all of its loop has derivatives."""
-    return next((part.native for _, part in driven_parts(study) if part.native), "")
+    """The file of native code that the plant or a controller calls; empty if the whole loop can be differentiated."""
+    return next((part.native for _, part in plant_and_controllers(study) if part.native), "")
 
 
 def require_derivatives(study: Study) -> None:
@@ -142,22 +141,22 @@ def require_derivatives(study: Study) -> None:
     Raises:
         ConfigError: The plant or a controller is native code.
     """
-    for slot, part in driven_parts(study):
+    for slot, part in plant_and_controllers(study):
         if part.native:
             raise ConfigError(slot, f"is native code ({part.native}), through which no derivative passes")
 
 
 def require_steps_in_any_order(study: Study, feature: str) -> None:
-    """Require that the steps of a study's loop may be made in any order, and any of them again.
+    """Require that a loop's steps may run in any order and more than once.
 
     Args:
         study: The study.
-        feature: The feature that makes them so, for the message.
+        feature: The feature that needs it, for the message.
 
     Raises:
         ConfigError: The plant or a controller keeps its state outside of JAX.
     """
-    for slot, part in driven_parts(study):
+    for slot, part in plant_and_controllers(study):
         if part.begin is not None:
             rule = f"keeps its state outside of JAX ({part.native}), so its steps are made once and in order"
             raise ConfigError(slot, f"{rule}; {feature} is not offered for it: use `run` or `simulate`")
@@ -165,16 +164,16 @@ def require_steps_in_any_order(study: Study, feature: str) -> None:
 
 @dataclass
 class GradientEvaluator(Evaluator):
-    """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
+    """An evaluator that also computes the derivative of every metric and slack with respect to some numbers.
 
     The derivatives are additional results with keys of type :class:`Derivative`. Forward mode computes each lane once
-    for each number, along that number's tangent; memory does not grow with the duration. Reverse mode takes one
-    backward pass for each metric and slack, however many numbers there are; it stores the state at about sqrt(steps)
-    samples and recomputes those between. Margins of the linearised loop are differentiated by central differences.
+    for each number, and its memory does not grow with the duration. Reverse mode takes one backward pass for each
+    metric and slack, however many numbers there are; it stores the state at about sqrt(steps) samples and recomputes
+    those between. Margins of the linearised loop are differentiated by central differences.
 
     Args:
-        names: The numbers.
-        reverse: Reverse mode.
+        names: The numbers to differentiate by.
+        reverse: Whether to use reverse mode.
 
     Reference:
         A. Griewank, A. Walther, "Algorithm 799: revolve", ACM TOMS 26 (2000) 19-45: checkpoints.
@@ -184,7 +183,7 @@ class GradientEvaluator(Evaluator):
     reverse: bool = False
 
     def compiled(self) -> Engine:
-        """The program with derivatives."""
+        """The engine of the program with derivatives."""
         if self.reverse:
             program = partial(reverse_mode, names=self.names)
             return Engine(self.swept, self.lanes, program=program, kernel=Form.SCAN)
@@ -198,9 +197,11 @@ class GradientEvaluator(Evaluator):
             ConfigError: A controller is native code.
         """
         require_derivatives(self.swept)
-        lanes = dict(values) | self.engine.margins(dict(values), indices)
-        results = self._of_flights(indices, lanes)
-        for name in self.names if margins_of(self.swept.measures) else ():
+        numbers = dict(values) | self.engine.margins(dict(values), indices)
+        results = self._flights(indices, numbers)
+        if not margins_of(self.swept.measures):
+            return results
+        for name in self.names:
             slopes = self.engine.margins.slopes(dict(values), indices, name)
             results |= {Derivative(margin, name): slope for margin, slope in slopes.items()}
             for requirement in self.swept.requirements:
@@ -209,8 +210,8 @@ class GradientEvaluator(Evaluator):
                     results[Derivative(requirement.name, name)] = sign * slopes[requirement.measure.name]
         return results
 
-    def _of_flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
-        """The results with the derivatives of the simulation, in which margins of the linearised loop stay constant."""
+    def _flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
+        """Results and derivatives of the simulation, with constant margins of the linearised loop."""
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)
@@ -228,7 +229,7 @@ class GradientEvaluator(Evaluator):
 
 
 def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
-    """Derivatives of the worst requirement's slack, relative to its scale, with respect to numbers.
+    """Derivatives of each lane's smallest slack, relative to the requirement's scale, with respect to some numbers.
 
     Args:
         requirements: The study's requirements.
@@ -249,7 +250,13 @@ def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Se
 def metrics_and_slacks(
     plain: Lane, values: Mapping[str, jax.Array], index: jax.Array
 ) -> Callable[[dict[str, jax.Array]], tuple[dict[str, Scalar], dict[str, Scalar]]]:
-    """A lane's metrics and slacks as a function of some of its numbers, together with all of the lane's results."""
+    """A function of some numbers of a lane, which returns the results with derivatives, and all results.
+
+    Args:
+        plain: The program of the lane.
+        values: All numbers of the lane; the function's argument replaces some of them.
+        index: Draw index.
+    """
 
     def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
         results = plain({**values, **numbers}, index)
@@ -259,12 +266,15 @@ def metrics_and_slacks(
 
 
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
-    """Results and derivatives as one pytree; JAX would sort the keys of a plain dict, which are not comparable."""
+    """Results and derivatives as one pytree.
+
+    It is an OrderedDict, because JAX would sort the keys of a dict, and strings and derivatives have no order.
+    """
     return OrderedDict([*results.items(), *slopes.items()])
 
 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
-    """The program in forward mode; each lane differentiates by the number that its ``DIRECTION`` selects."""
+    """The program of a lane in forward mode, which differentiates by the number that ``DIRECTION`` selects."""
     plain = lane_of_study(study)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
@@ -280,7 +290,7 @@ def forward_mode(study: Study, names: Sequence[str]) -> Lane:
 
 
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
-    """The program in reverse mode: one backward pass for each metric and slack."""
+    """The program of a lane in reverse mode: one backward pass for each metric and slack."""
     plain = lane_of_study(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
@@ -296,10 +306,14 @@ def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
 
 
 def require_independent(study: Study, purpose: str) -> None:
-    """Require independent draws, as order statistics and exact tests do.
+    """Require independent draws, which order statistics and exact tests need.
+
+    Args:
+        study: The study.
+        purpose: What needs them, for the message.
 
     Raises:
-        ConfigError: The study's draws are points of a design.
+        ConfigError: The study's draws are points of a Sobol or Latin-hypercube design.
     """
     if not study.config.independent:
         kind = study.config.sampling

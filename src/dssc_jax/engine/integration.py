@@ -1,10 +1,11 @@
-"""The error of integration between the samples: some draws again, with twice the substeps.
+"""The error of integration between the samples, from draws that are simulated again with twice the substeps.
 
-A loop in which everything between the samples is held exactly has none; see
-:func:`dssc_jax.closed_loop.hold.is_exact`. For others, draws spread over the study are simulated with the study's
-substeps and with twice as many. A method of order p leaves about 1/(2^p - 1) of the change.
+A loop with an exact solution between the samples has none; see :func:`dssc_jax.closed_loop.hold.is_exact`. For others,
+draws spread over the study are simulated with the study's substeps and with twice as many. With a method of order p,
+the error that remains is about 1/(2^p - 1) of the change.
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,19 +15,19 @@ from dssc_jax.closed_loop.hold import is_exact, order_between_samples
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.closed_loop.sample import held_parts
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.engine.batching import Engine, evaluate, lane_numbers
+from dssc_jax.engine.batching import Engine, Lanes, evaluate, lane_numbers
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 
 CHECKED_DRAWS = 16
 NEGLIGIBLE = 0.01
-"""Change of a required metric, in shares of its bound, below which nothing is said (assumed)."""
+"""Change of a required metric, in shares of its bound, below which no warning appears (assumed)."""
 DIVERGING = 1e3
 """Change of a metric, in shares of its bound or median size, above which the plant or its integration diverges
 (assumed)."""
 
-MOST_SUBSTEPS = 1000  # that a study may have
+MOST_SUBSTEPS = 1000  # of a study
 
 FRACTION = ", but for the fraction of a delay, which acts through the mean of its commands over the sample"
 AVERAGED = "a delay's fraction of a sample acts through the mean of its commands over the sample"
@@ -36,7 +37,7 @@ class IntegrationError(NamedTuple):
     """The change of some draws when the steps between the samples are halved.
 
     Args:
-        exact: Whether everything between the samples is held exactly; then nothing was simulated.
+        exact: Whether the loop has an exact solution between the samples; then nothing was simulated.
         draws: Number of draws simulated again.
         substeps: Substeps of the study.
         change: Largest change of a required metric in shares of its bound; without requirements, of any metric in
@@ -44,9 +45,9 @@ class IntegrationError(NamedTuple):
         metric: The metric with the largest change; empty if none changes.
         scale: ``bound`` or ``median size``.
         verdicts: Number of draws whose outcome changes.
-        remedy: Number of substeps that is expected to make the change negligible.
-        order: Order of the error in the length of a substep, from which the remedy follows.
-        averaged: Whether a command that changes within a sample acts through its mean, as behind a delay of a fraction.
+        remedy: Number of substeps that should make the change negligible.
+        order: Order of the error in the length of a substep.
+        averaged: Whether a command that changes within a sample acts through its mean, as behind a fractional delay.
     """
 
     exact: bool
@@ -79,7 +80,7 @@ class IntegrationError(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """The remedy, in words; empty if the error does not matter."""
+        """The error and its remedy in words; empty if the error does not matter."""
         if not self.matters:
             return ""
         remedy = f"set loop.substeps = {self.remedy}, or shorten loop.sample_time"
@@ -97,11 +98,11 @@ class IntegrationError(NamedTuple):
 
 
 def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationError:
-    """Simulate some draws of a study again, with twice the substeps.
+    """The error of integration of a study, from some draws with the study's substeps and with twice as many.
 
     Args:
         study: The study; with a sweep, the draws are spread over its points.
-        draws: Number of draws at most.
+        draws: Most draws.
     """
     loop = study.loop
     order = order_between_samples(held_parts(loop))
@@ -121,24 +122,20 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
             averaged=averaged,
         )
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
-    total = int(np.prod(shape))
+    total = math.prod(shape)
     lane_indices = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
-    count = len(lane_indices)
     lanes = np.unravel_index(lane_indices, shape)
-    values = lane_numbers(study, lanes)
-    results = []
-    for substeps in (loop.substeps, 2 * loop.substeps):
-        engine = Engine(replace(study, loop=replace(loop, substeps=substeps)), count)
-        results.append(evaluate(engine, {name: values[name] for name in engine.names}, lanes[-1]))
-    change, metric = largest_change(study, *results)
-    verdicts = int(np.count_nonzero(results[0]["outcome"] != results[1]["outcome"]))
+    coarse = results_with_substeps(study, lanes, loop.substeps)
+    fine = results_with_substeps(study, lanes, 2 * loop.substeps)
+    change, metric = largest_change(study, coarse, fine)
+    verdicts = int(np.count_nonzero(coarse["outcome"] != fine["outcome"]))
     scale = "bound" if study.requirements else "median size"
     error_ratio = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
     doublings = int(np.ceil(np.log2(error_ratio) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
     return IntegrationError(
         exact=False,
-        draws=count,
+        draws=len(lane_indices),
         substeps=loop.substeps,
         change=change,
         metric=metric,
@@ -150,11 +147,25 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     )
 
 
+def results_with_substeps(study: Study, lanes: Lanes, substeps: int) -> Arrays:
+    """Results of some lanes of a study with another number of substeps, shape (n,) each."""
+    engine = Engine(replace(study, loop=replace(study.loop, substeps=substeps)), len(lanes[-1]))
+    values = lane_numbers(study, lanes)
+    return evaluate(engine, {name: values[name] for name in engine.names}, lanes[-1])
+
+
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:
-    """Largest change of a required metric (without requirements, of any) in shares of its scale, and the metric."""
-    scales = {}
-    for requirement in study.requirements:
-        scales[requirement.measure.name] = requirement.scale
+    """The largest change of a metric in shares of its scale, and the metric, an empty name if none changes.
+
+    Required metrics count, with the scales of the requirements. Without requirements all metrics count, with their
+    typical sizes.
+
+    Args:
+        study: The study.
+        coarse: Results of some lanes with the study's substeps.
+        fine: Results of the same lanes with twice the substeps.
+    """
+    scales = {requirement.measure.name: requirement.scale for requirement in study.requirements}
     if not scales:
         scales = {measure.name: typical_size(fine[measure.name]) for measure in study.measures}
     worst = 0.0
@@ -166,9 +177,8 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
         differences = np.where(is_finite, coarse_values, 0.0) - np.where(is_finite, fine_values, 0.0)
         relative_changes = np.abs(differences) / scale
         change = float(np.max(relative_changes, initial=0.0))
-        is_ended = [ended_early(arrays["outcome"]) for arrays in (coarse, fine)]
-        if np.any(is_ended[0] != is_ended[1]):
-            change = float("inf")
+        if np.any(ended_early(coarse["outcome"]) != ended_early(fine["outcome"])):
+            change = np.inf
         if change > worst:
             worst = change
             name = metric

@@ -1,13 +1,13 @@
 """The forms in which a batch of lanes can run, and the choice between them.
 
-On a CPU, lanes run as machine code of this package (:mod:`dssc_jax.lanes.lanes`). What cannot be translated runs as
-plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample, or on request a
+On a CPU, lanes run as machine code of this package (:mod:`dssc_jax.lanes.lanes`). A program without a translation runs
+as plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample, or on request a
 kernel of this package runs one lane in each thread (:mod:`dssc_jax.lanes.gpu`).
 """
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -24,9 +24,10 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
 Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], tuple[dict[Any, np.ndarray], float]]]
-"""(columns of numbers, draw indices) -> a function that waits for the results.
+"""(numbers by name, draw indices), shape (n,) each -> a function that waits for the lanes.
 
-They are columns of the same length, beside the time of :func:`time.perf_counter` at which the lanes ended.
+That function returns the results by name, shape (n,) each, and the time of :func:`time.perf_counter` at which the lanes
+ended.
 """
 
 
@@ -50,13 +51,11 @@ GPU_FORMS = Form.GPU, Form.GPU_STRICT
 
 
 class KernelWarning(UserWarning):
-    """A study runs in a slower form than its machine could."""
+    """Warning that a program runs as plain XLA, because it has no machine code."""
 
 
 def requested_form(choice: str = "") -> str:
-    """The requested form, from the argument or the environment.
-
-    Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU.
+    """The form to use: the argument, else that of the environment, else ``lanes`` on a CPU and ``scan`` on a GPU.
 
     Raises:
         ConfigError: There is no such form, or the machine has no GPU for it.
@@ -89,7 +88,7 @@ def gpu_name(choice: str) -> str:
 
 
 def compiler_settings() -> list[str]:
-    """Settings beside the versions that affect the last digits of a result: the compiler, the processor, a request."""
+    """Settings beside versions that affect the last digits of a result: compiler, processor, GPU, requested form."""
     form = requested_form()
     requests = [f"{KERNEL_VARIABLE}={form}"] if os.environ.get(KERNEL_VARIABLE) else []
     gpus = [f"gpu {gpu_name(form)}"] if form in GPU_FORMS else []
@@ -103,7 +102,7 @@ def compiled(
 
     Args:
         choice: The result of :func:`requested_form`.
-        lane: (numbers by name, draw index) -> results of one lane.
+        lane: (numbers by name, draw index) -> results by name.
         names: Names of the numbers.
         lanes: Most lanes of a batch.
         tile: Lanes of a tile, for the forms of XLA.
@@ -125,20 +124,20 @@ def compiled(
                 raise ConfigError("kernel", f"a kernel cannot express {problem}") from None
             if strict:
                 raise ConfigError("kernel", f"strict arithmetic cannot express {problem}") from None
-            slower(f"no machine code for {problem}")
+            warn_of_plain_xla(problem)
     return PlainBatch(lane, names, lanes, tile, devices).start
 
 
 def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:
-    """Compile the program of one lane, which may record arrays.
+    """Compile the program of a single lane, which may record arrays.
 
     Args:
         lane: (numbers by name, draw index) -> a tree of results.
         names: Names of the numbers.
-        plain: By plain XLA.
+        plain: Whether to use plain XLA, as a reference.
 
     Returns:
-        The same function for numbers, with results as NumPy arrays.
+        The same function of plain numbers, with results as NumPy arrays.
 
     Warns:
         KernelWarning: There is no machine code for the program.
@@ -146,19 +145,25 @@ def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool 
     number = jax.ShapeDtypeStruct((), jnp.result_type(float))
     if jax.default_backend() == "cpu" and not plain:
         try:
-            compiled = compiled_lanes(lane, dict.fromkeys(names, number), jax.ShapeDtypeStruct((), jnp.uint32), width=1)
-            return lambda values, index: jax.tree.map(
-                lambda column: column[0],
-                compiled.start(({name: np.array([values[name]]) for name in names}, np.array([index])), 1, 1)(),
-            )
+            lanes = compiled_lanes(lane, dict.fromkeys(names, number), jax.ShapeDtypeStruct((), jnp.uint32), width=1)
+
+            def run_lane(values: Mapping[str, Any], index: Any) -> Any:
+                columns = {name: np.array([values[name]]) for name in names}
+                results = lanes.start((columns, np.array([index])), 1, 1)()
+                return jax.tree.map(lambda column: column[0], results)
+
+            return run_lane
         except Unsupported as problem:
-            slower(f"no machine code for {problem}")
+            warn_of_plain_xla(problem)
     jitted = jax.jit(lane, compiler_options=plain_options())
-    return lambda values, index: jax.tree.map(
-        np.asarray, jitted({name: values[name] for name in names}, np.uint32(index))
-    )
+
+    def run_plain(values: Mapping[str, Any], index: Any) -> Any:
+        results = jitted({name: values[name] for name in names}, np.uint32(index))
+        return jax.tree.map(np.asarray, results)
+
+    return run_plain
 
 
-def slower(reason: str) -> None:
-    """Warn that a program runs as plain XLA."""
-    warnings.warn(f"slower, by plain XLA: {reason}", KernelWarning, stacklevel=3)
+def warn_of_plain_xla(problem: Unsupported) -> None:
+    """Warn that a program runs as plain XLA, because an operation has no machine code."""
+    warnings.warn(f"slower, by plain XLA: no machine code for {problem}", KernelWarning, stacklevel=3)

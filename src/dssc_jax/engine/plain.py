@@ -1,6 +1,6 @@
-"""Batches of lanes by XLA: ``vmap`` over the lanes of a tile, tiles in sequence, tiles over devices.
+"""Batches of lanes by plain XLA: ``vmap`` over the lanes of a tile, tiles in sequence, and tiles over devices.
 
-This is the reference, and the form for whatever has no machine code.
+This is the reference program, and the form for programs without machine code.
 """
 
 import time
@@ -14,21 +14,21 @@ from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax.lanes.interface import AXIS
 
-LANES = 512  # lanes of a tile on a CPU, so that calling the kernels of a sample costs little
-TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
+LANES = 512  # most lanes of a tile on a CPU, so that calling the kernels of a sample costs little
+TILE_STEP = 16  # divides every tile: for tiles of 8, a 512-bit vector, the compiler may contract other products
 
 
 def plain_options() -> dict[str, str | bool]:
-    """Options of ``jax.jit`` for the program of a sample or of many: on a CPU, without fusion.
+    """Options of ``jax.jit`` for simulations: on a CPU, without fusion.
 
-    XLA's fusion makes a few large kernels of a sample, and each of them computes again what it shares with others.
-    Without fusion, the vehicle compiles in an eighth of the time and runs up to five times faster.
+    XLA's fusion turns a sample into a few large kernels, each of which computes shared values again. Without fusion,
+    the vehicle compiles in an eighth of the time and runs up to five times faster.
     """
     return {"xla_disable_hlo_passes": "fusion"} if jax.default_backend() == "cpu" else {}
 
 
 class PlainBatch:
-    """A lane's program by XLA, for batches of at most ``lanes`` lanes.
+    """The program of a lane by plain XLA, for batches of at most ``lanes`` lanes.
 
     Args:
         lane: (numbers by name, draw index) -> results.
@@ -54,15 +54,17 @@ class PlainBatch:
         def part(values: dict[str, jax.Array], index: jax.Array) -> Any:
             return jax.lax.map(lambda tile: batch(*tile), (values, index))
 
-        spec, shape = PartitionSpec("device"), (self._tiles, self._tile)
+        spec = PartitionSpec("device")
+        shape = (self._tiles, self._tile)
         sharded = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
         number = jax.ShapeDtypeStruct(shape, self._real)
         lowered = jax.jit(sharded).lower(dict.fromkeys(names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
         self._run = lowered.compile(compiler_options=plain_options())
 
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`."""
-        count, shape = len(index), (self._tiles, self._tile)
+        """Start a batch; see :data:`dssc_jax.engine.kernels.Start`."""
+        count = len(index)
+        shape = (self._tiles, self._tile)
 
         def as_tiles(column: np.ndarray, dtype: Any) -> np.ndarray:
             return np.pad(column, (0, self._tiles * self._tile - count), mode="edge").astype(dtype).reshape(shape)
@@ -72,6 +74,6 @@ class PlainBatch:
 
         def flat() -> tuple[Any, float]:
             results = jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], tiled_results)
-            return results, time.perf_counter()  # at the latest: XLA does not tell
+            return results, time.perf_counter()  # an upper bound: XLA does not report the end
 
         return flat

@@ -1,7 +1,7 @@
 """The closed loop as pure functions of JAX: a whole draw, and a single sample.
 
-They add no batch axis and no compilation: ``jit``, ``vmap``, ``grad`` and ``scan`` apply to them as to any function.
-Their numbers are those of :func:`dssc_jax.run`, up to the rounding of another compiler.
+They add no batch axis and no compilation, so ``jit``, ``vmap``, ``grad`` and ``scan`` apply to them as to any
+function. Their results are those of :func:`dssc_jax.run`, up to the rounding of another compiler.
 """
 
 from collections.abc import Mapping
@@ -22,15 +22,15 @@ from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 Values = Mapping[str, Scalar]
-"""Numbers of a study by dotted name."""
+"""Numbers of a study by their dotted names."""
 
 
 class StepState(NamedTuple):
-    """State of a loop between two samples.
+    """State of a :class:`Stepper` between two samples.
 
     Args:
         k: Index of the next sample.
-        loop: State of plant, wind and channels.
+        loop: State of the loop.
         values: The draw's numbers by dotted name.
         key: The draw's random key.
     """
@@ -42,7 +42,11 @@ class StepState(NamedTuple):
 
 
 def require_values(study: Study, values: Values) -> None:
-    """Require a value for each uncertain or swept number, and the precision of the study; raises ConfigError."""
+    """Require a value for each uncertain or swept number, and JAX in the precision of the study.
+
+    Raises:
+        ConfigError: A value is missing, a name has no value of its own in a trace, or JAX has another precision.
+    """
     for name in (*study.axes, *study.laws):
         if name not in values:
             raise ConfigError(name, "is uncertain or swept in this study, so values must contain it")
@@ -61,12 +65,12 @@ def require_values(study: Study, values: Values) -> None:
 
 
 def real_numbers(values: Values) -> dict[str, jax.Array]:
-    """Values as real numbers of the study's precision."""
+    """Values as JAX arrays of the precision that is in use."""
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in values.items()}
 
 
 def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
-    """Values of all uncertain and swept numbers for some draws, shape (n,) each; a swept number has its first value."""
+    """Values of all uncertain and swept numbers in some draws, shape (n,) each; swept ones have their first value."""
     first_point = [np.zeros(len(indices), int)] * len(study.axes)
     return lane_numbers(study, (*first_point, indices))
 
@@ -82,20 +86,20 @@ class LaneFunction:
         """Metrics, slacks, outcome and time of the early end of one draw.
 
         Args:
-            values: The draw's numbers by dotted name: each uncertain or swept one, and any other that shall differ from
-                the study's. Expressions follow from the parameters' values. What a model has computed from the
-                study's numbers before tracing keeps its value; ``study.override`` computes it again.
-            index: Index of the draw, which decides its noise.
+            values: The draw's numbers by dotted name: each uncertain or swept one, and any other that is to differ from
+                the study's. Expressions follow from these values. Quantities that a model computed from the study's
+                numbers before tracing keep their values; ``study.override`` computes them again.
+            index: Index of the draw, which selects its noise.
 
         Raises:
-            ConfigError: a number is missing or unknown, or JAX has another precision than the study.
+            ConfigError: A number is missing or unknown, or JAX has another precision than the study.
         """
         require_values(self.study, values)
         return self.compute(real_numbers(values), jnp.asarray(index, jnp.uint32))
 
     @property
     def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Values and index of the first draw, which the function accepts."""
+        """Arguments of the function: values and index of the first draw."""
         values, indices = self.draws(1)
         return {name: column[0] for name, column in values.items()}, indices[0]
 
@@ -127,7 +131,7 @@ class Stepper:
 
     @property
     def example(self) -> tuple[dict[str, np.ndarray], jax.Array]:
-        """Values and random key of the first draw, which :meth:`init` accepts."""
+        """Arguments of :meth:`init`: values and random key of the first draw."""
         columns = drawn_values(self.study, np.arange(1))
         return {name: column[0] for name, column in columns.items()}, self.key(0)
 
@@ -143,7 +147,7 @@ class Stepper:
             key: The draw's random key.
 
         Raises:
-            ConfigError: as for :class:`LaneFunction`.
+            ConfigError: As for :class:`LaneFunction`.
         """
         require_values(self.study, values)
         numbers = real_numbers(values)
@@ -151,11 +155,13 @@ class Stepper:
         return StepState(jnp.zeros((), jnp.int32), loop, numbers, key)
 
     def step(self, state: StepState) -> tuple[StepState, Recorded]:
-        """Measure, control, and integrate to the next sample; linear parts' transitions are computed at every call.
+        """Measure, control, and integrate to the next sample.
+
+        Every call computes the matrix exponentials of linear parts again.
 
         Returns:
-            The next state, and what happened at this sample: signals of each channel (``info.instant.channels``), the
-            plant's measurements, the desired outputs, what the controllers saw and gave (``info.controlled``), and
+            The next state, and the signals of this sample: those of each channel (``info.instant.channels``), the
+            plant's outputs, the desired outputs, inputs and outputs of the controllers (``info.controlled``), and
             whether the state is still finite and the model valid.
         """
         params = self.study.params(state.values)
@@ -166,16 +172,16 @@ class Stepper:
 def lane(study: Study, segment: int | None = None) -> LaneFunction:
     """The pure function of one draw, ``lane(values, index) -> results``, for ``jit``, ``vmap`` and ``grad``.
 
-    ``lane.example`` are arguments that it accepts; ``lane.draws(n)`` are those of the first n draws for ``vmap``.
+    ``lane.example`` are its arguments for the first draw, and ``lane.draws(n)`` those of n draws for ``vmap``.
     Metrics and slacks are differentiable in every value. A draw that ends early has metrics NaN and slacks -inf.
 
     Args:
-        study: What to simulate.
-        segment: Samples between two checkpoints, which reverse mode stores; it recomputes those between. None: it
-            stores every sample.
+        study: The study.
+        segment: Number of samples between the checkpoints that reverse mode stores; it recomputes those between. None:
+            it stores every sample.
 
     Raises:
-        ConfigError: the segment has no sample, a margin of the linearised loop is required, or a part keeps its state
+        ConfigError: The segment has no sample, a margin of the linearised loop is required, or a part keeps its state
             outside of JAX.
 
     Example:
@@ -192,11 +198,9 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
     study.require_single_laws()
     require_steps_in_any_order(study, "a pure function of the flight")
-    margins = margins_of(study.measures)
-    if margins:
-        rule = (
-            f"{next(iter(margins))} is that of the linearised loop, which a pure function of the flight does not have"
-        )
+    margin = next(iter(margins_of(study.measures)), None)
+    if margin is not None:
+        rule = f"{margin} is that of the linearised loop, which a pure function of the flight does not have"
         raise ConfigError(study.source, f"{rule}; take the requirement out, or use `run`")
     return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 
@@ -205,7 +209,7 @@ def stepper(study: Study) -> Stepper:
     """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a time loop of one's own.
 
     Raises:
-        ConfigError: a part keeps its state outside of JAX.
+        ConfigError: A part keeps its state outside of JAX.
 
     Example:
         >>> import jax

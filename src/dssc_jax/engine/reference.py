@@ -1,9 +1,9 @@
-"""The plain reference program, for checking stored results, and the sensitivity of lanes to rounding.
+"""The plain reference program, which checks stored results, and the sensitivity of lanes to rounding.
 
-The engine rewrites a lane before compilation. A check with the same program would repeat an error in that step, so
-here the original lane runs under ``jit(vmap(...))`` only. Two programs round differently. Their results differ by a
-few rounding errors, which a loop that chatters or diverges amplifies. To measure this amplification, a lane runs
-again with every number changed in its last bits.
+The engine rewrites a lane before compilation. A check with the same program would repeat an error of that step, so the
+original lane runs here, under ``jit(vmap(...))`` only. Two programs round differently, and a loop that chatters or
+diverges amplifies the difference. To measure this amplification, a lane runs again with every number changed in its
+last bits.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,25 +23,24 @@ from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 
 TOLERANCE = {64: 1e-9, 32: 2e-3}
-"""Relative deviation, by precision, that different programs, compilers or machines can cause in a loop that does not
-amplify rounding: they contract multiply-adds differently."""
+"""Relative deviation, by precision, between different programs, compilers or machines in a loop that does not amplify
+rounding: they contract multiply-adds differently."""
 
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
-RESTING = {64: 1e-12, 32: 1e-6}  # size of a metric at rest over that of the largest metric, by precision
-ALTOGETHER = 0.05  # relative change by rounding: more, and a metric at rest is nothing but rounding
+RESTING = {64: 1e-12, 32: 1e-6}  # most size of a metric at rest over that of the largest metric, by precision
+ONLY_ROUNDING = 0.05  # relative change by rounding beyond which a metric at rest consists of rounding errors
 COPIES = 4  # copies of a lane, moved in different directions
-ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
-UNDECIDED_BEYOND = 1e-2  # a lane that may deviate by more is no evidence
-
+ROUNDING_FACTOR = 100.0  # allowed deviation over that of the copies, because rounding acts in every operation
+UNDECIDED_BEYOND = 1e-2  # allowed deviation beyond which a lane is no evidence
 
 VERDICTS = {
     "agrees": "agrees with the stored values (largest relative deviation {:.1g})",
     "differs": "DIFFERS from the stored values by more than rounding explains (relative deviation {:.1g})",
     "undecided": "proves nothing, since rounding alone changes the result (relative deviation {:.1g})",
 }
-"""Text of each verdict on recomputed values, with the largest relative deviation."""
+"""Text of each verdict on recomputed values, as a format of the largest relative deviation."""
 
 
 class Agreement(NamedTuple):
@@ -59,19 +58,25 @@ class Agreement(NamedTuple):
 
     @property
     def decided(self) -> np.ndarray:
-        """Whether each lane is evidence, that is, hardly sensitive to rounding."""
+        """Whether each lane is evidence because rounding hardly changes it, shape (n,)."""
         return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
-        """``agrees``; ``differs`` if rounding does not explain a deviation; ``undecided`` if no lane is evidence."""
+        """``differs`` if rounding does not explain a deviation, ``undecided`` without evidence, else ``agrees``."""
         if np.any(self.decided & (self.deviation > self.allowed)):
             return "differs"
         return "agrees" if self.decided.any() else "undecided"
 
 
 def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
-    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each."""
+    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each.
+
+    Args:
+        study: The study.
+        values: Swept and drawn numbers of the lanes, shape (n,) each.
+        draws: Draw index of each lane, shape (n,).
+    """
     values = {**values, **margin_values(study)(dict(values), draws)}
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
@@ -82,13 +87,13 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
 
 
 def recompute(study: Study, lanes: Lanes) -> Arrays:
-    """Every variable of the lanes, by the plain program."""
+    """Every variable of a result at some lanes, by the plain program, shape (n,) each."""
     values = lane_numbers(study, lanes)
     return {name: values[name] for name in study.laws} | plain_results(study, values, lanes[-1])
 
 
 def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
-    """Results of copies of the lanes by the plain program, with every number changed in its last bits."""
+    """Results of :data:`COPIES` copies of lanes by the plain program, with every number changed in its last bits."""
     columns = {}
     for name, number in study.numbers.items():
         if isinstance(number.value, float) and not number.expression and number.quantity.law:
@@ -101,14 +106,15 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
         signs = rng.choice([-1.0, 1.0], (COPIES, len(column)))
         values[name] = (column * (1.0 + shift * signs)).ravel()
     results = plain_results(study, values, np.tile(lanes[-1], COPIES))
+    count = len(lanes[-1])
     copies = []
-    for copy in range(COPIES):
-        copies.append({name: np.split(array, COPIES)[copy] for name, array in results.items()})
+    for first in range(0, COPIES * count, count):
+        copies.append({name: array[first : first + count] for name, array in results.items()})
     return copies
 
 
 def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
-    """Variables of a result at the lanes."""
+    """Variables of a stored result at some lanes, shape (n,) each; variables of draws do not depend on the sweep."""
     columns = {}
     for name in names:
         array = dataset[name]
@@ -117,28 +123,26 @@ def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arr
 
 
 def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
-    """Compare the stored lanes of a result with recomputed ones.
+    """Compare some lanes of a stored result with the values of another program.
 
     Args:
         study: The study.
         dataset: The result.
         lanes: The lanes.
-        computed: Variables of the result as another program computed them, shape (n,) each.
+        computed: Variables of the result by the other program, shape (n,) each.
     """
     stored_values = stored_lanes(dataset, computed, lanes)
     sizes = {name: typical_size(dataset[name].values) for name in computed}
-    deviations_of = deviations(study, sizes, stored_values, computed)
-    names = np.array(list(deviations_of))
-    table = np.stack(list(deviations_of.values()))
+    deviations_by_name = deviations(study, sizes, stored_values, computed)
+    names = np.array(list(deviations_by_name))
+    table = np.stack(list(deviations_by_name.values()))
     rounding = TOLERANCE[study.config.loop.precision]
     allowed = np.full(table.shape[1], rounding)
     is_doubtful = table.max(0) > rounding
     if is_doubtful.any():
         copies = perturbed_copies(study, tuple(part[is_doubtful] for part in lanes))
         doubtful_values = {name: column[is_doubtful] for name, column in computed.items() if name in copies[0]}
-        spreads: dict[str, np.ndarray] = {}
-        for name in doubtful_values:
-            spreads[name] = np.zeros(int(is_doubtful.sum()))
+        spreads = {name: np.zeros(len(column)) for name, column in doubtful_values.items()}
         for copy in copies:
             for name, spread in deviations(study, sizes, doubtful_values, copy).items():
                 spreads[name] = np.maximum(spreads[name], spread)
@@ -150,21 +154,21 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
 
 
 def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
-    """The metrics that are nothing but rounding, such as those of a channel at rest.
+    """The metrics that consist of rounding errors only, such as those of a channel at rest.
 
-    They are far smaller than other metrics, whatever the units, and rounding changes them altogether.
+    They are far smaller than other metrics, whatever the units, and rounding changes them completely.
 
     Args:
         study: The study.
-        sizes: Typical size of each variable.
-        spreads: Relative change of each variable by rounding.
+        sizes: Typical size of each variable by name.
+        spreads: Relative change of each variable by rounding, shape (n,) each.
     """
     names = [measure.name for measure in study.measures if measure.name in sizes and measure.name in spreads]
     largest = max((sizes[name] for name in names), default=0.0)
     resting = []
     for name in names:
         is_tiny = sizes[name] <= RESTING[study.config.loop.precision] * largest
-        if is_tiny and np.max(spreads[name]) > ALTOGETHER:
+        if is_tiny and np.max(spreads[name]) > ONLY_ROUNDING:
             resting.append(name)
     return resting
 
@@ -172,13 +176,19 @@ def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[s
 def deviations(
     study: Study, sizes: Mapping[str, float], stored: Mapping[str, np.ndarray], computed: Mapping[str, np.ndarray]
 ) -> Arrays:
-    """Deviation of each of the stored variables, shape (n,) each.
+    """Relative deviation of computed from stored variables, shape (n,) each.
 
-    It is relative to the stored value or to the variable's typical size, whichever is larger; 0 for equal NaN and
-    infinities, infinite where one value is not finite and the other is. Rounding may change a count of samples by
-    one. An outcome is either equal or not.
+    It is relative to the stored value or to the variable's typical size, whichever is larger. A number of samples may
+    differ by one for nothing, because rounding can move an event by a sample. The deviation is 0 for equal values, NaN
+    included, and infinite for different outcomes and where only one of two values is finite.
+
+    Args:
+        study: The study.
+        sizes: Typical size of each variable by name.
+        stored: Stored variables, shape (n,) each.
+        computed: The same variables by another program.
     """
-    counts = sample_counts(study)
+    changes_by_sample = sample_changes(study)
     deviations_by_name = {}
     for name, stored_values in stored.items():
         computed_values = np.asarray(computed[name], dtype=stored_values.dtype)
@@ -187,24 +197,24 @@ def deviations(
             continue
         is_equal = (stored_values == computed_values) | (np.isnan(stored_values) & np.isnan(computed_values))
         with np.errstate(invalid="ignore", over="ignore"):
-            gap = np.maximum(np.abs(stored_values.astype(float) - computed_values) - counts.get(name, 0.0), 0.0)
+            difference = np.abs(stored_values.astype(float) - computed_values)
+            gap = np.maximum(difference - changes_by_sample.get(name, 0.0), 0.0)
             relative = gap / np.maximum(np.abs(stored_values), sizes[name])
-        deviations_by_name[name] = np.where(
-            is_equal, 0.0, np.where(np.isfinite(stored_values) & np.isfinite(computed_values), relative, np.inf)
-        )
+        is_finite = np.isfinite(stored_values) & np.isfinite(computed_values)
+        deviations_by_name[name] = np.where(is_equal, 0.0, np.where(is_finite, relative, np.inf))
     return deviations_by_name
 
 
-def sample_counts(study: Study) -> dict[str, float]:
-    """The effect of one sample more or less, for each variable that counts samples."""
-    clock = study.loop
-    sample = {"s": clock.sample_time, "1": 1.0 / clock.steps}
-    samples: dict[str, float] = dict.fromkeys(("failed_at", "settled_at"), (1.0 + 1e-06) * clock.sample_time)
+def sample_changes(study: Study) -> dict[str, float]:
+    """The change of each variable that counts samples if one sample is added, by name, and a little more."""
+    period = (1.0 + 1e-6) * study.loop.sample_time
+    one_sample = {"s": period, "1": (1.0 + 1e-6) * (1.0 / study.loop.steps)}
+    changes = {"failed_at": period, "settled_at": period}
     for measure in study.measures:
         if measure.metric.counted:
-            samples[measure.name] = (1.0 + 1e-6) * sample[measure.metric.unit]
+            changes[measure.name] = one_sample[measure.metric.unit]
     for requirement in study.requirements:
-        samples[requirement.violation_name] = (1.0 + 1e-6) * clock.sample_time
-        if requirement.measure.name in samples:
-            samples[requirement.name] = samples[requirement.measure.name]
-    return samples
+        changes[requirement.violation_name] = period
+        if requirement.measure.name in changes:
+            changes[requirement.name] = changes[requirement.measure.name]
+    return changes

@@ -1,9 +1,9 @@
 """Sampling: draw i as a point of the unit cube, and its mapping to values of the laws.
 
-Random draws depend on (seed, i) only, never on the number of draws, the chunk or the device; a factor's draws also
-depend on its name, but not on other factors. The points of the other designs are distributed over independent
-replicates: draw i belongs to replicate i mod R. Sobol points can be extended (but an additional law changes all of
-them); those of a Latin hypercube cannot.
+A random draw depends on the seed and on i, never on the number of draws, the block or the device. Its coordinate for an
+uncertain number also depends on the name of that number, but on no other number. The points of the other designs are
+distributed over R independent replicates: draw i belongs to replicate i mod R. A Sobol design can be extended by draws,
+but a further law changes all of its points. A Latin hypercube cannot be extended.
 """
 
 import warnings
@@ -35,10 +35,10 @@ def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
 
 @lru_cache(maxsize=1)
 def level_program() -> CompiledLanes:
-    """Machine code for (seed, draw index, stream of a factor) -> a number of the half-open unit interval."""
+    """Machine code for (seed, draw index, stream of an uncertain number) -> a number in [0, 1)."""
 
-    def level(seed: jax.Array, index: jax.Array, factor: jax.Array) -> jax.Array:
-        return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), factor), dtype=jnp.float64)
+    def level(seed: jax.Array, index: jax.Array, stream: jax.Array) -> jax.Array:
+        return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), stream), dtype=jnp.float64)
 
     word = jax.ShapeDtypeStruct((), np.uint32)
     with jax.enable_x64(True), jax.threefry_partitionable(True):
@@ -46,25 +46,31 @@ def level_program() -> CompiledLanes:
 
 
 def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Independent points of the half-open unit cube, shape (n, streams)."""
-    draws, factors = np.meshgrid(indices, np.array(streams, np.uint32), indexing="ij")
-    columns = np.full(draws.size, seed), draws.ravel(), factors.ravel()
-    one_thread = 1  # while all of them may simulate the block before
+    """Independent random points of the half-open unit cube, shape (n, streams)."""
+    draws, draw_streams = np.meshgrid(indices, np.array(streams, np.uint32), indexing="ij")
+    columns = np.full(draws.size, seed), draws.ravel(), draw_streams.ravel()
+    one_thread = 1  # all others may still simulate the previous block
     return level_program().start(columns, draws.size, one_thread)().reshape(draws.shape)
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Independent points."""
+    """Random points of the unit cube, shape (n, streams)."""
     return uniform(study.config.seed, streams, indices)
 
 
 def generator(*words: int) -> np.random.Generator:
-    """A separate host generator for each tuple of numbers."""
+    """A random generator of the host, independent for each tuple of words."""
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
 def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> np.ndarray:
-    """Points start .. end - 1, at cell centres, of a Sobol sequence whose scrambling is drawn from ``words``.
+    """Points of a scrambled Sobol sequence, at cell centres.
+
+    Args:
+        dimension: Number of coordinates.
+        start: Index of the first point.
+        end: Index behind the last point.
+        words: Words that the scrambling is drawn from.
 
     Returns:
         Shape (end - start, dimension).
@@ -80,7 +86,7 @@ def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> 
 
 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Scrambled Sobol points, including the first; every replicate has its own scrambling."""
+    """Points of scrambled Sobol sequences, one for each replicate, shape (n, streams)."""
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
     for r in np.unique(replicate):
@@ -94,19 +100,19 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
 
 @lru_cache(maxsize=1)
 def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
-    """All points of independent Latin hypercubes, shape (draws, factors): a design of one dimension for each factor."""
+    """All points of a study's Latin hypercubes, shape (draws, streams): a design of one dimension for each stream."""
     from scipy.stats import qmc
 
     design = np.empty((draws // replicates, replicates, len(streams)))
-    for column, factor in enumerate(streams):
+    for column, word in enumerate(streams):
         for replicate in range(replicates):
-            sequence = qmc.LatinHypercube(1, rng=generator(seed, factor, replicate))
+            sequence = qmc.LatinHypercube(1, rng=generator(seed, word, replicate))
             design[:, replicate, column] = sequence.random(draws // replicates)[:, 0]
     return design.reshape(-1, len(streams))
 
 
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of Latin hypercubes, one per replicate. They depend on the number of draws."""
+    """Points of Latin hypercubes, one for each replicate, shape (n, streams); they depend on the number of draws."""
     config = study.config
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
 
@@ -120,10 +126,14 @@ SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.nd
 
 
 def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
-    """Points of the open unit cube by the study's design, with one column per factor.
+    """Points of the open unit cube by the study's design.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
 
     Returns:
-        Shape (n, number of laws), float64 for every precision of the study.
+        One column per law, shape (n, laws); float64 for every precision of the study.
     """
     names = list(study.laws)
     if not names:
@@ -135,19 +145,19 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
 
 
 def inside_cube(points: np.ndarray) -> np.ndarray:
-    """Points moved away from the faces of the unit cube, where quantiles may be infinite."""
+    """Points clipped to the inside of the unit cube, since quantiles may be infinite on its faces."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers at points of the unit cube; correlated numbers through a Gaussian copula.
+    """Values of the uncertain numbers at points of the unit cube; a Gaussian copula correlates them.
 
     Args:
         study: The study.
         points: Independent uniform coordinates, one column per law, shape (n, laws).
 
     Returns:
-        For each factor an array of shape (n,), float64.
+        For each uncertain number an array of shape (n,), float64.
     """
     names = list(study.laws)
     points = np.asarray(points).copy()
@@ -159,7 +169,10 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers at levels of their laws, one column per law; correlations are in the levels."""
+    """Values of the uncertain numbers, shape (n,) each, at levels of their laws, shape (n, laws).
+
+    Correlations are in the levels already.
+    """
     values = {}
     for column, (name, law) in enumerate(study.laws.items()):
         values[name] = law.quantile(levels[:, column])
@@ -167,7 +180,7 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def mixing(study: Study) -> np.ndarray:
-    """The matrix M, shape (laws, laws), that makes correlated scores M z of independent ones z: the copula's factor."""
+    """The Cholesky factor M of the copula, shape (laws, laws): M z are correlated scores for independent scores z."""
     names = list(study.laws)
     matrix = np.eye(len(names))
     coupled = [names.index(name) for name in study.correlated]
@@ -177,9 +190,13 @@ def mixing(study: Study) -> np.ndarray:
 
 
 def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers for the given draws.
+    """Values of the uncertain numbers in some draws.
+
+    Args:
+        study: The study.
+        indices: Draw indices, shape (n,).
 
     Returns:
-        For each factor an array of shape (n,), float64.
+        For each uncertain number an array of shape (n,), float64.
     """
     return values_at(study, unit_points(study, indices))

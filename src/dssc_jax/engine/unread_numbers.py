@@ -1,27 +1,23 @@
-"""Uncertain numbers of users' parts that their code does not read, so that their laws change nothing."""
+"""Uncertain numbers of user-defined parts that their code does not read, so that their laws have no effect."""
 
 import jax
 import jax.numpy as jnp
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from dssc_jax.closed_loop.draw import simulate_draw
-from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.rehearsal import user_functions
 from dssc_jax.core.numerics import arithmetic, is_known
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import results_of
+from dssc_jax.engine.batching import lane_names, margins_in, results_of
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.study import Study
 
 
 def unread_numbers(study: Study) -> list[str]:
-    """The names of uncertain numbers of users' parts on which no result of a flight depends.
+    """The names of uncertain numbers of user-defined parts on which no result of a flight depends.
 
-    It follows from the program, not from values, so a limit that is not reached counts as read. The parameter that a
-    number follows from may still have an effect elsewhere.
-
-    Args:
-        study: The study.
+    This follows from the traced program, not from values, so a limit that no flight reaches counts as read. A parameter
+    that such a number follows from may still have an effect elsewhere.
     """
     slots = {function.part.partition(".")[0] for function in user_functions(study.loop).values()}
     if not slots or not study.laws:
@@ -31,7 +27,7 @@ def unread_numbers(study: Study) -> list[str]:
     def trace(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
         numbers, structure = jax.tree.flatten(study.params(values))
         uncertain = [position for position, number in enumerate(numbers) if not is_known(number)]
-        margins = {name: values[name] for name in margins_of(study.measures)}
+        margins = margins_in(study, values)
 
         def results(traced_numbers: list[jax.Array]) -> dict[str, Scalar]:
             all_numbers = list(numbers)
@@ -50,8 +46,7 @@ def unread_numbers(study: Study) -> list[str]:
             is_read_by_name[names[position]] = is_read_by_name.get(names[position], False) or is_used
         return index
 
-    values = [*study.laws, *study.axes, *margins_of(study.measures)]
     with arithmetic(study.config.loop.precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        jax.eval_shape(trace, dict.fromkeys(values, number), jax.ShapeDtypeStruct((), jnp.uint32))
+        jax.eval_shape(trace, dict.fromkeys(lane_names(study), number), jax.ShapeDtypeStruct((), jnp.uint32))
     return [name for name, is_read in is_read_by_name.items() if not is_read and name.partition(".")[0] in slots]

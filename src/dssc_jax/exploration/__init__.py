@@ -1,6 +1,6 @@
-"""Explore a study or a result: in the browser by a local page, in a notebook by the same page as an object.
+"""Pages to explore a study or a result: served to the browser, or as an object in a notebook.
 
-Needs the extra ``explore`` (Panel and Bokeh), which no other layer imports.
+They need the extra ``explore`` (Panel and Bokeh), which no other layer imports.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.live import LiveStudy
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -21,10 +21,10 @@ __all__ = ["explore", "require_panel"]
 
 
 def require_panel() -> None:
-    """Check that what the pages need is installed.
+    """Require that Panel and Bokeh are installed.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: One of them is not.
     """
     for name in ("panel", "bokeh"):
         if find_spec(name) is None:
@@ -38,10 +38,10 @@ def explore(
     draws: int | None = None,
     logs: Sequence[FlightLog] = (),
 ) -> "StudyPage | ResultPage":
-    """A page on which a study's numbers are moved, or a result's draws are brushed and seen again.
+    """Make a page on which the numbers of a study are moved, or the draws of a result are brushed and replayed.
 
-    A moved number of a study updates its failures, fans of signals and worst draw. A notebook shows the page as the
-    value of a cell. A program moves sliders by ``move``, and shows a result's draws by ``replay``.
+    When a number of a study moves, its failures, fans of signals and worst draw follow. A notebook shows the page as
+    the value of a cell. A program moves sliders by ``move``, and shows a result's draws by ``replay``.
 
     Args:
         subject: A study, or the result of a run or a sweep.
@@ -52,8 +52,8 @@ def explore(
             see :func:`dssc_jax.next_flight`, or of a single one, see :func:`dssc_jax.compare_log`.
 
     Returns:
-        The page. Of a study: ``move({name: value})``, ``now`` (the run that is shown), ``before``, ``save_as(name)``.
-        Of a result: ``replay(row)``, ``flight``, ``pin_draw()``.
+        The page. That of a study has ``move({name: value})``, ``now`` (the run that is shown), ``before`` and
+        ``save_as(name)``; that of a result has ``replay(row)``, ``flight`` and ``pin_draw()``.
 
     Raises:
         ConfigError: The extra is not installed, a number cannot be moved, or the number of draws is not admissible.

@@ -1,4 +1,4 @@
-"""Actions of a study's page on request: a margin, a proof, and the file that reproduces what is shown."""
+"""Actions of a study's page on request: margins, proofs, ranges of laws, and the file of the present study."""
 
 import re
 from collections.abc import Callable
@@ -19,19 +19,20 @@ from dssc_jax.runs.run import run
 from dssc_jax.study import Study
 
 PROOF_BOXES = 4
+"""Largest number of boxes of uncertain numbers in a proof."""
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.toml")
 
 Answer = TypeVar("Answer")
 Question: TypeAlias = Callable[[LiveRun, Callable[..., None]], Answer]
-"""Answers for a run; calls its second argument now and then."""
+"""Computes an answer about a run; its second argument is a progress callback, which may end the computation."""
 
 
 class Superseded(Exception):
-    """The answer is no longer wanted."""
+    """Raised to end a computation whose answer a newer request has superseded."""
 
 
-def ending_when(stale: Stale) -> Callable[..., None]:
-    """A progress callback that ends a computation when it is stale."""
+def stop_when_stale(stale: Stale) -> Callable[..., None]:
+    """A progress callback that raises :class:`Superseded` once a computation is stale."""
 
     def check(*_: object) -> None:
         if stale():
@@ -40,8 +41,8 @@ def ending_when(stale: Stale) -> Callable[..., None]:
     return check
 
 
-def margins_of(slider: Slider, position: float) -> Question[str]:
-    """How far a number may go from a position in both directions before draws fail, within the ends of its slider."""
+def margin_question(slider: Slider, position: float) -> Question[str]:
+    """The question how far a number may go from a position before draws fail, in both directions along its slider."""
 
     def answer(run: LiveRun, check: Callable[..., None]) -> str:
         answers = []
@@ -54,8 +55,8 @@ def margins_of(slider: Slider, position: float) -> Question[str]:
     return answer
 
 
-def over_ranges(study: Study) -> Question[str]:
-    """The failure probability over all laws of a study whose arguments are ranges."""
+def law_range_question(study: Study) -> Question[str]:
+    """The question about the failure probability over all laws within the ranges of a study."""
 
     def answer(_: LiveRun, check: Callable[..., None]) -> str:
         return law_ranges(study, progress=check).headline
@@ -64,7 +65,7 @@ def over_ranges(study: Study) -> Question[str]:
 
 
 def proof(run: LiveRun, check: Callable[..., None]) -> str:
-    """What can be proved of the sampled loop for every plant, or vehicle and wind, within the bounds."""
+    """Tell what is proved of the sampled loop, for all plants, or all vehicles and winds, within the bounds."""
     try:
         from dssc_jax.proofs.prove import prove  # needs an optional extra
 
@@ -79,10 +80,10 @@ def proof(run: LiveRun, check: Callable[..., None]) -> str:
 
 
 def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
-    """Write the study of a run as a new file of a folder.
+    """Write the study of a run to a new file in a folder, and return the path.
 
     Raises:
-        ConfigError: The name is not one of a TOML file in this folder, it exists, or it cannot be written.
+        ConfigError: The name is not that of a TOML file in the folder, the file exists, or it cannot be written.
     """
     if not FILE_NAME.fullmatch(name):
         rule = "must be a name of letters, digits, '.', '_' and '-' that ends in .toml"
@@ -97,10 +98,10 @@ def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
     return path
 
 
-def differing_draws(live_run: LiveRun, path: Path) -> int:
-    """Number of draws whose outcome differs between what is shown and a run of the saved study.
+def count_differing_draws(live_run: LiveRun, path: Path) -> int:
+    """Count the draws whose outcome differs between the page's run and a run of the saved study.
 
-    The study's own program has its constants compiled in, and may round its last digits differently.
+    The program of the saved study has its constants compiled in, and may round the last digits differently.
     """
     result = run(Study.load(path))
     return int(np.count_nonzero(result.dataset["outcome"].values != live_run.results["outcome"]))

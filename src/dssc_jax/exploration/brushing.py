@@ -1,4 +1,4 @@
-"""Linked brushing over the draws of a result, in Bokeh; a brush acts in the browser, without a program behind it."""
+"""Linked brushing over the draws of a result in Bokeh; all brushing happens in the browser, by a script."""
 
 from pathlib import Path
 from typing import Any
@@ -29,21 +29,23 @@ from dssc_jax.statistics import CONFIDENCE, FixedCount, rounded_probability
 SCRIPT = files.read_text(Path(__file__).with_name("brush.js"))
 BINS = 40
 TABLE_WIDTH = 1240  # px
-PICTURE = 500, 640  # rows and columns of the painted scatter
-LARGE_MARK_DRAWS = 5000  # fewer draws have large marks
+PICTURE = 500, 640
+"""Rows and columns of the scatter, which the script paints [px]."""
+LARGE_MARK_DRAWS = 5000
+"""Number of draws below which marks are large."""
 OPACITIES = {"bright": 0.85, "dim": 0.12}
-"""Opacity of the brushed draws, or of all where none is brushed, and of the others."""
+"""Opacity of the brushed draws, or of all draws if none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
 
 
 class Brushing:
-    """Scatter, two histograms, parallel axes, and the counts of the brushed draws.
+    """Scatter, two histograms, parallel axes and the counts of the brushed draws.
+
+    The data source ``clicked_row`` holds the row of the latest click, for a program behind the page.
 
     Args:
         table: The draws.
         folder: The results folder, for the command that replays a clicked draw.
-
-    The source ``clicked_row`` holds the row of the latest click, for a program behind the page.
     """
 
     def __init__(self, table: DrawTable, folder: str) -> None:
@@ -74,19 +76,19 @@ class Brushing:
 
     @property
     def layout(self) -> LayoutDOM:
-        """The page's content."""
+        """All figures and widgets, arranged for a page."""
         figures = row(self.scatter, column(*self.histograms))
         maps = [self.map.figure] if self.map is not None else []
         return column(self.summary, *maps, row(*self.selects.values()), figures, self.command, self.parallel.figure)
 
     @property
     def note(self) -> str:
-        """A note on draws that the page leaves out."""
+        """A remark on the draws that the page leaves out; empty if it has all."""
         table = self.table
         return "" if table.complete else f"; {len(table.rows):,} of {table.total:,} draws are shown"
 
     def statement(self) -> str:
-        """Failures of all draws with their interval, as the page says it before anything is brushed."""
+        """The failures of all draws with their interval, which the page shows until draws are brushed."""
         failures = int(self.table.failed.sum())
         draws = len(self.table.failed)
         interval = FixedCount().interval(self.table.failed, CONFIDENCE)
@@ -95,7 +97,7 @@ class Brushing:
         return f"{counts}: probability {probability} in [{low}, {high}] (95 % Clopper-Pearson){self.note}"
 
     def _scatter(self, x_label: str, y_label: str) -> figure:
-        """All draws over two columns, painted by the page's script."""
+        """An empty figure of all draws over two columns, which the script paints."""
         plot = figure(
             width=720,
             height=560,
@@ -113,7 +115,7 @@ class Brushing:
         return plot
 
     def _bar_figure(self, axis: str, label: str) -> figure:
-        """The histogram of an axis: all, brushed, and failures among the brushed."""
+        """The histogram of an axis: all draws, brushed draws, and failures among the brushed draws."""
         plot = figure(width=500, height=270, tools="", x_axis_label=label, y_axis_label="draws")
         bars = self.bars[axis]
         for name, colour, alpha in (("all", GREY, 0.3), ("brushed", BLUE, 0.6), ("failed", ORANGE, 0.9)):
@@ -122,7 +124,7 @@ class Brushing:
         return plot
 
     def _histogram(self, name: str) -> dict[str, Any]:
-        """The histogram of a column before anything is brushed."""
+        """The columns of a histogram while no draw is brushed."""
         values = self.table.columns[name]
         finite = np.isfinite(values)
         counts, edges = np.histogram(values[finite], BINS)
@@ -130,11 +132,16 @@ class Brushing:
         return {"left": edges[:-1], "right": edges[1:], "all": counts, "brushed": np.zeros(BINS), "failed": failed}
 
     def _callback(self, call: str, **models: object) -> CustomJS:
-        """A callback that calls a function of the script; it knows the draws as ``source``."""
+        """A callback that calls a function of the script.
+
+        Args:
+            call: The call in JavaScript, in which the draws are ``source``.
+            models: Further objects by their names in the call.
+        """
         return CustomJS(args={"source": self.source, **models}, code=SCRIPT + call)
 
     def _connect(self, folder: str) -> None:
-        """Let brushes, clicks and choices of axes act."""
+        """Connect brushes, clicks and the selection of axes with functions of the script."""
         start, axes = self.table.replay_commands(folder)
         scatter: dict[str, object] = {
             "picture": self.picture,
@@ -197,6 +204,6 @@ class Brushing:
 
 
 def pixel(colour: str, alpha: float) -> int:
-    """A colour such as ``#0072B2`` with an opacity, as a pixel of a picture (the bytes red, green, blue, opacity)."""
+    """Convert a colour such as ``#0072B2`` with an opacity to a pixel: four bytes red, green, blue and opacity."""
     red, green, blue = bytes.fromhex(colour[1:])
     return int.from_bytes(bytes((red, green, blue, round(255 * alpha))), "little")

@@ -1,4 +1,4 @@
-"""Failure probability over a sweep's axes, as a curve or a map; a click on a point brushes its draws."""
+"""The failure probability over the axes of a sweep as a curve or a map; a click on a point brushes its draws."""
 
 from typing import Any
 
@@ -21,23 +21,23 @@ if (cell != undefined) choose(source, null, drawsAt(source, names, names.map(nam
 
 
 class CellMap:
-    """The points of a sweep with their failures; over two axes a map, over one a curve with intervals.
+    """The failures at the points of a sweep: over one axis as a curve with intervals, over two axes as a map.
 
-    Draws of further axes are counted together, and the title says so.
+    Draws at all values of further axes are counted together, and the title says so.
 
     Args:
         table: The draws of a sweep.
-        source: The page's columns of the draws.
-        script: The functions that the page's callbacks call.
+        source: Data source of the page with the draws.
+        script: The script with the functions that callbacks call.
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
         axes = table.result.study.axes
         self.names = list(axes)[:2]
-        pooled = list(axes)[2:]
+        pooled_axes = list(axes)[2:]
         values = [axes[name] for name in self.names]
-        failed = table.result.failed.transpose(*self.names, *pooled, "draw").values
-        failed = failed.reshape(*(len(column) for column in values), -1)
+        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values
+        failed = failed.reshape(*map(len, values), -1)
         places = np.indices(failed.shape[:-1]).reshape(len(values), -1)
         failures = failed.sum(-1).reshape(-1)
         draws = failed.shape[-1]
@@ -51,13 +51,18 @@ class CellMap:
             data[name] = np.asarray(column, np.float32)[place]
             data[axis] = place
         self.cells = ColumnDataSource(data)
-        self.figure = self._figure(values, pooled)
+        self.figure = self._figure(values, pooled_axes)
         select = CustomJS(args={"source": source, "cells": self.cells, "names": self.names}, code=script + SELECT_CELL)
         self.cells.selected.js_on_change("indices", select)
 
-    def _figure(self, values: list[tuple[float, ...]], pooled: list[str]) -> figure:
-        """The curve or the map."""
-        note = f", draws of all values of {', '.join(pooled)} together" if pooled else ""
+    def _figure(self, values: list[tuple[float, ...]], pooled_axes: list[str]) -> figure:
+        """The curve or the map.
+
+        Args:
+            values: Values of the one or two axes.
+            pooled_axes: Names of the axes whose draws are counted together.
+        """
+        note = f", draws of all values of {', '.join(pooled_axes)} together" if pooled_axes else ""
         plot = figure(
             width=WIDTH,
             height=HEIGHT,

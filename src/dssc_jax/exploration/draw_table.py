@@ -5,19 +5,21 @@ from functools import cached_property
 
 import numpy as np
 
-from dssc_jax.plotting.style import DRAWABLE
-from dssc_jax.results.result import Result, headline
+from dssc_jax.plotting.style import drawable
+from dssc_jax.results.result import Result, headline_measure
+from dssc_jax.results.schema import name_with_unit
 
-MOST_ROWS = 100_000  # that a page shows
+MOST_ROWS = 100_000
+"""Largest number of draws on a page."""
 
 
 @dataclass(frozen=True)
 class DrawTable:
-    """The draws of a result.
+    """The draws of a result at all points of the sweep, one row for each.
 
     Args:
         result: The result.
-        max_rows: Largest number of rows; of a larger result, every k-th draw is taken.
+        max_rows: Largest number of rows; of a larger result, only every k-th draw is taken.
     """
 
     result: Result
@@ -25,17 +27,17 @@ class DrawTable:
 
     @property
     def total(self) -> int:
-        """Number of draws, times points of the sweep."""
+        """Number of lanes of the result: draws times points of the sweep."""
         return self.result.failed.size
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """Flat positions of the rows in the grid of points and draws."""
+        """Flat indices of the rows in the grid of points and draws, shape (rows,)."""
         return np.arange(0, self.total, max(1, -(-self.total // self.max_rows)))
 
     @property
     def complete(self) -> bool:
-        """Whether the table has every draw."""
+        """Whether the table has all lanes of the result."""
         return len(self.rows) == self.total
 
     @cached_property
@@ -47,36 +49,34 @@ class DrawTable:
         columns = {}
         for name in (*study.axes, *study.laws, *(measure.name for measure in study.measures)):
             values = dataset[name].broadcast_like(grid).transpose(*grid.dims).values
-            column = values.reshape(-1)[self.rows]
-            columns[name] = np.where(np.abs(column) < DRAWABLE, column, np.nan)
+            columns[name] = drawable(values.reshape(-1)[self.rows])
         return columns
 
     @cached_property
     def failed(self) -> np.ndarray:
-        """Whether each row's draw failed."""
+        """Whether the draw of each row failed, shape (rows,)."""
         return self.result.failed.values.reshape(-1)[self.rows]
 
     @cached_property
     def draw(self) -> np.ndarray:
-        """Each row's draw."""
+        """Index of the draw of each row, shape (rows,)."""
         return self.rows % self.result.study.config.draws
 
     def label(self, name: str) -> str:
-        """A column's name with its unit."""
-        unit = self.result.dataset[name].attrs.get("units", "")
-        return name if unit in ("", "1") else f"{name} [{unit}]"
+        """The name of a column with its unit."""
+        return name_with_unit(name, self.result.dataset[name].attrs.get("units", ""))
 
     @property
     def first_axes(self) -> tuple[str, str]:
-        """The columns to show first: a number and the headline metric."""
+        """The columns that are shown first: a swept or drawn number, and the headline metric."""
         numbers = [*self.result.study.axes, *self.result.study.laws]
-        metric = headline(self.result).name
+        metric = headline_measure(self.result.study).name
         return (numbers[0] if numbers else metric), metric
 
     def point(self, row: int) -> dict[str, float]:
-        """Values of the swept numbers of a row."""
+        """Values of the swept numbers in a row."""
         return {name: float(self.columns[name][row]) for name in self.result.study.axes}
 
     def replay_commands(self, folder: str) -> tuple[str, list[str]]:
-        """The start of the command line that replays a draw, and the names whose values it needs."""
+        """The beginning of the command line that replays a draw, and the numbers whose values it also needs."""
         return f"dssc-jax replay {folder} --draw ", list(self.result.study.axes)

@@ -1,4 +1,4 @@
-"""Figures of both pages in Bokeh: fans of signals, one draw in them, a vehicle's path, and the failure probability."""
+"""Figures of the pages in Bokeh: fans of signals with one draw, a vehicle's path, draws, and failure probability."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -20,7 +20,8 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from dssc_jax.exploration.live import LiveRun
-from dssc_jax.plotting.style import BLUE, DRAWABLE, GREY, ORANGE, RED
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, drawable
+from dssc_jax.results.schema import name_with_unit
 from dssc_jax.runs.trajectory import column_attributes
 from dssc_jax.study import Study
 
@@ -37,12 +38,13 @@ const raised = {"-": "\u207b", 1: "\u00b9", 2: "\u00b2", 3: "\u00b3"}
 const digits = [...String(power)].map(c => raised[c] ?? String.fromCharCode(0x2070 + Number(c)))
 return minus(String(Number((tick / 10 ** power).toPrecision(6)))) + "\u00b710" + digits.join("")
 """
-"""Text of a tick: plain decimals; of an axis with small or large numbers, 5·10⁻⁶ with one power of ten for all."""
+"""JavaScript that formats a tick in plain decimals, or as 5·10⁻⁶ if the axis has small or large numbers."""
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
+"""Lower and upper quantile of each band of a fan, and its opacity."""
 
 
 def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
-    """A figure as wide as its column, whose tools show under the pointer only."""
+    """An empty figure that fills its column, and shows its tools only while the pointer is over it."""
     plot = figure(width=WIDTH, height=height, tools=tools, sizing_mode="stretch_width", **options)
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
@@ -53,17 +55,16 @@ def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
 
 
 def signal_figure(name: str, study: Study, **options: Any) -> figure:
-    """An empty figure of a signal over time; meaning and unit stand above it, where a long text has room."""
+    """An empty figure of a signal over time, with meaning and unit above it, where there is room for a long text."""
     attributes = column_attributes(name, study)
-    unit = attributes["units"]
-    text = attributes["long_name"] if unit in ("", "1") else f"{attributes['long_name']} [{unit}]"
+    text = name_with_unit(attributes["long_name"], attributes["units"])
     title = Title(text=PlainText(text=text), text_font_style="normal")
     x_label = PlainText(text="time [s]")
     return page_figure("xpan,xwheel_zoom,box_zoom,reset,save", x_axis_label=x_label, title=title, **options)
 
 
 def path_figure(across: str, upward: str) -> figure:
-    """An empty figure for a path, with equal scales."""
+    """An empty figure of a path over two channels, with equal scales."""
     return page_figure(
         "pan,wheel_zoom,reset,save",
         match_aspect=True,
@@ -73,12 +74,12 @@ def path_figure(across: str, upward: str) -> figure:
 
 
 class FanFigure:
-    """One signal over time: the fan of all draws, the outline of the previous fan, and one draw.
+    """A signal over time: the fan of all draws, the outline of the previous run's fan, and one draw.
 
     Args:
-        study: The study, for unit and meaning.
-        name: The signal.
-        x_range: The time axis of another figure, to move together with it.
+        study: The study, for the unit and the meaning of the signal.
+        name: Name of the signal.
+        x_range: Time axis of another figure that moves together with this one; None: an axis of its own.
     """
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
@@ -110,7 +111,7 @@ class FanFigure:
         scale.renderers = fan  # a draw that diverges does not set the scale
 
     def show(self, run: LiveRun, previous: LiveRun | None, draw: int) -> None:
-        """Show a run, the one to compare it with, and one of its draws."""
+        """Show a run, the previous run for comparison, and one draw of the run."""
         fill_fan(self.current, run.times, run.fan(self.name).values)
         if previous is not None and previous is not self._outlined:
             self._outlined = previous
@@ -119,14 +120,20 @@ class FanFigure:
 
 
 def fill_fan(source: ColumnDataSource, times: np.ndarray, values: np.ndarray) -> None:
-    """Fill a source with quantiles over time, where draws are running."""
+    """Fill a data source with quantiles over time, as long as a draw is running.
+
+    Args:
+        source: The data source.
+        times: Times [s], shape (samples,).
+        values: Quantiles, shape (5, samples); NaN once no draw is running.
+    """
     is_running = ~np.isnan(values[0])
     rows = drawable(values[:, is_running])
     source.data = {"t": times[is_running], **dict(zip(LEVEL_NAMES, rows, strict=True))}
 
 
 class PathFigure:
-    """A vehicle's path of one draw over two channels, with the desired path."""
+    """The path of a vehicle in one draw over two channels, with the desired path."""
 
     def __init__(self, across: str, upward: str) -> None:
         self.channels = (across, upward)
@@ -137,19 +144,19 @@ class PathFigure:
         self.figure.line("across", "upward", source=self.path, color=RED, line_width=2)
 
     def show_draw(self, run: LiveRun, draw: int) -> None:
-        """Show one draw of a run."""
+        """Show the path in one draw of a run."""
         for source, signal in ((self.path, "y"), (self.desired, "y_ref")):
             across, upward = (drawable(run.signal(f"{channel}_{signal}")[draw]) for channel in self.channels)
             source.data = {"across": across, "upward": upward}
 
 
 class DrawsFigure:
-    """Every draw by one of its uncertain numbers and its smallest slack; a click chooses a draw.
+    """All draws over one uncertain number and their smallest slack; a click selects a draw.
 
-    Passing draws are blue circles, failing ones orange crosses.
+    Draws that pass are blue circles, draws that fail are orange crosses.
 
     Args:
-        choose: Called with the draw that was clicked.
+        choose: Called with the index of a draw that was clicked.
     """
 
     def __init__(self, choose: Callable[[int], None]) -> None:
@@ -171,7 +178,13 @@ class DrawsFigure:
         self.figure.scatter("x", "slack", source=self.selected_draw, marker="circle", **ring)
 
     def show(self, run: LiveRun, name: str, draw: int) -> None:
-        """Show the draws of a run over an uncertain number, or over the draw's index if ``name`` is empty."""
+        """Show the draws of a run, and mark one of them.
+
+        Args:
+            run: The run.
+            name: Uncertain number of the horizontal axis; empty: the index of the draw.
+            draw: Index of the marked draw.
+        """
         values = run.values[name] if name else np.arange(run.failed.size)
         self.number.text = name or "draw"
         finite = np.isfinite(run.slack)
@@ -192,7 +205,7 @@ class DrawsFigure:
 
 
 class ProbabilityFigure:
-    """The failure probability with its interval, before and now."""
+    """The failure probability with its interval, of the present run and of the previous one."""
 
     def __init__(self) -> None:
         self.source = ColumnDataSource({"name": [], "p": [], "low": [], "high": [], "colour": []})
@@ -210,7 +223,7 @@ class ProbabilityFigure:
         self.figure.toolbar_location = None
 
     def show(self, run: LiveRun, previous: LiveRun | None) -> None:
-        """Show a run and the one to compare it with."""
+        """Show a run, and the previous run for comparison."""
         runs = [run] if previous is None else [run, previous]
         self.source.data = {
             "name": ["now", "before"][: len(runs)],
@@ -221,18 +234,13 @@ class ProbabilityFigure:
         }
 
 
-def seen_paths(study: Study) -> Sequence[tuple[str, str]]:
-    """The channels of each view of a vehicle's path: from above and from the side; none without x, y and z."""
+def path_views(study: Study) -> Sequence[tuple[str, str]]:
+    """The two channels of each view of a vehicle's path, from above and from the side; none without x, y and z."""
     return (("x", "y"), ("x", "z")) if {"x", "y", "z"} <= set(study.loop.channels) else ()
 
 
-def drawable(values: np.ndarray) -> np.ndarray:
-    """Values that an axis can show; larger ones are left out."""
-    return np.where(np.abs(values) < DRAWABLE, values, np.nan)
-
-
-def shown_signals(study: Study) -> Sequence[str]:
-    """Signals that get a fan: output, error and command of a plant of one channel; the errors of a vehicle."""
+def displayed_signals(study: Study) -> Sequence[str]:
+    """The signals that a page shows: output, error and command of a single channel, or the errors of several."""
     if len(study.loop.channels) == 1:
         return ("y", "e", "u_total")
     return tuple(f"{channel}_e" for channel in study.loop.channels)

@@ -1,4 +1,4 @@
-"""A vehicle's flight over time as one file: a chosen draw in three dimensions, other draws as ghosts."""
+"""The flight of a vehicle as one HTML file: a draw in three dimensions over time, and other draws as ghosts."""
 
 import numpy as np
 from bokeh.layouts import column
@@ -8,33 +8,33 @@ from markupsafe import escape
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.exploration.flight_view import FlightView
-from dssc_jax.exploration.interactive_report import standalone
-from dssc_jax.exploration.live import VEHICLE_BATCH, LiveRun, flies, recorded_signals
+from dssc_jax.exploration.interactive_report import standalone_page
+from dssc_jax.exploration.live import VEHICLE_BATCH, LiveRun, has_vehicle, recorded_signals
 from dssc_jax.runs.recorded_draws import RecordedDraws, all_draws
 from dssc_jax.study import Study
 
 GHOSTS = 32
+"""Usual number of other draws that are shown beside the selected one."""
 
 
 def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
-    """A page that needs no network and no program: the flight of a draw with a slider of time.
+    """A page with the flight of a draw and a slider of time, which needs no network and no program behind it.
 
     Args:
-        study: A study of a vehicle; a sweep is ignored.
+        study: A study of a vehicle; its sweep is ignored.
         draw: Index of the draw.
-        ghosts: Number of other draws to show, from the first one on.
+        ghosts: Number of other draws that are shown, from the first on.
 
     Raises:
-        ConfigError: The study's plant has no place and attitude, or there is no such draw.
+        ConfigError: The plant has no position and attitude, or there is no such draw.
     """
     fixed = study.without_sweep()
-    if not flies(fixed):
+    if not has_vehicle(fixed):
         raise ConfigError(fixed.source, "is no study of a vehicle: a flight needs x, y, z and an attitude")
     if not 0 <= draw < fixed.config.draws:
         raise ConfigError(fixed.source, f"draw must be in 0 .. {fixed.config.draws - 1}, got {draw}")
-    indices = np.unique([draw, *range(min(ghosts + 1, fixed.config.draws))])
-    companions = indices[indices != draw][:ghosts]
-    indices = np.concatenate([[draw], companions])
+    ghost_draws = [index for index in range(min(ghosts + 1, fixed.config.draws)) if index != draw]
+    indices = np.array([draw, *ghost_draws[:ghosts]])
     program = RecordedDraws(fixed, {}, recorded_signals(fixed), lanes=VEHICLE_BATCH)
     results = all_draws(list(program.batches(fixed, indices)))
     values_of_all = values_of_draws(fixed, slice(0, int(indices.max()) + 1))
@@ -44,4 +44,4 @@ def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
     view.show(run, 0, name=str(draw))
     required = "; ".join(requirement.text for requirement in fixed.requirements) or "nothing"
     text = f"<h1>{escape(fixed.name)}</h1><p>required: {escape(required)}</p>"
-    return standalone(f"{fixed.name}: flight", column(Div(text=text, disable_math=True), view.layout))
+    return standalone_page(f"{fixed.name}: flight", column(Div(text=text, disable_math=True), view.layout))

@@ -1,6 +1,6 @@
-"""A vehicle's flight in three dimensions over time, with many draws as ghosts, in Bokeh.
+"""The flight of a vehicle in three dimensions over time, with other draws as ghosts, in Bokeh.
 
-The browser projects everything for the time of the slider and the direction of view, without a program behind it.
+A script in the browser projects all paths for the time of the slider and the direction of view.
 """
 
 from collections.abc import Sequence
@@ -17,17 +17,19 @@ from bokeh.plotting import figure
 
 from dssc_jax.core import files
 from dssc_jax.engine.sampling import Arrays
-from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun, recorded_signals
-from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE
+from dssc_jax.exploration.live import ATTITUDE, POSITION, LiveRun, recorded_signals
+from dssc_jax.plotting.style import BLUE, DARK, GREY, ORANGE, drawable
 from dssc_jax.runs.recorded_draws import SignalKey
 from dssc_jax.study import Study
 
 SCRIPT = files.read_text(Path(__file__).with_name("flight_view.js"))
-FRAME = 900, 460  # px
+FRAME = 900, 460
+"""Width and height of the view [px]."""
 VIEW = {"azimuth": -1.0, "elevation": 0.45}
 """Direction from which the flight is seen at first [rad]: from the south-east, above."""
 FLOOR_LINES = 11
-OUTLINE = 0.02  # share of the draws, on each side, that does not set the scale
+TAIL = 0.02
+"""Share of the positions, at each end of an axis, that does not set the scale."""
 LAYERS = ("floor", "ghosts", "points", "marks", "flown", "wanted", "craft")
 LEGEND = (
     "thin blue: draws that pass; orange: draws that fail, with a cross from the moment on at which that was certain; "
@@ -37,11 +39,11 @@ LEGEND = (
 
 
 class FlightView:
-    """The flights of a run over time: the chosen draw with its attitude, all others as ghosts."""
+    """The flights of a run over time: the selected draw with its attitude, all others as ghosts."""
 
     def __init__(self) -> None:
-        first: dict[str, Any] = {name: [[0.0, 0.0]] for name in PLACE}
-        names = ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))
+        first: dict[str, Any] = {name: [[0.0, 0.0]] for name in POSITION}
+        names = ("t", *POSITION, *ATTITUDE, *(f"{axis}_ref" for axis in POSITION))
         selected_flight: dict[str, Any] = {name: [0.0] for name in names}
         view: dict[str, Any] = {name: [value] for name, value in VIEW.items()}
         view |= {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
@@ -57,7 +59,7 @@ class FlightView:
         self._connect()
 
     def _figure(self) -> figure:
-        """An empty figure without axes, whose layers are filled in the browser."""
+        """An empty figure without axes, whose layers the script fills."""
         width, height = FRAME
         plot = figure(
             frame_width=width,
@@ -81,7 +83,7 @@ class FlightView:
         return plot
 
     def _connect(self) -> None:
-        """What the slider, the mouse and new data do in the browser."""
+        """Connect the slider, the mouse and new data with functions of the script."""
         models = {"scene": self.scene, "tracks": self.tracks, "one": self.selected_flight, "floor": self.floor}
         arguments = {**models, "slider": self.slider, "shown": self.layers}
         names = ", ".join(arguments)
@@ -99,7 +101,7 @@ class FlightView:
 
     @property
     def layout(self) -> LayoutDOM:
-        """The view with its slider."""
+        """The view with title, slider and legend."""
         legend = Div(text=LEGEND, disable_math=True, width=FRAME[0])
         return column(self.title, side_by_side(self.button, self.slider), self.figure, legend)
 
@@ -108,18 +110,18 @@ class FlightView:
 
         Args:
             run: The run.
-            row: Row of the chosen draw, which is shown with its attitude.
-            name: Its name; None: its row.
+            row: Row of the selected draw, which is shown with its attitude.
+            name: Name of the selected draw; None: the row.
         """
-        paths = {axis: shown_values(run.signal(f"{axis}_y")) for axis in PLACE}
+        paths = {axis: compact(run.signal(f"{axis}_y")) for axis in POSITION}
         self._set_scene(paths)
-        marks = [mark_of(run, index) for index in range(run.failed.size)]
+        marks = [failure_sample(run, index) for index in range(run.failed.size)]
         colours = [ORANGE if failed else BLUE for failed in run.failed]
         self.tracks.data = {**{axis: list(values) for axis, values in paths.items()}, "colour": colours, "mark": marks}
         selected_flight: dict[str, Any] = {"t": run.times}
-        for axis in PLACE:
+        for axis in POSITION:
             selected_flight[axis] = paths[axis][row]
-            selected_flight[f"{axis}_ref"] = shown_values(run.signal(f"{axis}_y_ref")[row])
+            selected_flight[f"{axis}_ref"] = compact(run.signal(f"{axis}_y_ref")[row])
         for angle in ATTITUDE:
             selected_flight[angle] = run.signal(angle)[row]
         end = float(run.times[-1])
@@ -130,18 +132,23 @@ class FlightView:
         self.title.text = f"{run.failed.size} flights; draw {name or row} {verdict}"
 
     def _set_scene(self, paths: dict[str, np.ndarray]) -> None:
-        """Centre and scale from nearly all draws, so that one that flies away does not set them; the floor below."""
-        lows, highs = [], []
+        """Set centre, scale and floor by nearly all positions, so that a draw that flies away does not set them.
+
+        Args:
+            paths: Positions of all draws along each axis [m], shape (draws, samples).
+        """
+        lows = []
+        highs = []
         for values in paths.values():
             finite_values = values[np.isfinite(values)]
-            low, high = np.quantile(finite_values, [OUTLINE, 1.0 - OUTLINE]) if finite_values.size else (0.0, 0.0)
+            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL]) if finite_values.size else (0.0, 0.0)
             lows.append(float(low))
             highs.append(float(high))
         extent = [high - low for low, high in zip(lows, highs, strict=True)]
         span = 0.6 * max(*extent, 0.5)
         centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
         view: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}
-        places = {f"c{axis}": [value] for axis, value in zip(PLACE, centre, strict=True)}
+        places = {f"c{axis}": [value] for axis, value in zip(POSITION, centre, strict=True)}
         self.scene.data = {**view, **places, "span": [span]}
         width, height = FRAME
         half = 1.1 * span
@@ -151,7 +158,7 @@ class FlightView:
 
 
 def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
-    """Recorded flights of a vehicle as the draws of a run, in their order; the flights have the same samples."""
+    """Make a run whose draws are recorded flights of a vehicle, in their order; all have the same samples."""
     requirements = study.requirements
     names = ["outcome", "failed_at", *(requirement.name for requirement in requirements)]
     names += [requirement.violation_name for requirement in requirements]
@@ -161,8 +168,11 @@ def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
     return LiveRun(study, results, {}, flights[0]["t"].values)
 
 
-def mark_of(run: LiveRun, draw: int) -> int:
-    """The sample at which the failure of a draw was certain: its end, or the first violation; -1 of one that passes."""
+def failure_sample(run: LiveRun, draw: int) -> int:
+    """Index of the sample at which the failure of a draw was certain: its early end or its first violation.
+
+    It is -1 for a draw that passes.
+    """
     if not run.failed[draw]:
         return -1
     moments = [float(run.results["failed_at"][draw])]
@@ -175,7 +185,13 @@ def mark_of(run: LiveRun, draw: int) -> int:
 
 
 def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:
-    """The lines of a square grid below the flights."""
+    """The ends of the lines of a square grid below the flights.
+
+    Args:
+        centre: Centre of the flights [m], shape (3,).
+        height: Height of the grid [m].
+        span: Scale of the view [m], in proportion to which the grid extends.
+    """
     offsets = np.linspace(-1.2 * span, 1.2 * span, FLOOR_LINES).tolist()
     ends = [offsets[0], offsets[-1]]
     lines: dict[str, list[list[float]]] = {"x": [], "y": [], "z": []}
@@ -189,6 +205,6 @@ def floor_lines(centre: list[float], height: float, span: float) -> dict[str, An
     return lines
 
 
-def shown_values(values: np.ndarray) -> np.ndarray:
-    """Values that can be drawn, as float32: the browser receives half as much."""
-    return np.where(np.abs(values) < DRAWABLE, values, np.nan).astype(np.float32)
+def compact(values: np.ndarray) -> np.ndarray:
+    """Drawable values as float32, so that the browser receives half as much data."""
+    return drawable(values).astype(np.float32)

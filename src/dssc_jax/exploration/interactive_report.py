@@ -1,4 +1,4 @@
-"""A result as one file with linked brushing: no program behind it, and nothing from the network."""
+"""The interactive report of a result: one HTML file with linked brushing."""
 
 import shlex
 
@@ -19,7 +19,7 @@ CONTENT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "font-src data:"
 )
-"""A page's scripts are part of it, and may load and send nothing."""
+"""Content security policy of a page: its scripts are part of it, and may neither load nor send anything."""
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -36,17 +36,17 @@ PAGE = """<!DOCTYPE html>
 </body>
 </html>
 """
-"""Bokeh's own page would name the files of every extension that the process has imported, such as Panel's."""
+"""Template of a page. That of Bokeh would load files of all extensions that are imported, such as Panel's."""
 
 
 def interactive_html(result: Result | Analysis) -> str:
-    """The interactive report of a result.
+    """The interactive report of a result as an HTML page that needs no network and no program behind it.
 
     Args:
         result: A loaded or new result of a run or a sweep.
 
     Raises:
-        ConfigError: It is an analysis, which has no draws to brush.
+        ConfigError: The result is that of an analysis, which has no draws to brush.
     """
     if isinstance(result, Analysis):
         raise ConfigError(result.study.name, f"draws of a run or a sweep can be brushed, not those of '{result.kind}'")
@@ -60,11 +60,11 @@ def interactive_html(result: Result | Analysis) -> str:
         "Orange fails, blue passes; a cross or a circle is a draw.</p>",
         disable_math=True,
     )
-    return standalone(f"{study.name}: draws", column(head, Brushing(DrawTable(result), folder).layout))
+    return standalone_page(f"{study.name}: draws", column(head, Brushing(DrawTable(result), folder).layout))
 
 
-def standalone(title: str, page: LayoutDOM) -> str:
-    """A page of Bokeh as one file that needs no network."""
+def standalone_page(title: str, page: LayoutDOM) -> str:
+    """An HTML page with a layout of Bokeh and all its scripts, which needs no network."""
     script, place = components(page)
     library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
     return PAGE.format(policy=CONTENT_POLICY, title=escape(title), library=library, place=place, script=script)

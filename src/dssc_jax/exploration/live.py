@@ -1,4 +1,4 @@
-"""A study that runs again whenever its numbers move: failures with their interval, fans of signals, worst draw."""
+"""A study with sliders, which runs again whenever they move, and its runs."""
 
 import time
 from collections import OrderedDict
@@ -19,10 +19,10 @@ from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
     Positions,
     Slider,
-    admitted,
-    changes_of,
+    admissible_sliders,
     live_extents,
     sliders_of,
+    study_changes,
 )
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.results.result import interval_method
@@ -31,36 +31,52 @@ from dssc_jax.statistics import CONFIDENCE, describe_probability
 from dssc_jax.study import Study
 from dssc_jax.study.tables import to_toml
 
-PLACE = ("x", "y", "z")
+POSITION = ("x", "y", "z")
+"""Channels of a vehicle's position."""
 ATTITUDE = ("phi", "theta", "psi")
-"""Channels and signals of a vehicle that can be shown in three dimensions."""
-FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
+"""Signals of a vehicle's attitude."""
+FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 DRAWS = 1000
 VEHICLE_DRAWS = 64
-BATCH = 256  # draws between two checks for a newer move
+BATCH = 256
+"""Number of draws after which a run checks whether a newer move has made it stale."""
 VEHICLE_BATCH = 16
-QUIET_SECONDS = 0.3  # a shorter run shows no progress
-PROGRAMS = 6  # compiled programs to keep, one for each sample time
+QUIET_SECONDS = 0.3
+"""Time [s] after which a run shows its progress."""
+PROGRAMS = 6
+"""Number of compiled programs that are kept, one for each sample time."""
 
 Notice: TypeAlias = Callable[[str], None]
 """Called with a description of the work in progress."""
 
 
 class Fan(NamedTuple):
-    """Quantiles of a signal over time, of the draws that are still running."""
+    """Quantiles of a signal over time, over the draws that are still running.
 
-    values: np.ndarray  # at FAN_LEVELS, NaN where no draw is running, shape (levels, samples)
-    running: np.ndarray  # number of draws still running, shape (samples,)
+    Args:
+        values: Quantiles at :data:`FAN_LEVELS`, shape (levels, samples); NaN once no draw is running.
+        running: Number of draws that are still running, shape (samples,).
+    """
+
+    values: np.ndarray
+    running: np.ndarray
 
 
 @dataclass(frozen=True)
 class LiveRun:
-    """All draws of a study at one position of its sliders."""
+    """All draws of a study at one position of its sliders.
 
-    study: Study  # as it stands, without a sweep; it reproduces this run
-    results: Arrays  # metrics, slacks, outcome and signals of every draw
-    values: Arrays  # of the uncertain numbers in every draw
-    times: np.ndarray  # of the signals' samples [s]
+    Args:
+        study: The study at that position, without a sweep, which reproduces this run.
+        results: Metrics, slacks, outcome and signals of all draws, by name.
+        values: Drawn values of the uncertain numbers, by name.
+        times: Times of the signals' samples [s], shape (samples,).
+    """
+
+    study: Study
+    results: Arrays
+    values: Arrays
+    times: np.ndarray
     _fans: dict[str, Fan] = field(default_factory=dict)
 
     @property
@@ -81,12 +97,12 @@ class LiveRun:
 
     @cached_property
     def statement(self) -> str:
-        """Failures, draws, probability and interval in words."""
+        """Failures, probability and interval, in words."""
         return describe_probability(self.failed, interval_method(self.study))
 
     @cached_property
     def by_requirement(self) -> list[tuple[str, int]]:
-        """Each requirement with the number of draws that violate it."""
+        """The text of each requirement, with the number of draws that violate it."""
         counts = []
         for requirement in self.study.requirements:
             violations = violated(self.results[requirement.name])
@@ -95,21 +111,21 @@ class LiveRun:
 
     @property
     def ended_early(self) -> int:
-        """Number of draws that did not stay finite, or left the range of the plant's model."""
+        """Number of draws that became non-finite, or left the range of the plant's model."""
         return int(np.isfinite(self.results["failed_at"]).sum())
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Draws from the worst to the best: by their end if it was early, then by their smallest slack."""
-        ended = np.nan_to_num(self.results["failed_at"], nan=np.inf)
-        return np.lexsort((ended, self.slack))
+        """Indices of the draws from the worst to the best, by smallest slack; among equals an early end comes first."""
+        end_times = np.nan_to_num(self.results["failed_at"], nan=np.inf)
+        return np.lexsort((end_times, self.slack))
 
     @cached_property
     def slack(self) -> np.ndarray:
-        """Smallest relative slack of each draw; without requirements, minus the largest recorded |error|."""
+        """Smallest relative slack of each draw, shape (draws,); without requirements, minus the largest |error|."""
         if self.study.requirements:
             return worst_slack(self.study.requirements, self.results)
-        errors = [np.abs(self.signal(name)) for name in error_names(self.study)]
+        errors = [np.abs(self.signal(name)) for name in error_signals(self.study)]
         largest = np.max([np.nanmax(error, axis=1, initial=0.0) for error in errors], axis=0)
         return np.where(np.isfinite(self.results["failed_at"]), -np.inf, -largest)
 
@@ -118,7 +134,7 @@ class LiveRun:
         return self.results[SignalKey(name)]
 
     def fan(self, name: str) -> Fan:
-        """Quantiles of a signal over time."""
+        """Quantiles of a signal over time, over the draws that are still running."""
         if name not in self._fans:
             sorted_signal = np.sort(self.signal(name), axis=0)  # NaN are last
             running_counts = np.count_nonzero(~np.isnan(sorted_signal), axis=0)
@@ -135,7 +151,7 @@ class LiveRun:
         return f"Theorem 1 {'certifies' if mark.certified else 'does not certify'} the loop without lag and sampling"
 
     def toml(self) -> str:
-        """The study file that reproduces this run."""
+        """The study of this run as TOML."""
         return to_toml(self.study.table)
 
 
@@ -144,8 +160,8 @@ class LiveStudy:
 
     Args:
         study: The study.
-        names: Numbers to move; None: see :func:`dssc_jax.exploration.sliders.sliders_of`.
-        draws: Number of draws; None: 1,000, for a vehicle 64, or the study's own if they are points of a design.
+        names: Numbers that can be moved; None: see :func:`dssc_jax.exploration.sliders.sliders_of`.
+        draws: Number of draws; None: 1,000, for a vehicle 64, or that of the study if its draws are points of a design.
 
     Raises:
         ConfigError: A number cannot be moved, or the number of draws is not admissible.
@@ -160,25 +176,25 @@ class LiveStudy:
         self.swept = study.override({"draws": count})
         self.ranged = self.swept.without_sweep()
         self.base = self.ranged.with_laws({name: law.middle for name, law in self.ranged.ranged_laws.items()})
-        self.sliders: list[Slider] = admitted(self.base, sliders_of(self.swept, names))
+        self.sliders: list[Slider] = admissible_sliders(self.base, sliders_of(self.swept, names))
         self._programs: OrderedDict[float, RecordedDraws] = OrderedDict()
         self._compiling = Lock()
 
     @property
     def start(self) -> dict[Slider, float]:
-        """The positions that describe the study itself; a swept number stands at its own value, or its law's median."""
+        """The positions that describe the study itself; a swept number is at its own value, or at its law's median."""
         return {slider: slider.start for slider in self.sliders}
 
     def at(self, positions: Positions) -> Study:
-        """The study that positions describe.
+        """The study at positions of the sliders.
 
         Raises:
-            ConfigError: The study is not valid there; the message gives the number and its rule.
+            ConfigError: The study is not valid there; the message names the number and gives the rule.
         """
-        return self.base.override(changes_of(self.swept, positions))
+        return self.base.override(study_changes(self.swept, positions))
 
     def ranged_at(self, positions: Positions) -> Study:
-        """The study that positions describe, with the ranges of its laws' arguments instead of single laws.
+        """The study at positions of the sliders, with ranges of laws' arguments instead of the laws in their middle.
 
         Raises:
             ConfigError: The study is not valid there.
@@ -188,7 +204,15 @@ class LiveStudy:
     def run(
         self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None
     ) -> LiveRun | None:
-        """Simulate all draws at positions of the sliders; None if a newer request has made the run stale.
+        """Simulate all draws at positions of the sliders.
+
+        Args:
+            positions: Position of each slider.
+            stale: Whether a newer request has come.
+            progress: Called with a description of the work, once it takes longer than :data:`QUIET_SECONDS`.
+
+        Returns:
+            The run; None if a newer request has made it stale.
 
         Raises:
             ConfigError: The study is not valid there.
@@ -210,13 +234,13 @@ class LiveStudy:
 
     @cached_property
     def first(self) -> LiveRun:
-        """The run at the sliders' start."""
+        """The run at the start of all sliders."""
         run = self.run(self.start)
         assert run is not None  # nothing makes it stale
         return run
 
     def compile(self) -> None:
-        """Compile the program that all pages share, by the run at the sliders' start."""
+        """Compile the program that all pages share, by the first run."""
         _ = self.first
 
     def _program(self, study: Study, progress: Notice) -> RecordedDraws:
@@ -237,18 +261,18 @@ class LiveStudy:
             return self._programs[sample_time]
 
 
-def error_names(study: Study) -> list[str]:
-    """The error signal of every channel."""
+def error_signals(study: Study) -> list[str]:
+    """Names of the error signals of all channels."""
     return [f"{channel}_e" if channel else "e" for channel in study.loop.channels]
 
 
-def flies(study: Study) -> bool:
-    """Whether a study's plant is a vehicle with place and attitude."""
-    return set(PLACE) <= set(study.loop.channels) and set(ATTITUDE) <= set(study.loop.quantities)
+def has_vehicle(study: Study) -> bool:
+    """Whether the plant of a study is a vehicle with position and attitude."""
+    return set(POSITION) <= set(study.loop.channels) and set(ATTITUDE) <= set(study.loop.quantities)
 
 
 def recorded_signals(study: Study) -> list[str]:
-    """Signals to record: output, desired output, error and total command of every channel; a vehicle's attitude."""
+    """Names of the recorded signals: output, desired output, error and command of all channels, and attitude."""
     names = ("y", "y_ref", "e", "u_total")
     signals = [f"{channel}_{name}" if channel else name for channel in study.loop.channels for name in names]
-    return [*signals, *ATTITUDE] if flies(study) else signals
+    return [*signals, *ATTITUDE] if has_vehicle(study) else signals

@@ -1,4 +1,4 @@
-"""What logged flights say of the next one and of a study as it stands: a card of the study's page."""
+"""The card of a study's page that compares logged flights with the draws."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,12 +11,12 @@ from dssc_jax.exploration.live import LiveRun
 from dssc_jax.exploration.page import PAGE_STYLE, markup
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.next_flight import PROBABILITY, NextFlight, next_flight
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED
 from dssc_jax.report import analysis_sections
 from dssc_jax.report.elements import table
 from dssc_jax.report.subject import AnalysisSubject
-from dssc_jax.report.vector import inline
+from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.analysis import Analysis
 
 CONDITION = "This is exact for sliders that were set without looking at these flights."
@@ -31,11 +31,11 @@ th, td {{ text-align: left; font-weight: 400; padding: 2px 16px 2px 0; vertical-
 
 
 class LoggedFlights:
-    """The card "The next flight"; of a single log, how it lies among the draws.
+    """The card "The next flight"; with a single log "The logged flight", which shows its place among the draws.
 
     Args:
         logs: The flights, at least one.
-        search: Called when the page is asked what they say; the page answers by :meth:`show`.
+        search: Called when the comparison is requested; the page answers by :meth:`show`.
     """
 
     def __init__(self, logs: Sequence[FlightLog], search: Callable[[], None]) -> None:
@@ -57,7 +57,7 @@ class LoggedFlights:
 
     @property
     def question(self) -> Question[Analysis]:
-        """What the flights say of a run's study."""
+        """The question how the flights compare with the draws of a run, with the present probability."""
         logs = self.logs
         value = self.probability.value
         probability = float("nan") if value is None else float(value)  # an empty field, which is refused
@@ -79,9 +79,9 @@ class LoggedFlights:
         else:
             numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
         headline = f"{analysis.headline}."
-        picture = inline(analysis.figure, headline, "flights")
+        picture = inline_svg(analysis.figure, headline, "flights")
         self.answer.object = markup(h.div(role="status")[h.p[h.strong[headline]], h.p[CONDITION], numbers, picture])
 
     def clear(self) -> None:
-        """Show no answer, as that of a run before would be wrong."""
+        """Remove the answer, which belongs to an earlier run."""
         self.answer.object = ""

@@ -1,9 +1,9 @@
-"""What all pages have in common: a line with the status, panes of text, and their way to the worker."""
+"""Base class of the pages: status line, panes of text, and work in the background."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 import htpy as h
 import numpy as np
@@ -11,7 +11,7 @@ import panel as pn
 from panel.io.document import hold
 from panel.viewable import Viewable
 
-from dssc_jax.exploration.worker import Work, Worker
+from dssc_jax.exploration.worker import Stale, Work, Worker
 
 WORST_DRAW = "worst draw"
 MEDIAN_DRAW = "median draw"
@@ -23,6 +23,7 @@ p.headline { font-size: 20px; font-weight: 600; margin: 0; }
 p { margin: 2px 0; }
 """
 
+Answer = TypeVar("Answer")
 Arguments = ParamSpec("Arguments")
 
 
@@ -30,8 +31,8 @@ class Page(ABC):
     """A page for the browser, a notebook or a program.
 
     Args:
-        background: Whether to work in a thread, in which newer work replaces older work; a served page does. Otherwise
-            a change of the page returns when its work is done.
+        background: Whether work happens in threads, in which newer work replaces older work, as on a served page. If
+            not, a change of the page returns when its work is done.
     """
 
     def __init__(self, background: bool = False) -> None:
@@ -51,22 +52,43 @@ class Page(ABC):
         return self.view._repr_mimebundle_(*args, **options)
 
     def choose(self, choice: str, order: np.ndarray) -> int:
-        """The worst, the median or a random one of draws that are ordered from the worst to the best."""
+        """Select the worst, the median or a random draw.
+
+        Args:
+            choice: :data:`WORST_DRAW`, :data:`MEDIAN_DRAW` or :data:`RANDOM_DRAW`.
+            order: Draws from the worst to the best.
+        """
         places = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}
         return int(order[places[choice]] if choice in places else self._random.integers(len(order)))
 
     def work(self, task: Work) -> None:
-        """Do some work, in the background if the page has one."""
+        """Do a task, in a thread if the page works in the background."""
         do(task, self._worker)
 
     def work_aside(self, task: Work) -> None:
-        """Do some work beside which newer work runs at once."""
+        """Do a task in a second thread, so that it does not delay those of :meth:`work`."""
         do(task, self._second_worker)
+
+    def show_aside(self, compute: Callable[[], Answer], show: Callable[[Answer], None]) -> None:
+        """Compute an answer in the second thread, and show it unless a newer request has come."""
+
+        def task(stale: Stale) -> None:
+            answer = compute()
+            if not stale():
+                self.update(show, answer)
+
+        self.work_aside(task)
 
     def update(
         self, change: Callable[Arguments, None], *arguments: Arguments.args, **options: Arguments.kwargs
     ) -> None:
-        """Change the page, from whatever thread; the browser receives all changes of one call together."""
+        """Change the page from any thread; the browser receives all changes of one call together.
+
+        Args:
+            change: Function that changes the page.
+            arguments: Its arguments.
+            options: Its keyword arguments.
+        """
         if self._document is None:
             change(*arguments, **options)
         else:
@@ -79,7 +101,7 @@ class Page(ABC):
             change(*arguments, **options)
 
     def say(self, text: str) -> None:
-        """Show the status."""
+        """Show a text as the status."""
         self.status.object = markup(h.p(role="status")[text])
 
     def complain(self, text: str) -> None:
@@ -87,7 +109,7 @@ class Page(ABC):
         self.status.object = markup(h.p(".error", role="alert")[text])
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until nothing is running; see :meth:`Worker.wait`."""
+        """Wait until no work is running, at most for a timeout [s]; return whether that came true."""
         return all(worker is None or worker.wait(timeout) for worker in (self._worker, self._second_worker))
 
     def close(self) -> None:
@@ -106,10 +128,10 @@ def do(task: Work, worker: Worker | None) -> None:
 
 
 def html_pane(text: str) -> pn.pane.HTML:
-    """A pane of the pages' style."""
+    """A pane of HTML text in the style of the pages."""
     return pn.pane.HTML(text, stylesheets=[PAGE_STYLE])
 
 
 def markup(element: h.Element) -> str:
-    """An element as plain text of HTML, in which all strings are escaped."""
+    """An element as HTML text, in which all strings are escaped."""
     return "".join(element.iter_chunks())

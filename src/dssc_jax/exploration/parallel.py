@@ -1,4 +1,4 @@
-"""Parallel axes over the draws: a line for each draw, painted by the page's script; a box over axes brushes."""
+"""Parallel axes with a line for each draw, which the script of the page paints; a box over the axes brushes draws."""
 
 import numpy as np
 from bokeh.events import SelectionGeometry
@@ -9,10 +9,14 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import GREY
 
 MOST_AXES = 8
-LONGEST_LABEL = 18  # letters in a line under an axis
-MOST_LINES = 2000  # lines of the brushed draws, and of all draws
-ONE_LINE = 0.7  # opacity of a line among few; among many, less
-LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
+LONGEST_LABEL = 18
+"""Largest number of characters in a line below an axis."""
+MOST_LINES = 2000
+"""Largest number of lines of the brushed draws, and of all draws."""
+LINE_OPACITY = 0.7
+"""Opacity of a line among few lines; it is less among many."""
+LINE_PICTURE = 240, 1000
+"""Rows and columns of the painted lines [px]."""
 WIDTH = 1240  # px
 HEIGHT = 320
 LEFT = 0.3  # space beside the axes, relative to their distance
@@ -27,13 +31,13 @@ class ParallelAxes:
 
     Args:
         table: The draws.
-        source: The page's columns of the draws.
-        script: The functions that the page's callbacks call.
-        colours: Pixels of passing and failing draws, bright and dim.
+        source: Data source of the page with the draws.
+        script: The script with the functions that callbacks call.
+        colours: Pixels of draws that pass and that fail, bright and dim.
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str, colours: dict[str, list[int]]) -> None:
-        self.names = shown_columns(table)
+        self.names = parallel_columns(table)
         ends = [finite_ends(table.columns[name]) for name in self.names]
         span = len(self.names) - 1 + LEFT + RIGHT, 1.0 + 2.0 * MARGIN
         frame = {"x": [-LEFT], "y": [-MARGIN], "dw": [span[0]], "dh": [span[1]]}
@@ -42,18 +46,24 @@ class ParallelAxes:
         lows, highs = (list(side) for side in zip(*ends, strict=True))
         self.script = script
         self.script_arguments = {"source": source, "names": self.names, "lows": lows, "highs": highs}
-        place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES, "thinnest": ONE_LINE}
+        place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES, "thinnest": LINE_OPACITY}
         paint = {**self.script_arguments, "picture": self.picture, "place": place, "colours": colours}
         self.paint = CustomJS(args=paint, code=script + PAINT_LINES)
         self.figure.js_on_change("inner_width", self.paint)  # when the page is laid out first
 
     def brush(self, show: CustomJS) -> None:
-        """Let a box over the axes brush the draws; the callback shows them on the page."""
+        """Let a box over the axes brush draws, which the callback ``show`` then shows on the page."""
         select = CustomJS(args={**self.script_arguments, "show": show}, code=self.script + SELECT_BETWEEN)
         self.figure.js_on_event(SelectionGeometry, select)
 
     def _figure(self, table: DrawTable, ends: list[tuple[float, float]], span: tuple[float, float]) -> figure:
-        """The axes with their names and ends."""
+        """The axes with their names and ends.
+
+        Args:
+            table: The draws.
+            ends: Smallest and largest value of each axis.
+            span: Width and height of the picture, in distances and lengths of the axes.
+        """
         plot = figure(
             width=WIDTH,
             height=HEIGHT,
@@ -82,9 +92,9 @@ class ParallelAxes:
 
 
 def fitting_label(label: str) -> str:
-    """The end of a dotted name in lines that fit under an axis, with its unit below.
+    """Break a label into lines that fit below an axis, with the unit in the last line.
 
-    An index keeps the name before it: ``inertia.0``.
+    A long dotted name loses its first parts, but an index keeps the part before it: ``inertia.0``.
     """
     name, _, unit = label.partition(" ")
     while len(name) > LONGEST_LABEL and "." in name and not name.partition(".")[2].isdecimal():
@@ -97,15 +107,15 @@ def fitting_label(label: str) -> str:
     return "\n".join([*lines, name, *([unit] if unit else [])])
 
 
-def shown_columns(table: DrawTable) -> list[str]:
-    """Swept and drawn numbers, then metrics, with the headline metric last."""
+def parallel_columns(table: DrawTable) -> list[str]:
+    """Names of the columns with an axis: swept and drawn numbers, then metrics, with the headline metric last."""
     number, metric = table.first_axes
     middle = [name for name in table.columns if name not in (number, metric)]
     return [*dict.fromkeys((number, *middle[: MOST_AXES - 2], metric))]
 
 
 def finite_ends(values: np.ndarray) -> tuple[float, float]:
-    """The smallest and the largest finite value, apart from each other."""
+    """The smallest and the largest finite value; an interval of length 1 around them if they are equal."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return -0.5, 0.5

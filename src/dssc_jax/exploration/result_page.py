@@ -1,4 +1,4 @@
-"""The page of a result: brush its draws, click one to see its flight again, pin several to compare."""
+"""The page of a result, on which its draws are brushed, replayed by a click, and pinned for comparison."""
 
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -15,27 +15,29 @@ from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
-from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
+from dssc_jax.exploration.figures import displayed_signals, path_figure, path_views, signal_figure
 from dssc_jax.exploration.flight_view import FlightView, recorded_flights
-from dssc_jax.exploration.live import flies
+from dssc_jax.exploration.live import has_vehicle
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.worker import Stale
-from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
+from dssc_jax.exploration.wrong_laws import WrongLaws, largest_errors_text, probability_text
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, drawable
 from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder
 from dssc_jax.study import Described
 
-SHOWN_SAMPLES = 1500  # of a flight that is shown
+MOST_SAMPLES = 1500
+"""Approximate number of samples of a replayed flight."""
 COLOURS = (RED, BLUE, GREEN, VIOLET, ORANGE)
+"""Colours of the present flight and of the pinned flights."""
 
 
 class ResultPage(Page):
-    """A result to explore.
+    """The page of a result.
 
     Args:
         result: A loaded or new result of a run or a sweep.
-        background: Whether to simulate in a thread; a served page does.
+        background: Whether draws are simulated in a thread, as on a served page.
     """
 
     def __init__(self, result: Result, background: bool = False) -> None:
@@ -60,13 +62,13 @@ class ResultPage(Page):
         self.pin.on_click(lambda _: self.pin_draw())
         self.clear.on_click(lambda _: self.unpin())
         self.sources: dict[str, ColumnDataSource] = {}
-        self.figures = [self._figure(name) for name in shown_signals(result.study)]
-        self.paths = [self._path(*pair) for pair in seen_paths(result.study)]
-        self.flight_view = FlightView() if flies(result.study) else None
+        self.figures = [self._figure(name) for name in displayed_signals(result.study)]
+        self.paths = [self._path(*pair) for pair in path_views(result.study)]
+        self.flight_view = FlightView() if has_vehicle(result.study) else None
         self.brushing.clicked_row.on_change("data", self._clicked)
 
     def _figure(self, name: str) -> figure:
-        """One signal of all shown flights; the desired output belongs to the output."""
+        """An empty figure of one signal of all displayed flights."""
         source = ColumnDataSource({"t": [], "value": [], "colour": [], "draw": []})
         self.sources[name] = source
         plot = signal_figure(name, self.result.study)
@@ -74,7 +76,7 @@ class ResultPage(Page):
         return plot
 
     def _path(self, across: str, upward: str) -> figure:
-        """The paths of a vehicle, seen along one axis; dashed, the desired path of the present draw."""
+        """An empty figure of paths over two channels, with the desired path of the present draw as a dashed line."""
         source = ColumnDataSource({"across": [], "upward": [], "colour": []})
         desired = ColumnDataSource({"across": [], "upward": []})
         self.sources[across + upward] = source
@@ -85,26 +87,16 @@ class ResultPage(Page):
         return plot
 
     def show_wrong_laws(self) -> None:
-        """Show the failure probability if the laws are wrong in the chosen way by the slider's amount."""
+        """Show the failure probability if the laws are wrong by the amount of the slider."""
+        result = self.result
         amounts = self.wrong_laws.amounts
-
-        def show_answer(stale: Stale) -> None:
-            text = answer_text(amounts, self.result.study, self.result.failed.values, self.result.method)
-            if not stale():
-                self.update(self.wrong_laws.show, text)
-
-        self.work_aside(show_answer)
+        compute = partial(probability_text, amounts, result.study, result.failed.values, result.method)
+        self.show_aside(compute, self.wrong_laws.show)
 
     def show_how_wrong(self) -> None:
-        """Show how wrong the laws may be."""
+        """Show how far the laws may be wrong."""
         limit = float(self.wrong_laws.limit.value)
-
-        def show_answer(stale: Stale) -> None:
-            text = how_wrong_text(self.result, limit)
-            if not stale():
-                self.update(self.wrong_laws.show, text)
-
-        self.work_aside(show_answer)
+        self.show_aside(partial(largest_errors_text, self.result, limit), self.wrong_laws.show)
 
     @property
     def view(self) -> pn.Column:
@@ -123,30 +115,30 @@ class ResultPage(Page):
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Rows from the worst to the best, by their smallest slack; ties by the time of an early end."""
+        """Rows from the worst to the best, by smallest slack; among equals an early end comes first."""
         requirements = self.result.study.requirements
         lanes = {}
         for name in ("outcome", "failed_at", *(requirement.name for requirement in requirements)):
             lanes[name] = self.result.dataset[name].values.reshape(-1)[self.table.rows]
-        ended = np.nan_to_num(lanes["failed_at"], nan=np.inf)
-        return np.lexsort((ended, worst_slack(requirements, lanes)))
+        end_times = np.nan_to_num(lanes["failed_at"], nan=np.inf)
+        return np.lexsort((end_times, worst_slack(requirements, lanes)))
 
     def row_of(self, choice: str) -> int:
-        """The row of the worst, the median, or a random draw."""
+        """The row of the worst, the median or a random draw, see :meth:`Page.choose`."""
         return self.choose(choice, self.order)
 
     @cached_property
     def _record(self) -> Callable[[int, dict[str, float]], xr.Dataset]:
         """The program that simulates one draw, compiled once."""
         study = self.result.study
-        return recorder(study, max(1, study.loop.steps // SHOWN_SAMPLES))
+        return recorder(study, max(1, study.loop.steps // MOST_SAMPLES))
 
     def _clicked(self, attr: str, old: dict[str, list[int]], new: dict[str, list[int]]) -> None:
         if len(new["row"]):
             self.replay(int(new["row"][0]))
 
     def replay(self, row: int) -> None:
-        """Simulate the draw in a row of the table of draws again, and show its flight."""
+        """Simulate the draw in a row of :attr:`table` again, and show its flight."""
         if isinstance(self.result.study, Described):
             self.say("the study's own code is not loaded; trust the code to simulate its draws")
             return
@@ -154,7 +146,7 @@ class ResultPage(Page):
         self.work(partial(self._simulate, row))
 
     def _simulate(self, row: int, stale: Stale) -> None:
-        """Simulate a draw and show it, unless a newer click has come; then compare it with what is stored."""
+        """Simulate a draw, show it unless a newer click has come, and then compare it with the stored draw."""
         try:
             run = self._record(int(self.table.draw[row]), self.table.point(row))
         except ConfigError as error:
@@ -167,9 +159,9 @@ class ResultPage(Page):
                 self.work_aside(partial(self._compare, run))
 
     def _compare(self, run: xr.Dataset, stale: Stale) -> None:
-        """Compare a flight with what is stored.
+        """Compare a flight with the stored draw.
 
-        A draw that rounding decides is simulated once more for it, by a program that takes a while to compile.
+        It happens aside, because a draw that rounding decides is simulated once more by a program that compiles slowly.
         """
         run.attrs["agreement"] = agreement_of(self.result, run).verdict
         if not stale():
@@ -182,29 +174,29 @@ class ResultPage(Page):
         self.say(f"{self._name(run)}: {run.attrs['verdict']}; comparing it with what is stored ...")
 
     def _say_agreement(self, run: xr.Dataset) -> None:
-        """Say how a flight compares with what is stored, while it is the one shown."""
+        """Tell how a flight agrees with the stored draw, if it is still the present one."""
         if run is self.flight:
             self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
 
     def _name(self, run: xr.Dataset) -> str:
-        """Draw and point of the sweep of a flight."""
-        at = "".join(f", {name} = {run.attrs[name]:.4g}" for name in self.result.study.axes)
-        return f"draw {run.attrs['draw']}{at}"
+        """The draw of a flight, and its point of the sweep, in words."""
+        point = "".join(f", {name} = {run.attrs[name]:.4g}" for name in self.result.study.axes)
+        return f"draw {run.attrs['draw']}{point}"
 
     def pin_draw(self) -> None:
-        """Keep the present flight while others are shown."""
+        """Pin the present flight, so that it stays when another draw is replayed."""
         if self.flight is not None and len(self.pinned) < len(COLOURS) - 1:
             self.pinned.append(self.flight)
             draws = ", ".join(str(run.attrs["draw"]) for run in self.pinned)
             self.say(f"pinned: {draws}")
 
     def unpin(self) -> None:
-        """Show the present flight only."""
+        """Remove all flights but the present one."""
         self.pinned.clear()
         self._draw()
 
     def _draw(self) -> None:
-        """Fill the figures: the present flight is red, each pinned one has a colour of its own."""
+        """Fill the figures with the present flight in red, and each pinned flight in a colour of its own."""
         flights = [run for run in self.pinned if run is not self.flight]
         if self.flight is not None:
             flights.insert(0, self.flight)
@@ -213,14 +205,14 @@ class ResultPage(Page):
         for run, colour in zip(flights, colours, strict=True):
             names.append(h.span(style=f"color: {colour}")[f"\u25a0 {self._name(run)}  "])
         self.key.object = markup(h.p[names])
-        for name in shown_signals(self.result.study):
+        for name in displayed_signals(self.result.study):
             self.sources[name].data = {
                 "t": [run["t"].values for run in flights],
                 "value": [drawable(run[name].values) for run in flights],
                 "colour": colours,
                 "draw": [run.attrs["draw"] for run in flights],
             }
-        for across, upward in seen_paths(self.result.study):
+        for across, upward in path_views(self.result.study):
             desired = path_lines(flights[:1], f"{across}_y_ref", f"{upward}_y_ref")
             self.sources[f"desired {across}{upward}"].data = desired
             paths = {**path_lines(flights, f"{across}_y", f"{upward}_y"), "colour": colours}
@@ -231,7 +223,7 @@ class ResultPage(Page):
 
 
 def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, Any]:
-    """Two signals of flights as the columns of a path."""
+    """Two signals of flights as the columns of a figure of paths."""
     return {
         "across": [drawable(run[across].values) for run in flights],
         "upward": [drawable(run[upward].values) for run in flights],

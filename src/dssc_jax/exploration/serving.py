@@ -1,7 +1,7 @@
-"""Serve a page to this machine's browser: 127.0.0.1 only, under a path that nobody can guess.
+"""Serve a page to the browser of this machine: at 127.0.0.1 only, under a path that nobody can guess.
 
-Panel's server has more addresses than the page needs. One of them imports any module of Python that a request names.
-A gate in front of it therefore lets the page's requests pass and answers all others with "not found".
+The server of Panel has more addresses than the page needs; one of them imports any Python module that a request names.
+Therefore a gate in front of it admits the requests of the page, and answers all others with "not found".
 """
 
 import html
@@ -43,15 +43,17 @@ REDIRECT = """<!doctype html>
 <a href="{address}">Explore</a>
 """
 """A file that leads a browser to the page."""
-LIFE = 15_000  # ms that a session outlives its closed page
-LARGEST_MESSAGE = 64 * 2**20  # bytes
+LIFE = 15_000
+"""Time [ms] that a session outlives its closed page."""
+LARGEST_MESSAGE = 64 * 2**20
+"""Largest message of the websocket [byte]."""
 
 
 class Refused(Matcher):
-    """Matches every request but those of the page.
+    """Matches all requests that are not those of the page.
 
-    A request of the page reads. It names this machine as its host. Its path begins with the token and leads to the
-    page, its websocket, a script or a style. If it names an origin, as a websocket must, that is this server.
+    A request of the page only reads. It names this machine as its host. Its path begins with the token and leads to the
+    page, its websocket, a script or a style. If it names an origin, as a websocket must, the origin is this server.
 
     Args:
         token: The secret first part of the path.
@@ -95,15 +97,15 @@ class NotFound(RequestHandler):
 
 
 class PageServer:
-    """A server of one page. Every tab has a session of its own, which ends when the tab is closed.
+    """A server of one page. Each tab of the browser has its own session, which ends when the tab is closed.
 
-    Page, websocket, scripts and styles have addresses that begin with a random token; see :class:`Refused`. Nothing
-    comes from the network.
+    Page, websocket, scripts and styles have addresses that begin with a random token; see :class:`Refused`. Nothing is
+    loaded from the network.
 
     Args:
         make: Makes the page of a session.
         title: Title of the page.
-        port: Port; 0: any free one.
+        port: Port; 0: any free port.
     """
 
     def __init__(self, make: Callable[[], Page], title: str, port: int = 0) -> None:
@@ -143,8 +145,8 @@ class PageServer:
     def opened_in_browser(self) -> Iterator[None]:
         """Open the page in the user's browser.
 
-        The browser is started with the name of a private file that leads to the page, since all users of the machine
-        see the arguments of its programs. The file is deleted when the context ends.
+        The browser gets the name of a private file that leads to the page, and not the address with the token, because
+        all users of the machine see the arguments of its programs. The file is deleted when the context ends.
         """
         with TemporaryDirectory(prefix="dssc-jax-explore-") as folder:
             redirect = Path(folder) / "explore.html"

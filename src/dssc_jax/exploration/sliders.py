@@ -1,4 +1,4 @@
-"""Sliders: which numbers of a study can be moved, on which scale, and the study that their positions describe."""
+"""The sliders of a study: which numbers can be moved, on which scale, and how positions change the study."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,22 +8,29 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.results.schema import name_with_unit
 from dssc_jax.study import Study
 from dssc_jax.study.expressions import is_expression
 from dssc_jax.study.laws import LAWS, Law, RangedLaw
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import Expression
 
-GAINS = 2  # number of sliders for gains of a vehicle's controller
-MOST_SLIDERS = 14  # of a page that names none
-DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
-NARROWER = (3.0, 1.5)  # reaches to try where the rules of a model do not admit the widest
-POSITION_COUNT = 81  # positions of a slider
-WIDTHS = (0.1, 10.0)  # least and largest width of a law, relative to its own
+MOST_GAINS = 2
+"""Number of sliders for gains of a vehicle's controller."""
+MOST_SLIDERS = 14
+"""Largest number of sliders if the user names no numbers."""
+DEFAULT_REACH = 10.0
+"""Ratio of the ends of a positive number's slider to the number."""
+SMALLER_REACHES = (3.0, 1.5)
+"""Ratios that are tried if the rules of a model do not admit the ends."""
+POSITION_COUNT = 81
+WIDTHS = (0.1, 10.0)
+"""Smallest and largest width of a law, relative to the study's."""
 MEDIAN = "median"
 WIDTH = "width"
 CLOCK_SLIDER = "loop.sample_time"
-SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # relative to the study's own
+SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Sample times, relative to the study's."""
 FIRST = ("parameters", "controller.functions", "controller", "unmodelled", "actuator")
 """Parts of the loop whose numbers get sliders first; then uncertain numbers, then all others."""
 
@@ -34,27 +41,47 @@ Change: TypeAlias = float | dict[str, list[float]]
 
 
 class Slider(NamedTuple):
-    """A number that can be moved."""
+    """A number of a study, or a property of its law, that can be moved.
 
-    name: str  # dotted name of the number in the study
-    part: str  # empty for the number itself, MEDIAN or WIDTH of its law
-    meaning: str  # the standard term
-    unit: str  # SI unit; empty for a width, which is relative to the study's
-    low: float  # lowest position
-    high: float  # highest position
-    start: float  # the study's own position
-    log: bool  # whether the scale is logarithmic
-    steps: tuple[float, ...] = ()  # the positions, if only these are possible
+    Args:
+        name: Dotted name of the number in the study.
+        part: Property of the number's law: :data:`MEDIAN`, :data:`WIDTH` or an argument; empty for the number itself.
+        meaning: Meaning of the number.
+        unit: SI unit; empty for a width, which is relative to the study's.
+        low: Lowest position.
+        high: Highest position.
+        start: Position that describes the study itself.
+        log: Whether the scale is logarithmic.
+        steps: The possible positions; empty if all between the ends are possible.
+    """
+
+    name: str
+    part: str
+    meaning: str
+    unit: str
+    low: float
+    high: float
+    start: float
+    log: bool
+    steps: tuple[float, ...] = ()
 
     @property
     def key(self) -> str:
-        """A name that no other slider has."""
+        """Name and part, which no other slider has."""
         return f"{self.name} ({self.part})" if self.part else self.name
 
     @property
     def label(self) -> str:
         """Name, part and unit."""
-        return f"{self.key} [{self.unit}]" if self.unit not in ("", "1") else self.key
+        return name_with_unit(self.key, self.unit)
+
+    @property
+    def is_argument(self) -> bool:
+        """Whether the number is an argument of the compiled program.
+
+        A law's values are arguments in any case, and the sample time is fixed when the program is compiled.
+        """
+        return not self.part and self.name != CLOCK_SLIDER
 
 
 def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]:
@@ -62,21 +89,24 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 
     Args:
         study: The study; the ends of its sweep's axes are the ends of their sliders.
-        names: Dotted names of the numbers to move; None: the swept ones, then gains, unmodelled dynamics and laws; of
+        names: Dotted names of the numbers to move; None: the swept ones, then gains, unmodelled dynamics and laws; for
             a vehicle see :func:`leading_names`.
 
     Raises:
         ConfigError: There is no such number, or it cannot be moved.
     """
+    sliders = []
     if names is not None:
-        return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
-    usual = leading_names(study)
-    if usual:
-        groups = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *usual, CLOCK_SLIDER])]
-        return [slider for group in groups for slider in group][:MOST_SLIDERS]
+        for name in dict.fromkeys(names):
+            sliders += required_sliders(study, name)
+        return sliders
+    usual_names = leading_names(study)
+    if usual_names:
+        for name in dict.fromkeys([*study.axes, *usual_names, CLOCK_SLIDER]):
+            sliders += sliders_of_number(study, name)[:1]
+        return sliders[:MOST_SLIDERS]
     movable = [number for number in study.numbers.values() if is_movable(number)]
     sorted_names = [number.name for number in sorted(movable, key=precedence)]
-    sliders = []
     for name in dict.fromkeys([*study.axes, *sorted_names, CLOCK_SLIDER]):
         sliders += sliders_of_number(study, name)
     if len(sliders) > MOST_SLIDERS:  # the last is the clock's
@@ -85,10 +115,10 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 
 
 def leading_names(study: Study) -> list[str]:
-    """The numbers with which the exploration of a vehicle begins; none of another plant.
+    """Names of the numbers that get a slider first if the plant is a vehicle; none for other plants.
 
-    They are those whose quantity is ``leading`` (mass, rotor lag, wind, noise), and two usual gains of its controller.
-    A number of a single channel is not among them.
+    They are the numbers whose quantity is ``leading`` (mass, rotor lag, wind, noise), and two usual gains of the
+    controller. Numbers of a single channel are not among them.
     """
     channels = study.loop.channels
     if len(channels) == 1:
@@ -100,11 +130,15 @@ def leading_names(study: Study) -> list[str]:
             names.append(number.name)
     tunable = study.loop.controller[0].tunable_gains(study.template.controller[0])
     gains = [f"controller.{name}" for name in tunable if f"controller.{name}" in study.numbers]
-    return [*names, *gains[:GAINS]] if names else []
+    return [*names, *gains[:MOST_GAINS]] if names else []
 
 
 def required_sliders(study: Study, name: str) -> list[Slider]:
-    """The sliders of a number that the user named."""
+    """The sliders of a number that the user names.
+
+    Raises:
+        ConfigError: There is no such number, or it cannot be moved.
+    """
     if name != CLOCK_SLIDER and name not in study.numbers:
         raise ConfigError(study.source, f"'{name}' is no number of the loop; {nearest(name, study.numbers)}")
     if name in study.numbers and study.numbers[name].expression:
@@ -116,7 +150,7 @@ def required_sliders(study: Study, name: str) -> list[Slider]:
 
 
 def precedence(number: Number) -> int:
-    """Place of a number in the order of sliders, see :data:`FIRST`."""
+    """Rank of a number in the order of sliders, see :data:`FIRST`."""
     for place, part in enumerate(FIRST):
         if number.name.startswith(f"{part}."):
             return place
@@ -124,13 +158,17 @@ def precedence(number: Number) -> int:
 
 
 def is_movable(number: Number) -> bool:
-    """Whether a number gets a slider without being asked for: initial states, records and what follows do not."""
-    free = number.expression is None and not number.name.startswith("plant.initial")
-    return free and number.quantity.law and not number.quantity.data and not number.quantity.whole
+    """Whether a number gets a slider unless the user names numbers.
+
+    Initial states, recorded data, whole numbers and numbers that follow from an expression do not.
+    """
+    if number.expression is not None or number.name.startswith("plant.initial"):
+        return False
+    return number.quantity.law and not number.quantity.data and not number.quantity.whole
 
 
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
-    """One slider of a number, two of a law; none if it cannot be moved."""
+    """The sliders of a number: one for a plain or swept number, two for a law; none if the number cannot be moved."""
     if name == CLOCK_SLIDER:
         return [] if is_expression(study.table["loop"]["sample_time"]) else [sample_time_slider(study)]
     number = study.numbers[name]
@@ -140,17 +178,17 @@ def sliders_of_number(study: Study, name: str) -> list[Slider]:
         start = number.value.median if isinstance(number.value, Law) else float(number.value)
         low = min(*study.axes[name], start)
         high = max(*study.axes[name], start)
-        return [slider_at(number, "", low, high, start, low > 0.0)] if low < high else []
+        return [number_slider(number, "", low, high, start, low > 0.0)] if low < high else []
     if isinstance(number.value, RangedLaw):
         return sliders_of_ranges(number, number.value)
     if isinstance(number.value, Law):
         return sliders_of_law(number, number.value)
     low, high, log = extent_around(number.value, number.quantity)
-    return [slider_at(number, "", low, high, number.value, log)] if low < number.value <= high else []
+    return [number_slider(number, "", low, high, number.value, log)] if low < number.value <= high else []
 
 
 def sample_time_slider(study: Study) -> Slider:
-    """The slider of the sample time, whose positions divide the duration."""
+    """The slider of the sample time; the duration is a multiple of each of its positions."""
     start = study.loop.sample_time
     steps = []
     for factor in SAMPLE_TIMES:
@@ -171,7 +209,7 @@ def sample_time_slider(study: Study) -> Slider:
 
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
-    """The median and the width of a law; none of a choice."""
+    """The sliders of median and width of a law; none for a law that cannot be moved, such as a choice."""
     if not law.movable:
         return []
     log = law.logarithmic
@@ -189,42 +227,34 @@ def sliders_of_law(number: Number, law: Law) -> list[Slider]:
         start=1.0,
         log=True,
     )
-    return [slider_at(number, MEDIAN, low, high, law.median, log), width]
+    return [number_slider(number, MEDIAN, low, high, law.median, log), width]
 
 
 def sliders_of_ranges(number: Number, law: RangedLaw) -> list[Slider]:
-    """A slider for each argument of a law that is a range, from its lowest to its highest value."""
+    """A slider for each argument of a law that is a range, from the low to the high end of the range."""
     sliders = []
     for name, (low, high), middle in zip(LAWS[law.kind].argument_names, law.ranges, law.arguments, strict=False):
         if low < high:
             meaning = f"{name} of the law of {number.quantity.meaning}"
-            sliders.append(
-                Slider(
-                    name=number.name, part=name, meaning=meaning, unit="", low=low, high=high, start=middle, log=False
-                )
-            )
+            sliders.append(Slider(number.name, name, meaning, unit="", low=low, high=high, start=middle, log=False))
     return sliders
 
 
-def slider_at(number: Number, part: str, low: float, high: float, start: float, log: bool) -> Slider:
-    """A slider of a number."""
-    return Slider(
-        name=number.name,
-        part=part,
-        meaning=number.quantity.meaning,
-        unit=number.quantity.unit,
-        low=low,
-        high=high,
-        start=start,
-        log=log,
-    )
+def number_slider(number: Number, part: str, low: float, high: float, start: float, log: bool) -> Slider:
+    """A slider of a number or of its law's median, with the meaning and the unit of the number."""
+    return Slider(number.name, part, number.quantity.meaning, number.quantity.unit, low, high, start, log)
 
 
 def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> tuple[float, float, bool]:
-    """The ends of a slider, and whether its scale is logarithmic.
+    """Low and high end of a slider around a value, and whether its scale is logarithmic.
 
-    A positive number moves between a ``reach``-th and ``reach`` times its value, zero by one unit, a negative number
-    by twice its magnitude; all within the admissible interval.
+    A positive number moves between ``value / reach`` and ``value * reach``, zero by one unit to both sides, and a
+    negative number by twice its magnitude. All stay within the admissible interval of the quantity.
+
+    Args:
+        value: The number.
+        quantity: The quantity, for its admissible interval.
+        reach: Ratio of the ends to a positive number.
     """
     log = value > 0.0
     step = 2.0 * abs(value) or 1.0
@@ -241,23 +271,19 @@ def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH
 
 
 def live_extents(sliders: Iterable[Slider]) -> dict[str, SliderEnds]:
-    """The numbers that are arguments of the compiled program, with their extents.
-
-    A law's values are arguments anyway, and the sample time is fixed when the program is compiled.
-    """
-    numbers = [slider for slider in sliders if not slider.part and slider.name != CLOCK_SLIDER]
-    return {slider.name: (slider.low, slider.high) for slider in numbers}
+    """Low and high end of the numbers that are arguments of the compiled program, by name."""
+    return {slider.name: (slider.low, slider.high) for slider in sliders if slider.is_argument}
 
 
-def admitted(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
-    """The sliders, narrowed or left out where the rules of a model do not admit their ends together."""
+def admissible_sliders(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
+    """The sliders, with less reach or without those whose ends the rules of a model do not admit together."""
     if admits(study, live_extents(sliders)):
         return list(sliders)
     admitted_sliders: list[Slider] = []
     for slider in sliders:
         candidates = [slider]
-        if not slider.part and slider.name != CLOCK_SLIDER:
-            candidates += [narrow(study, slider, reach) for reach in NARROWER]
+        if slider.is_argument:
+            candidates += [with_smaller_reach(study, slider, reach) for reach in SMALLER_REACHES]
         for candidate in candidates:
             if admits(study, live_extents([*admitted_sliders, candidate])):
                 admitted_sliders.append(candidate)
@@ -265,14 +291,14 @@ def admitted(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
     return admitted_sliders
 
 
-def narrow(study: Study, slider: Slider, reach: float) -> Slider:
-    """A slider of smaller reach."""
+def with_smaller_reach(study: Study, slider: Slider, reach: float) -> Slider:
+    """A slider with a smaller reach around its start, within its present ends."""
     low, high, _ = extent_around(slider.start, study.quantities[slider.name], reach)
     return slider._replace(low=max(low, slider.low), high=min(high, slider.high))
 
 
 def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:
-    """Whether a study admits the ends of all extents as swept values."""
+    """Whether a study is valid with the ends of all extents as swept values."""
     try:
         study.override({"sweep": {name: sorted(set(extent)) for name, extent in extents.items()}})
     except ConfigError:
@@ -280,11 +306,15 @@ def admits(study: Study, extents: Mapping[str, SliderEnds]) -> bool:
     return True
 
 
-def changes_of(study: Study, positions: Positions) -> dict[str, Change]:
-    """What to override in a study so that it is as its sliders stand; sliders at their start change nothing.
+def study_changes(study: Study, positions: Positions) -> dict[str, Change]:
+    """The changes of a study that positions of its sliders describe, by dotted name; none for sliders at their start.
+
+    Args:
+        study: The study, with its sweep.
+        positions: Position of each slider.
 
     Raises:
-        ConfigError: A law cannot be moved there.
+        ConfigError: A law cannot be moved to its position.
     """
     changes: dict[str, Change] = {}
     laws: dict[str, dict[str, float]] = {}
@@ -296,26 +326,41 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Change]:
     for name, parts in laws.items():
         law = study.numbers[name].value
         assert isinstance(law, Law)  # only laws have parts
-        if isinstance(law, RangedLaw):
-            names = LAWS[law.kind].argument_names
-            arguments = [parts.get(argument, middle) for argument, middle in zip(names, law.arguments, strict=False)]
-            changes[name] = {law.kind: arguments}
-            continue
-        median = parts.get(MEDIAN, law.median)
-        share = parts.get(WIDTH, 1.0)
-        if (median, share) != (law.median, 1.0):
-            try:
-                moved_law = law.moved(median, share)
-            except ValueError as error:
-                raise ConfigError(name, str(error)) from None
-            changes[name] = {moved_law.kind: list(moved_law.arguments)}
+        law_table = changed_law(name, law, parts)
+        if law_table is not None:
+            changes[name] = law_table
     return changes
 
 
-def grid(slider: Slider) -> tuple[float, ...]:
-    """The positions of a slider: its ends and its start as they are, and others rounded to four significant digits.
+def changed_law(name: str, law: Law, parts: Mapping[str, float]) -> dict[str, list[float]] | None:
+    """The table of a law at positions of its sliders; None if the law is that of the study.
 
-    No two positions have the same text.
+    Args:
+        name: Dotted name of the number, for messages.
+        law: The law in the study.
+        parts: Positions by part, see :attr:`Slider.part`.
+
+    Raises:
+        ConfigError: The law cannot be moved there.
+    """
+    if isinstance(law, RangedLaw):
+        names = LAWS[law.kind].argument_names
+        return {law.kind: [parts.get(part, middle) for part, middle in zip(names, law.arguments, strict=False)]}
+    median = parts.get(MEDIAN, law.median)
+    width = parts.get(WIDTH, 1.0)
+    if (median, width) == (law.median, 1.0):
+        return None
+    try:
+        moved_law = law.moved(median, width)
+    except ValueError as error:
+        raise ConfigError(name, str(error)) from None
+    return {moved_law.kind: list(moved_law.arguments)}
+
+
+def slider_positions(slider: Slider) -> tuple[float, ...]:
+    """The positions of a slider, increasing: ends and start exactly, the others rounded to four significant digits.
+
+    No two positions have the same :func:`position_text`.
     """
     if slider.steps:
         return slider.steps

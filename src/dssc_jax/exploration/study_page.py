@@ -1,4 +1,4 @@
-"""The page of a study: sliders, and what they do to failures, signals and the worst draw."""
+"""The page of a study, whose sliders move its numbers, and whose failures, signals and draws follow."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,29 +13,29 @@ from dssc_jax.exploration.actions import (
     Answer,
     Question,
     Superseded,
-    differing_draws,
-    ending_when,
-    margins_of,
-    over_ranges,
+    count_differing_draws,
+    law_range_question,
+    margin_question,
     proof,
     save_study,
+    stop_when_stale,
 )
 from dssc_jax.exploration.figures import (
     DrawsFigure,
     FanFigure,
     PathFigure,
     ProbabilityFigure,
-    seen_paths,
-    shown_signals,
+    displayed_signals,
+    path_views,
 )
 from dssc_jax.exploration.flight_view import FlightView
-from dssc_jax.exploration.live import LiveRun, LiveStudy, flies
+from dssc_jax.exploration.live import LiveRun, LiveStudy, has_vehicle
 from dssc_jax.exploration.logged_flights import LoggedFlights
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
-from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
+from dssc_jax.exploration.sliders import MEDIAN, Slider, position_text, slider_positions
 from dssc_jax.exploration.worker import Stale
-from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.exploration.wrong_laws import WrongLaws, largest_errors_text, probability_text
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import interval_method
 
@@ -44,16 +44,16 @@ SIDE = 330  # px
 
 
 class StudyPage(Page):
-    """A study to explore: moving a slider simulates all draws again.
+    """The page of a study: when a slider moves, all draws are simulated again.
 
     In a notebook or a program, a move returns when its run is shown. With ``background`` runs happen in a thread, and
     a newer move replaces an older one.
 
     Args:
         live: The study with its sliders.
-        background: Whether to run in a thread; a served page does.
-        folder: Where "save as study" writes.
-        logs: Logged flights; with at least one, the page has the card "The next flight".
+        background: Whether runs happen in a thread, as on a served page.
+        folder: Folder of saved studies; None: the current folder.
+        logs: Logged flights, which get a card on the page.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class StudyPage(Page):
         self.show(live.first)
 
     def _make_widgets(self) -> None:
-        """Buttons and texts."""
+        """Make buttons, inputs and panes of text."""
         self.headline = html_pane("")
         self.details = html_pane("")
         self.keep = pn.widgets.Button(label="Compare with this", color="primary")
@@ -106,16 +106,16 @@ class StudyPage(Page):
         self.draw_choice.param.watch(lambda _: self._choose_draw(), "value")
 
     def _make_figures(self) -> None:
-        """The figures; their time axes move together."""
+        """Make the figures, whose time axes move together."""
         study = self.live.base
         self.probability = ProbabilityFigure()
         self.fans: list[FanFigure] = []
-        for name in shown_signals(study):
+        for name in displayed_signals(study):
             x_range = self.fans[0].figure.x_range if self.fans else None
             self.fans.append(FanFigure(study, name, x_range))
         self.draws = DrawsFigure(self.choose_draw)
-        self.paths = [PathFigure(*pair) for pair in seen_paths(study)]
-        self.flight = FlightView() if flies(study) else None
+        self.paths = [PathFigure(*pair) for pair in path_views(study)]
+        self.flight = FlightView() if has_vehicle(study) else None
 
     @property
     def view(self) -> pn.Row:
@@ -146,15 +146,15 @@ class StudyPage(Page):
 
     @property
     def positions(self) -> dict[Slider, float]:
-        """Where the sliders stand."""
+        """The present position of each slider."""
         return {slider: float(widget.value) for slider, widget in self.sliders.items()}
 
     def move(self, positions: dict[str, float]) -> None:
-        """Move some sliders together, each to its nearest position, and run once.
+        """Move several sliders together, each to the nearest of its positions, and run once.
 
         Args:
-            positions: Positions by the slider's key: the number's dotted name, for a law with ``(median)`` or
-                ``(width)``.
+            positions: Positions by key of the slider: the dotted name of the number, followed by ``(median)`` or
+                ``(width)`` for a law.
 
         Raises:
             ConfigError: There is no such slider.
@@ -167,7 +167,7 @@ class StudyPage(Page):
         try:
             for key, position in positions.items():
                 slider = by_key[key]
-                values = np.asarray(grid(slider))
+                values = np.asarray(slider_positions(slider))
                 self.sliders[slider].value = float(values[np.argmin(np.abs(values - position))])
         finally:
             self._moving = False
@@ -178,16 +178,16 @@ class StudyPage(Page):
             self.start()
 
     def start(self) -> None:
-        """Run at the present positions."""
+        """Simulate all draws at the present positions."""
         self.say("running ...")
         self.work(partial(self._run, self.positions))
 
     def _run(self, positions: dict[Slider, float], stale: Stale) -> None:
-        """Simulate at the sliders' positions and show the result, or why there is none.
+        """Simulate at positions of the sliders, and show the run or the reason why there is none.
 
         Args:
             positions: Position of each slider.
-            stale: Whether newer positions have arrived; then nothing is shown.
+            stale: Whether newer positions have come; then nothing is shown.
         """
         try:
             run = self.live.run(positions, stale, partial(self.update, self.say))
@@ -213,32 +213,19 @@ class StudyPage(Page):
         self._show(run, self.choose(self.draw_choice.value, run.order))
 
     def show_wrong_laws(self) -> None:
-        """Show the failure probability of the present run if its laws are wrong as the slider says."""
+        """Show the failure probability of the present run if its laws are wrong by the amount of the slider."""
         run = self.now
         if run is None:
             return
         amounts = self.wrong_laws.amounts
-
-        def answer(stale: Stale) -> None:
-            text = answer_text(amounts, run.study, run.failed, interval_method(run.study))
-            if not stale():
-                self.update(self.wrong_laws.show, text)
-
-        self.work_aside(answer)
+        compute = partial(probability_text, amounts, run.study, run.failed, interval_method(run.study))
+        self.show_aside(compute, self.wrong_laws.show)
 
     def show_how_wrong(self) -> None:
-        """Show how wrong the laws of the present run may be."""
-        run = self.now
-        if run is None:
-            return
-        limit = float(self.wrong_laws.limit.value)
-
-        def answer(stale: Stale) -> None:
-            text = how_wrong_text(run.study, limit)
-            if not stale():
-                self.update(self.wrong_laws.show, text)
-
-        self.work_aside(answer)
+        """Show how far the laws of the present run may be wrong."""
+        if self.now is not None:
+            limit = float(self.wrong_laws.limit.value)
+            self.show_aside(partial(largest_errors_text, self.now.study, limit), self.wrong_laws.show)
 
     def choose_draw(self, draw: int) -> None:
         """Show a draw of the present run."""
@@ -274,25 +261,30 @@ class StudyPage(Page):
             self.show(self.now)
 
     def ask_margin(self, slider: Slider) -> None:
-        """Tell how far a slider's number may go, other numbers as they stand."""
-        self.ask(margins_of(slider, self.positions[slider]), f"walking along {slider.name}")
+        """Show how far the number of a slider may go before draws fail, with all other numbers at their positions."""
+        self.ask(margin_question(slider, self.positions[slider]), f"walking along {slider.name}")
 
     def ask_ranges(self) -> None:
-        """Tell the failure probability over all laws within their ranges, other numbers as they stand."""
+        """Show the failure probability over all laws within their ranges, with all other numbers at their positions."""
         study = self.live.ranged_at(self.positions)
-        self.ask(over_ranges(study), "simulating the laws within their ranges")
+        self.ask(law_range_question(study), "simulating the laws within their ranges")
 
     def ask_flights(self) -> None:
-        """Tell what the logged flights say of the next one, and of the study as it stands."""
+        """Compare the logged flights with the draws of the present run, and show the answer."""
         if self.flights is not None:
             self.answer_by(self.tell_flights, self.flights.question, "comparing the flights with the draws")
 
     def ask(self, question: Question[str], activity: str) -> None:
-        """Answer a question about the present run; a newer move ends the search for the answer."""
+        """Answer a question about the present run, unless a newer move supersedes it.
+
+        Args:
+            question: The question.
+            activity: Description of the work, for the status.
+        """
         self.answer_by(self.tell, question, activity)
 
     def answer_by(self, tell: Callable[[LiveRun, Answer], None], question: Question[Answer], activity: str) -> None:
-        """Answer a question as :meth:`ask` does, and show the answer by a function."""
+        """Answer a question as :meth:`ask` does, and show the answer by the function ``tell``."""
         run = self.now
         if run is None:
             return
@@ -300,7 +292,7 @@ class StudyPage(Page):
 
         def work(stale: Stale) -> None:
             try:
-                answer = question(run, ending_when(stale))
+                answer = question(run, stop_when_stale(stale))
             except Superseded:
                 return
             except Exception as error:  # as of a run: the page goes on
@@ -317,19 +309,19 @@ class StudyPage(Page):
         self._say_draw(run)
 
     def tell_flights(self, run: LiveRun, analysis: Analysis) -> None:
-        """Show what the logged flights say of a run's study."""
+        """Show how the logged flights compare with the draws of a run."""
         if self.flights is not None:
             self.flights.show(analysis)
         self._say_draw(run)
 
     def compare_with_this(self) -> None:
-        """Make the present run the one that later ones are compared with."""
+        """Compare later runs with the present one."""
         self.before = self.now
         if self.now is not None:
             self.show(self.now)
 
     def save_as(self, name: str) -> None:
-        """Write the study that is shown as a new file of the page's folder, and compare the outcomes of its run."""
+        """Write the present study to a new file in the page's folder, and compare a run of it with the present run."""
         run = self.now
         if run is None:
             self.complain("nothing to save yet")
@@ -344,7 +336,7 @@ class StudyPage(Page):
 
         def compare(_: Stale) -> None:
             try:
-                count = differing_draws(run, path)
+                count = count_differing_draws(run, path)
             except ConfigError as error:
                 self.update(self.complain, str(error))
                 return
@@ -355,6 +347,6 @@ class StudyPage(Page):
 
 
 def slider_widget(slider: Slider) -> pn.widgets.DiscreteSlider:
-    """The widget of a slider; its texts are numbers with four digits."""
-    options = {position_text(value): value for value in grid(slider)}
+    """The widget of a slider, which shows positions with four digits."""
+    options = {position_text(value): value for value in slider_positions(slider)}
     return pn.widgets.DiscreteSlider(label=slider.label, options=options, value=slider.start, width=SIDE - 20)

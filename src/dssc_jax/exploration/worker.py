@@ -1,4 +1,4 @@
-"""Work in the background: a thread that serves the newest request."""
+"""Work in the background by a thread that serves the newest request."""
 
 import threading
 from collections.abc import Callable
@@ -9,10 +9,11 @@ Stale: TypeAlias = Callable[[], bool]
 """Whether a newer request has come."""
 
 Work: TypeAlias = Callable[[Stale], None]
+"""Does the work of a request; may stop when the request is stale."""
 
 
 class Worker:
-    """A thread that serves the newest of several requests; an older one may stop when it learns that it is stale.
+    """A thread that serves the newest of several requests; an older request becomes stale.
 
     The thread starts with the first request and ends with :meth:`close`.
     """
@@ -26,7 +27,7 @@ class Worker:
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work) -> None:
-        """Request some work; it replaces a request that has not begun, and makes the running one stale."""
+        """Request work, which replaces a request that has not begun, and makes the running one stale."""
         with self._changed:
             if self._closed:
                 return
@@ -38,12 +39,12 @@ class Worker:
             self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no request is pending or running, at most for a timeout [s]; whether that came true."""
+        """Wait until no request is pending or running, at most for a timeout [s]; return whether that came true."""
         with self._changed:
             return self._changed.wait_for(lambda: self._pending is None and not self._busy, timeout)
 
     def close(self) -> None:
-        """Forget pending work, make running work stale, and end the thread after it."""
+        """Drop pending work, make running work stale, and end the thread after it."""
         with self._changed:
             self._closed = True
             self._pending = None

@@ -1,4 +1,4 @@
-"""A slider for how wrong the laws may be, beside the failure probability that follows."""
+"""A slider for an error of the laws, with the failure probability that follows."""
 
 from collections.abc import Callable
 
@@ -8,36 +8,38 @@ import panel as pn
 
 from dssc_jax.analyses.defaults import LIMIT
 from dssc_jax.analyses.laws.law_errors import laws
+from dssc_jax.console.stated import interval_text
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.page import html_pane, markup
 from dssc_jax.results.result import Result
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import StatedAmounts, StatedError, confidence_of
-from dssc_jax.statistics import Method, rounded_probability
+from dssc_jax.statistics import Method
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.study import Study
 
-MOST, STEP = 1.0, 0.01  # end and step of the slider
+MOST_ERROR = 1.0
+STEP = 0.01
 ALL_MEANS = "shift of all means [standard deviations]"
 ALL_WIDTHS = "widening of all laws [share of their width]"
 AMOUNTS: dict[str, Callable[[float], StatedAmounts]] = {
     ALL_MEANS: lambda size: StatedAmounts({}, size, None),
     ALL_WIDTHS: lambda size: StatedAmounts({}, None, 1.0 + size),
 } | {ball.title: lambda size, name=name: StatedAmounts({name: size}, None, None) for name, ball in BALLS.items()}
-"""How the laws may be wrong, and the amounts of a slider's position."""
+"""Kinds of errors of the laws, with the amounts that a position of the slider stands for."""
 
 
 class WrongLaws:
-    """How wrong the laws may be, as a choice and a slider, and what follows for the failure probability.
+    """Widgets for the kind and the size of an error of the laws, and for the answer.
 
     Args:
-        follow: Called when the choice or the slider moves; the page answers by :meth:`show`.
-        search: Called when the page is asked how wrong the laws may be.
+        follow: Called when kind or size change; the page answers by :meth:`show`.
+        search: Called when the largest errors are requested; the page answers by :meth:`show`.
     """
 
     def __init__(self, follow: Callable[[], None], search: Callable[[], None]) -> None:
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(AMOUNTS), width=300)
-        self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST, step=STEP, value=0.0, width=260)
+        self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST_ERROR, step=STEP, value=0.0, width=260)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)
         self.how_wrong = pn.widgets.Button(label="Largest law errors")
         self.how_wrong.on_click(lambda _: search())
@@ -52,7 +54,7 @@ class WrongLaws:
 
     @property
     def amounts(self) -> StatedAmounts:
-        """The amounts that the slider stands for."""
+        """The amounts that the present kind and size stand for."""
         return AMOUNTS[self.kind.value](float(self.size.value))
 
     def show(self, text: str) -> None:
@@ -60,8 +62,13 @@ class WrongLaws:
         self.answer.object = markup(h.p(role="status")[text])
 
 
-def how_wrong_text(subject: Study | Result, limit: float) -> str:
-    """How wrong the laws may be before more than a share of all draws can fail, in words, or why there is no answer."""
+def largest_errors_text(subject: Study | Result, limit: float) -> str:
+    """Tell how far the laws may be wrong before too many draws can fail, or why there is no answer.
+
+    Args:
+        subject: The study, or its result.
+        limit: Largest share of draws that may fail.
+    """
     try:
         law_errors = laws(subject, limit=limit)
     except ConfigError as error:
@@ -75,8 +82,8 @@ def how_wrong_text(subject: Study | Result, limit: float) -> str:
     return "; ".join(texts)
 
 
-def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method: Method) -> str:
-    """The failure probability if the laws are wrong by an amount, in words, or why there is no answer.
+def probability_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method: Method) -> str:
+    """Tell the failure probability if the laws are wrong by an amount, or why there is no answer.
 
     Args:
         amounts: One amount.
@@ -94,7 +101,7 @@ def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method
 
 
 def error_text(error: StatedError) -> str:
-    """What follows from an amount, in words."""
+    """Tell the failure probability that follows from an amount."""
     parts = []
     if error.interval is not None:
         parts.append(f"in {interval_text(error.interval)} whatever draws fail")
@@ -103,9 +110,3 @@ def error_text(error: StatedError) -> str:
     elif error.weights_refused:
         parts.append(f"not known better: {error.weights_refused}")
     return f"{error.text}: failure probability {'; '.join(parts)}"
-
-
-def interval_text(interval: tuple[float, float]) -> str:
-    """An interval of a probability as text."""
-    low, high = interval
-    return f"[{rounded_probability(low)}, {rounded_probability(high)}]"

@@ -7,7 +7,7 @@ from dssc_jax.lanes.c.names import c_string
 
 
 def channels_text(code: FlightCode) -> str:
-    """``bench_channels.h``: functions and names of the channels, and the choice of a channel's functions."""
+    """The text of ``bench_channels.h``: functions and names of each channel, and the choice among channels."""
     controllers = code.controllers
     prepare: list[str] = []
     restart: list[str] = []
@@ -41,7 +41,7 @@ def channels_text(code: FlightCode) -> str:
 
 
 def channel_functions(controller: SampledController) -> str:
-    """The functions of one channel."""
+    """The functions in C by which the bench calls the controller of one channel."""
     variable = f"controller_of_{controller.prefix}"
     members = [f"command.{member}" for member in COMMAND]
     members += [f"{variable}.state.{state}" for state in controller.states]
@@ -67,7 +67,7 @@ def channel_functions(controller: SampledController) -> str:
 
 
 def name_tables(controller: SampledController) -> list[str]:
-    """The names of results and parameters."""
+    """The tables in C with the names of a channel's results and parameters."""
     parameters = [parameter.name for parameter in controller.parameters]
     tables = {"results": row_names(controller), "numbers": parameters or [""]}
     lines = []
@@ -78,7 +78,7 @@ def name_tables(controller: SampledController) -> list[str]:
 
 
 def channel_shape(controller: SampledController) -> str:
-    """The row of a channel in the table of shapes."""
+    """The row of a channel in the bench's table: its label, counts and names."""
     name = controller.prefix
     label = c_string(f"{controller.channel}: " if controller.channel else "")
     counts = f"{len(controller.parameters)}u, {len(controller.states)}u, {len(row_names(controller))}u"

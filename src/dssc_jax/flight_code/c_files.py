@@ -12,51 +12,51 @@ LENGTH_ERROR = 1e-3
 
 
 def source_file(label: str, header: str, remarks: Iterable[str], body: str) -> str:
-    """A source: its first comment, the includes, the refusal of other arithmetic, and its body.
+    """A source file in C: first comment, includes, the refusal of fast arithmetic, and body.
 
     Args:
-        label: What it computes, in words, such as ``monitor``.
-        header: Name of its header.
+        label: Name of the software in words, such as ``monitor``.
+        header: Name of its header file.
         remarks: Lines of the first comment.
-        body: Definitions of all that it has.
+        body: All definitions.
     """
     return fill("source.c", label=label, header=header, comment=remarks, body=body)
 
 
 def header_file(name: str, remarks: Iterable[str], declarations: str) -> str:
-    """A header for C and C++.
+    """A header file for C and C++.
 
     Args:
-        name: Its file's name without ending.
+        name: Name of the file without ending.
         remarks: Lines of the first comment.
-        declarations: All that it declares.
+        declarations: All declarations.
     """
     return fill("header.h", comment=remarks, guard=f"{name.upper()}_H", declarations=declarations)
 
 
 def absolute_value(real: np.dtype) -> str:
-    """C's function for an absolute value."""
+    """Name of C's function for the absolute value of a number of a dtype."""
     return "fabsf" if real.itemsize == 4 else "fabs"
 
 
 def finite_function(real: np.dtype) -> str:
-    """The function ``is_finite``, which fast arithmetic does not break."""
+    """The definition of the function ``is_finite`` in C, which is right in fast arithmetic, too."""
     largest = "FLT_MAX" if real.itemsize == 4 else "DBL_MAX"
     return fill("is_finite.c", real=c_type(real), fabs=absolute_value(real), largest=largest)
 
 
-def finite(members: Sequence[str]) -> str:
-    """The condition that numbers are finite."""
+def finite_condition(members: Sequence[str]) -> str:
+    """The condition in C that all of some numbers are finite."""
     return "\n        && ".join(f"is_finite({member})" for member in members)
 
 
-def of_length_1(members: Sequence[str], real: np.dtype) -> str:
-    """The condition that the length of a vector is 1, up to :data:`LENGTH_ERROR`."""
+def unit_length_condition(members: Sequence[str], real: np.dtype) -> str:
+    """The condition in C that a vector has the length 1, up to :data:`LENGTH_ERROR`; ``members`` are its components."""
     suffix = "f" if real.itemsize == 4 else ""
     square = " + ".join(f"{member} * {member}" for member in members)
     return f"{absolute_value(real)}({square} - 1.0{suffix}) <= {2.0 * LENGTH_ERROR:g}{suffix}"
 
 
 def joined_definitions(definitions: Iterable[str]) -> str:
-    """Definitions with an empty line behind each."""
+    """Definitions in C as one text, with an empty line after each."""
     return "".join(f"{definition}\n\n" for definition in definitions)

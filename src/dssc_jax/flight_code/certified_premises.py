@@ -1,4 +1,4 @@
-"""From a certificate's file to the bounds that a monitor watches: verified first, and only for the study's own loop."""
+"""Verify a certificate's file and read the bounds that a monitor watches; only for the loop of the study itself."""
 
 import json
 
@@ -17,21 +17,21 @@ from dssc_jax.study import Study
 LAG_ORDERS = {(1.0, 1.0): 1, (1.0, 2.0, 1.0): 2}
 """Number of equal lags, by the denominator of G(mu s) whose numerator is 1."""
 CHANNELS_OF_VEHICLE = ("x", "x", "z", "psi")
-"""The certificate's channel of each channel of the loop."""
+"""Name in the certificate of each channel of the loop; x stands for both horizontal channels."""
 PLANE = 2
-"""Number of the loop's channels whose errors are a vector of the plane, from the first one on."""
+"""Number of horizontal channels, which come first; the certificate bounds the norm of their errors."""
 
 
 def certified_premises(study: Study, content: object, source: str) -> Premises:
-    """The premises and bounds of a study's certificate.
+    """Verify a study's certificate, and return its premises and bounds.
 
     Args:
         study: The study, without a sweep.
         content: The content of the certificate's file.
-        source: What messages call the certificate.
+        source: Name of the certificate in messages.
 
     Raises:
-        ConfigError: The verifier rejects the certificate, or it is that of another loop.
+        ConfigError: The verifier rejects the certificate, or it is the certificate of another loop.
     """
     verdict = check_certificate(content)
     if not verdict.proved:
@@ -54,13 +54,15 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
 
 
 def first_difference(problem: JsonObject, certified_problem: JsonObject) -> str:
-    """The name of the first entry in which two problems differ."""
-    names = [*problem, *certified_problem]
-    return next((name for name in names if problem.get(name) != certified_problem.get(name)), "kind")
+    """The name of the first entry in which two different problems differ."""
+    for name in (*problem, *certified_problem):
+        if problem.get(name) != certified_problem.get(name):
+            return name
+    return "kind"
 
 
 def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict) -> Premises:
-    """The premises of a vehicle's certificate."""
+    """The premises of a vehicle's certificate, from its content and the verifier's verdict."""
     problem = content["problem"]
     labels = channel_labels(study.loop.channels)
     channels = []
@@ -98,7 +100,7 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
 
 
 def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> Premises:
-    """The premises of a certificate of one axis."""
+    """The premises of a certificate of one axis, from its content and the verifier's verdict."""
     problem = content["problem"]
     units = study.units[0]
     stages = [proof["stages"][0] for proof in content["proofs"]]
@@ -106,7 +108,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
     level = max(stage["level"] for stage in stages) if depends_on_state else problem["level"]
     slope = max(stage["slope"] for stage in stages) if depends_on_state else problem["slope"]
     lag_order = LAG_ORDERS.get(tuple(map(float, problem["denominator"])), 0)
-    hidden_reason = why_disturbance_hidden(problem, lag_order)
+    hidden_reason = hidden_disturbance_reason(problem, lag_order)
     disturbance_premises = None
     if not hidden_reason:
         disturbance_premises = DisturbancePremises(
@@ -144,8 +146,13 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
     )
 
 
-def why_disturbance_hidden(problem: JsonObject, lag_order: int) -> str:
-    """Why the disturbance cannot be told from the measurements; empty if it can."""
+def hidden_disturbance_reason(problem: JsonObject, lag_order: int) -> str:
+    """The reason why the measurements do not determine the disturbance; empty if they do.
+
+    Args:
+        problem: The problem of the certificate.
+        lag_order: Number of equal lags between command and plant; 0: none, or another transfer function.
+    """
     if problem["zero_a"]:
         return "the state of the zero dynamics, which acts like one, is not measured"
     if problem["sensor_lag"]:
@@ -156,8 +163,14 @@ def why_disturbance_hidden(problem: JsonObject, lag_order: int) -> str:
 
 
 def delay_weights(delay: float) -> tuple[float, ...]:
-    """Weights of the commands of ages 0, 1, ... samples in what acts."""
+    """Weights of the commands of ages 0, 1, ... samples in the mean command behind a delay.
+
+    Args:
+        delay: The delay, in samples.
+    """
     samples = int(delay)
     fraction = delay - samples
-    weights = (*(0.0 for _ in range(samples)), 1.0 - fraction)
-    return (*weights, fraction) if fraction > 0.0 else weights
+    weights = [0.0] * samples + [1.0 - fraction]
+    if fraction > 0.0:
+        weights.append(fraction)
+    return tuple(weights)

@@ -1,6 +1,6 @@
 """The part of a loop that runs on a flight computer, traced by itself: differentiator and controller of one channel."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,20 +26,27 @@ COMMAND = ("u", "u_n", "u_p")
 """The command in its two parts and their sum (11)."""
 
 OF_CHANNEL = ("y", "y_dot")
-"""Names of the signals that every controller measures."""
+"""Names of the measured signals that every controller takes."""
 
 
 class MeasuredSignal(NamedTuple):
-    """A member of a controller's measurement."""
+    """A member of a controller's measurement.
 
-    name: str  # in C
+    Args:
+        name: Name in C.
+        unit: Unit.
+        meaning: Meaning in words.
+        signal: Name in the study, of a signal beside y and y'; empty for these two.
+    """
+
+    name: str
     unit: str
     meaning: str
-    signal: str = ""  # its name in the study, of one that is measured beside y and y'
+    signal: str = ""
 
 
 def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
-    """The measurement of a channel's controller: y, y' and, if the controller takes some, the measured signals."""
+    """The measured signals of a channel's controller: y, y' and, if it takes any, those of the study's ``measures``."""
     loop = study.loop
     units = study.units[index]
     y, y_dot = OF_CHANNEL
@@ -53,68 +60,106 @@ def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
 
 
 def takes_signals(study: Study) -> bool:
-    """Whether a controller takes measured signals beside y and y'."""
+    """Whether any controller of a study takes measured signals beside y and y'."""
     pairs = zip(study.loop.controller, study.template.controller, strict=True)
     return any(controller.takes(gains) for controller, gains in pairs)
 
 
 class TracedFunction(NamedTuple):
-    """A traced function of the controller; its inputs are parameters, states (of a step) and signals, in this order."""
+    """A traced function, from which C is written.
+
+    Args:
+        program: The program; its inputs are the leaves of the function's arguments.
+        origins: Place in the models' source where each value is computed, by the value's id.
+    """
 
     program: Program
-    origins: dict[int, Origin]  # where the model computes each value
+    origins: dict[int, Origin]
+
+
+def traced_function(function: Callable[..., Any], *shapes: Any) -> tuple[TracedFunction, Any]:
+    """Trace a function.
+
+    Args:
+        function: A function of trees of scalars.
+        shapes: Shape and type of each argument.
+
+    Returns:
+        The traced function, and the tree of its results.
+
+    Raises:
+        Unsupported: An operation has no exact form in C.
+    """
+    program, results, origins = translate_with_origins(function, *shapes)
+    return TracedFunction(program, origins), results
 
 
 @dataclass(frozen=True)
 class SampledController:
-    """The controller of one channel.
+    """The traced differentiator and controller of one channel.
 
-    ``start`` is (parameters, signals) -> states before the first sample. ``step`` is (parameters, states, signals) ->
-    states, command, telemetry. ``transfer`` is (parameters, command, signals) -> states whose first step gives the
-    command, and the command that it gives; None if the controller's state cannot carry a command.
+    Args:
+        channel: Name of the channel; empty for a plant with one channel.
+        index: Position of the channel.
+        prefix: Prefix of its functions and types in C.
+        parameters: Numbers that may be changed in flight.
+        states: Names of its states in C.
+        infos: Names of its telemetry in C.
+        start: ``(parameters, signals) -> states`` before the first sample.
+        step: ``(parameters, states, signals) -> (states, command, telemetry)``.
+        transfer: ``(parameters, command, signals) -> (states, command)``: states whose first step gives the command,
+            and the command that this step gives; None: the controller's state cannot carry a command.
+        precision: Bits of a number.
+        measured_signals: The members of its measurement.
     """
 
-    channel: str  # empty for a plant with one
-    index: int  # position of the channel
-    prefix: str  # of its functions and types in C
+    channel: str
+    index: int
+    prefix: str
     parameters: tuple[Parameter, ...]
-    states: tuple[str, ...]  # names in C
-    infos: tuple[str, ...]  # names of its telemetry in C
+    states: tuple[str, ...]
+    infos: tuple[str, ...]
     start: TracedFunction
     step: TracedFunction
     transfer: TracedFunction | None
-    precision: int  # bits of a number
-    measured_signals: tuple[MeasuredSignal, ...]  # the members of its measurement
+    precision: int
+    measured_signals: tuple[MeasuredSignal, ...]
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Its inputs at each sample, in C."""
+        """C's expressions of the inputs at each sample: measurement, then reference."""
         measurement = (f"measurement.{signal.name}" for signal in self.measured_signals)
         return (*measurement, *(f"reference.{name}" for name in ReferencePoint._fields))
 
     @property
     def real(self) -> np.dtype:
-        """The type of its numbers."""
+        """The dtype of its numbers."""
         return np.dtype(f"float{self.precision}")
 
     @property
     def c_real(self) -> str:
-        """The type of its numbers in C."""
+        """C's type of its numbers."""
         return c_type(self.real)
 
     @property
     def smallest_difference(self) -> np.floating:
-        """The difference of two commands near 0, in the command's unit, up to which they count as equal."""
+        """The largest difference of two commands near 0 that counts as none, in the command's unit."""
         return self.real.type(1e-6 if self.precision == 32 else 1e-9)
 
 
 @dataclass(frozen=True)
 class FlightCode:
-    """The data from which all files of generated code are written."""
+    """The data from which all files of generated code are written.
 
-    study: Study  # without a sweep
-    controllers: list[SampledController]  # one for each channel
-    certificate: str  # the verdict of Theorem 1 on the study, in a sentence
+    Args:
+        study: The study, without a sweep.
+        controllers: The controller of each channel.
+        certificate: The verdict of Theorem 1 on the study, in a sentence.
+    """
+
+    study: Study
+    controllers: list[SampledController]
+    certificate: str
 
     @property
     def name(self) -> str:
@@ -128,7 +173,7 @@ class FlightCode:
 
 
 def sampled_controllers(study: Study) -> list[SampledController]:
-    """The controllers of a study, one for each channel; refused if an operation has no exact form in C."""
+    """Trace the controllers of a study, one for each channel; errors as for :func:`trace_controller`."""
     with arithmetic(study.config.loop.precision):
         return [trace_controller(study, index) for index in range(len(study.loop.channels))]
 
@@ -137,7 +182,7 @@ def trace_controller(study: Study, index: int) -> SampledController:
     """Trace the start, the step and, if it has one, the transfer of a channel's controller.
 
     Raises:
-        ConfigError: A part has no exact form in C.
+        ConfigError: The controller is native code already, or an operation has no exact form in C.
     """
     loop = study.loop
     place = f"controller.{loop.channels[index]}".rstrip(".")
@@ -170,16 +215,15 @@ def trace_controller(study: Study, index: int) -> SampledController:
     number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
     channel_signals = measured_signals(study, index)
-    further_shapes = (number,) * (len(channel_signals) - len(OF_CHANNEL))
-    signals = (Measurement(number, number, further_shapes), ReferencePoint(number, number, number))
-    transfer_function = None
+    signal_shapes = (number,) * (len(channel_signals) - len(OF_CHANNEL))
+    signals = (Measurement(number, number, signal_shapes), ReferencePoint(number, number, number))
+    traced_transfer = None
     try:
-        start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
+        traced_start, state = traced_function(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
-        step_program, results, step_origins = translate_with_origins(step, numbers, state, *signals)
+        traced_step, (_, _, info) = traced_function(step, numbers, state, *signals)
         if loop.controller[index].transfer is not None:
-            transfer_program, _, transfer_origins = translate_with_origins(transfer, numbers, number, *signals)
-            transfer_function = TracedFunction(transfer_program, transfer_origins)
+            traced_transfer, _ = traced_function(transfer, numbers, number, *signals)
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
@@ -188,40 +232,40 @@ def trace_controller(study: Study, index: int) -> SampledController:
         prefix="_".join(filter(None, (prefix_name(study.name), channel_labels(loop.channels)[index]))),
         parameters=parameters,
         states=leaf_names(state, root="controller"),
-        infos=leaf_names(results[2]),
-        start=TracedFunction(start_program, start_origins),
-        step=TracedFunction(step_program, step_origins),
-        transfer=transfer_function,
+        infos=leaf_names(info),
+        start=traced_start,
+        step=traced_step,
+        transfer=traced_transfer,
         precision=study.config.loop.precision,
         measured_signals=channel_signals,
     )
 
 
 def command_parts(command: Command) -> tuple[Scalar, Scalar, Scalar]:
-    """The command in the order of :data:`COMMAND`."""
+    """The parts of a command and their sum, in the order of :data:`COMMAND`."""
     return command.robust, command.nominal, command.total
 
 
 def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
-    """The numbers of a channel's differentiator and controller."""
+    """The parameters of a channel's code: the numbers of its differentiator and its controller."""
     channel = study.loop.channels[index]
 
-    def belongs(path: str) -> bool:
+    def selects(path: str) -> bool:
         slot, place, *_ = path.split(".")
         return slot in FLOWN_SLOTS and int(place) == index
 
     def name(key: str) -> str:
-        """The fields of a number behind the slot, its position or channel; those of a differentiator tell so."""
+        """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front."""
         slot, *fields = key.split(".")
         if fields[0] in {str(index), channel}:
             fields = fields[1:]
         return "_".join(fields if slot == "controller" else [slot, *fields])
 
-    return loop_parameters(study, belongs, name, study.units[index])
+    return loop_parameters(study, selects, name, study.units[index])
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
-    """A name in C for each leaf of a tree; those below ``root`` do not begin with it."""
+    """A name in C for each leaf of a tree, from its path; a path that begins with ``root`` goes without it."""
     names = []
     for path, _ in tree_flatten_with_path(tree)[0]:
         fields = keystr(path, simple=True, separator=".").split(".")
@@ -230,7 +274,7 @@ def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
 
 
 def channel_labels(channels: tuple[str, ...]) -> list[str]:
-    """The part of a name in C for each channel; equal ones are numbered, and that of a single channel may be empty."""
+    """The part of names in C for each channel, numbered where two would be equal; empty for an unnamed channel."""
     labels: list[str] = []
     for channel in channels:
         plain_label = underscored(channel) or ("channel" if channel else "")
@@ -244,5 +288,5 @@ def channel_labels(channels: tuple[str, ...]) -> list[str]:
 
 
 def study_values(controllers: Sequence[SampledController]) -> dict[str, float]:
-    """The study's value of every number of the controllers, by key."""
+    """The study's values of the parameters of all controllers, by key."""
     return {parameter.key: parameter.value for controller in controllers for parameter in controller.parameters}

@@ -15,31 +15,39 @@ FREE = ("input", "constant", "bitcast", "state", "result", "joined", "any")
 class StepCost(NamedTuple):
     """The cost of one step.
 
-    Of a branch, the side with more operations counts. Operations of a loop count once, because its iterations are not
-    known in advance.
+    Of a branch, the side with more operations counts. Operations of a loop count once, because the number of its
+    iterations is not known in advance.
+
+    Args:
+        operations: Number of operations by name.
+        chain: Length of the longest chain of operations, each of which needs the result of the one before.
+        loops: Number of loops.
     """
 
-    operations: dict[str, int]  # counts by name
-    chain: int  # length of the longest chain of operations, in which each needs the result of the one before
+    operations: dict[str, int]
+    chain: int
     loops: int
 
 
 def step_cost(controller: SampledController, telemetry: bool = False) -> StepCost:
-    """The cost of a step, with or without telemetry."""
+    """The cost of a controller's step, with or without its telemetry."""
     program = controller.step.program
     count = len(program.outputs) if telemetry else len(controller.states) + len(COMMAND)
     return program_cost(Program(program.inputs, program.body, program.outputs[:count]))
 
 
 def program_cost(program: Program) -> StepCost:
-    """The cost of a program."""
+    """The cost of one run of a program."""
     count = OperationCount(program)
     operations = count.block(program.body, 0)
     return StepCost(dict(sorted(operations.items())), max(count.depths.values(), default=0), count.loops)
 
 
 class OperationCount:
-    """Counts the operations of a program, and the depth of every value: the length of the longest chain to it."""
+    """Counts the operations of a program.
+
+    The depth of a value is the length of the longest chain of operations that it needs, its own included.
+    """
 
     def __init__(self, program: Program) -> None:
         self.depths: dict[int, int] = {}
@@ -47,7 +55,7 @@ class OperationCount:
         self._reachable = reachable(program)
 
     def block(self, block: CodeBlock, start: int) -> Counter[str]:
-        """Operations of a block that begins at a depth."""
+        """Count the operations of a block by name, whose first operations can begin at the depth ``start``."""
         counts: Counter[str] = Counter()
         for node in block.nodes:
             if id(node) not in self._reachable:
@@ -68,19 +76,19 @@ class OperationCount:
         return counts
 
     def deepest(self, values: Iterable[Value], start: int) -> int:
-        """The depth at which all values are known, in a block that begins at a depth."""
+        """The depth at which all of some values are computed, in a block that begins at the depth ``start``."""
         return max([start, *(self.depths.get(id(value), 0) for value in values)])
 
     def finish(self, results: Iterable[Value], depth: int) -> None:
-        """Note the depth of the results of a loop or branch."""
+        """Set the depth of the results of a loop or branch."""
         self.depths.update({id(result): depth for result in results})
 
 
 def state_bytes(controller: SampledController) -> int:
-    """Bytes of the state, without the flag whether it has started."""
+    """Bytes of a controller's state, without the flag that it has started."""
     return len(controller.states) * controller.real.itemsize
 
 
 def parameter_bytes(controller: SampledController) -> int:
-    """Bytes of the parameters."""
+    """Bytes of a controller's parameters."""
     return len(controller.parameters) * controller.real.itemsize

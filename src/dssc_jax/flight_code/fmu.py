@@ -1,7 +1,7 @@
 """The controllers of a study as an FMU for co-simulation: a zip of description, sources and a compiled library.
 
-FMI 2.0, because nearly every tool with co-simulation imports it; what FMI 3.0 adds (clocks, single precision, arrays)
-this controller does not need. Values are exchanged in float64, and a controller of float32 rounds what it is given.
+The FMU has FMI 2.0, because nearly every tool with co-simulation imports it; the controllers need none of the additions
+of FMI 3.0 (clocks, single precision, arrays). Values are exchanged in float64; a controller of float32 rounds them.
 
 References:
     Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.4. Modelica Association, 2022.
@@ -22,23 +22,29 @@ from dssc_jax.flight_code.source import source_text
 from dssc_jax.flight_code.template_files import template_text
 
 FMI_PLATFORMS = {("Linux", "x86_64"): "linux64"}
-"""Names that FMI 2.0 has for the machines for which a library is built."""
+"""FMI 2.0's name of the platform, by system and machine, where a library can be built."""
 
 COMPILERS = ("cc", "gcc", "clang")
 LIBRARY_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 WRAPPER = "fmu.c"
 VARIABLES_HEADER = "fmu_variables.h"
 EARLIEST_TIME = (1980, 1, 1, 0, 0, 0)
-"""The earliest time of a zip: the same study makes the same file."""
+"""The earliest time that a zip can state; with it, the same study always gives the same file."""
 
 
 @dataclass(frozen=True)
 class ControllerFmu:
-    """The FMU of a study's controllers."""
+    """The FMU of a study's controllers.
 
-    name: str  # its model identifier, which is the name of the library
-    description: str  # the text of modelDescription.xml
-    sources: dict[str, str]  # texts of the source files by name
+    Args:
+        name: Model identifier, which is also the name of the library.
+        description: Text of ``modelDescription.xml``.
+        sources: Texts of the source files by name.
+    """
+
+    name: str
+    description: str
+    sources: dict[str, str]
 
     @property
     def c_files(self) -> list[str]:
@@ -46,7 +52,7 @@ class ControllerFmu:
         return [name for name in self.sources if name.endswith(".c")]
 
     def archive(self, library: bytes | None = None) -> bytes:
-        """The bytes of the FMU, with a library for this machine or with sources only."""
+        """The bytes of the FMU's zip archive, with a library for this machine; None: with sources only."""
         contents = {"modelDescription.xml": self.description.encode()}
         contents |= {f"sources/{name}": text.encode() for name, text in self.sources.items()}
         if library is not None:
@@ -77,12 +83,12 @@ def controller_fmu(code: FlightCode) -> ControllerFmu:
 
 
 def machine_platform() -> str | None:
-    """FMI's name of this machine; None if no library is built for it."""
+    """FMI's name of this machine's platform; None if no library can be built for it."""
     return FMI_PLATFORMS.get((platform.system(), platform.machine()))
 
 
 def compiler() -> str | None:
-    """Path of the first C compiler that is installed."""
+    """Path of the first installed compiler of :data:`COMPILERS`; None if there is none."""
     for name in COMPILERS:
         path = shutil.which(name)
         if path is not None:
@@ -91,7 +97,7 @@ def compiler() -> str | None:
 
 
 def no_library_reason() -> str | None:
-    """Why no library can be built here; None if one can."""
+    """The reason why no library can be built here; None if one can."""
     if machine_platform() is None:
         platforms = " and ".join(" ".join(names) for names in FMI_PLATFORMS)
         return f"libraries are built on {platforms} only, this is {platform.system()} {platform.machine()}"

@@ -9,7 +9,7 @@ from xml.sax.saxutils import escape
 from dssc_jax.core.units import parse_unit
 from dssc_jax.flight_code.controller import FlightCode
 from dssc_jax.flight_code.fmu_variables import INPUT, OUTPUT, PARAMETER, FmuVariable, flag_variables, real_variables
-from dssc_jax.flight_code.header import not_generated
+from dssc_jax.flight_code.header import missing_parts
 from dssc_jax.flight_code.template_files import fill
 
 BASE_UNITS: tuple[str, ...] = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
@@ -34,16 +34,16 @@ ROLES = {
 }
 STRUCTURED_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 cannot express at all."""
+"""Characters that XML 1.0 cannot express."""
 
 
 def xml_text(text: str) -> str:
-    """The text without what XML cannot express, on one line."""
+    """The text on one line, with U+FFFD for each character that XML cannot express."""
     return " ".join(NO_XML.sub("\ufffd", text).split())
 
 
 def base_exponents(unit: str) -> dict[str, int] | None:
-    """Exponents of FMI's base units; None for a unit that is no product of whole powers of SI units."""
+    """A unit by its exponents of FMI's base units; None if it is no product of whole powers of SI units."""
     try:
         powers = parse_unit(unit)
     except ValueError:
@@ -59,7 +59,13 @@ def base_exponents(unit: str) -> dict[str, int] | None:
 
 
 def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str:
-    """The text of ``modelDescription.xml``; the guid binds it to the sources, of which some files are compiled."""
+    """The text of ``modelDescription.xml``.
+
+    Args:
+        code: The controllers.
+        guid: Identifier that binds the description to the sources.
+        sources: Names of the files to compile.
+    """
     study = code.study
     reals = real_variables(code)
     flags = flag_variables(code)
@@ -70,7 +76,7 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
     description = (
         f"Sampled controller of the study {study.name}. Step it before the plant: its inputs are the samples at "
         f"the begin of a step, and its command is the plant's input during that step. {code.certificate} "
-        f"Not generated: {'; '.join(not_generated(study))}."
+        f"Not generated: {'; '.join(missing_parts(study))}."
     )
     elements = [variable_element(variable, reference, "Real") for reference, variable in enumerate(reals)]
     elements += [variable_element(variable, reference, "Integer") for reference, variable in enumerate(flags)]
@@ -92,25 +98,25 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
 
 
 def attribute(text: str) -> str:
-    """A text as the value of an attribute."""
+    """A text as the value of an attribute in XML."""
     return escape(xml_text(text), {'"': "&quot;"})
 
 
 def element(tag: str, attributes: Mapping[str, str], content: str = "") -> str:
-    """An element, with one element as its content or empty."""
+    """An element in XML, empty or with another element as its content."""
     pairs = "".join(f' {name}="{attribute(value)}"' for name, value in attributes.items())
     return f"<{tag}{pairs}>\n  {content}\n</{tag}>" if content else f"<{tag}{pairs} />"
 
 
 def xml_number(number: float) -> str:
-    """A number in XML, without a digit lost."""
+    """A number in XML, with all its digits."""
     if math.isfinite(number):
         return repr(float(number))
     return {math.inf: "INF", -math.inf: "-INF"}.get(number, "NaN")
 
 
 def unit_element(unit: str) -> str:
-    """The definition of a unit, with base units where they are known."""
+    """The element that defines a unit, with its base units if they are known."""
     exponents = base_exponents(unit)
     if exponents is None:
         return element("Unit", {"name": unit})
@@ -119,7 +125,13 @@ def unit_element(unit: str) -> str:
 
 
 def variable_element(variable: FmuVariable, reference: int, kind: str) -> str:
-    """One variable with its value reference."""
+    """The element of one variable.
+
+    Args:
+        variable: The variable.
+        reference: Value reference.
+        kind: Type in FMI, ``Real`` or ``Integer``.
+    """
     attributes = {"name": variable.name, "valueReference": str(reference), "description": variable.meaning}
     details = {"unit": variable.unit} if variable.unit else {}
     for name, number in (("start", variable.start), ("min", variable.lower), ("max", variable.upper)):

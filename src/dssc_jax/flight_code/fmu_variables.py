@@ -23,31 +23,41 @@ FLAG_MEANING = (
 
 
 class FmuVariable(NamedTuple):
-    """A variable of the FMU."""
+    """A variable of the FMU.
 
-    name: str  # with dots
-    causality: str  # PARAMETER, INPUT or OUTPUT
-    unit: str  # empty for a flag, which is an integer
+    Args:
+        name: Name, with dots.
+        causality: ``parameter``, ``input`` or ``output``.
+        unit: Unit; empty if it has none, as a flag.
+        meaning: Meaning in words.
+        start: Value before the first step; None for outputs, which are computed.
+        lower: Least admissible value; None: there is none.
+        upper: Largest admissible value; None: there is none.
+    """
+
+    name: str
+    causality: str
+    unit: str
     meaning: str
-    start: float | None = None  # its value before the first step; None for outputs, which are computed
-    lower: float | None = None  # least admissible value
-    upper: float | None = None  # largest admissible value
+    start: float | None = None
+    lower: float | None = None
+    upper: float | None = None
 
 
 def channel_variable(controller: SampledController, name: str) -> str:
-    """The name of a channel's variable, which begins with the channel as in trajectories."""
+    """The name in the FMU of a channel's variable, with the channel in front as in trajectories."""
     return f"{controller.channel}.{name}" if controller.channel else name
 
 
 def parameter_name(controller: SampledController, parameter: Parameter) -> str:
-    """The name in the study; that in C for a number that the study computes."""
+    """The name in the FMU of a parameter: its name in the study, or ``computed.`` with its name in C."""
     if parameter.quantity is None:
         return channel_variable(controller, f"computed.{parameter.name}")
     return parameter.key
 
 
 def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
-    """The parameters; channels that share a number of the study share its parameter."""
+    """The parameters of the FMU; channels that share a number of the study share its parameter."""
     variables: dict[str, FmuVariable] = {}
     for controller in code.controllers:
         for parameter in controller.parameters:
@@ -73,7 +83,7 @@ def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
 
 
 def finite_bound(*bounds: float | None) -> float | None:
-    """The first finite one of several bounds; FMI does not tell exclusive from inclusive ones."""
+    """The first finite one of several bounds, exclusive or inclusive, between which FMI makes no difference."""
     for bound in bounds:
         if bound is not None and math.isfinite(bound):
             return bound
@@ -81,7 +91,7 @@ def finite_bound(*bounds: float | None) -> float | None:
 
 
 def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]:
-    """Measurement and reference of a channel."""
+    """The inputs of a channel: measurement and reference."""
     units = study.units[controller.index]
     derivatives = (
         (units.of("y"), ""),
@@ -99,7 +109,7 @@ def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]
 
 
 def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable]:
-    """Command and telemetry of a channel."""
+    """The outputs of a channel: command and telemetry."""
     units = study.units[controller.index]
     variables = []
     for member, part_text in zip(COMMAND, ("robust part of the", "nominal part of the", "whole"), strict=True):
@@ -112,7 +122,7 @@ def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable
 
 
 def real_variables(code: FlightCode) -> list[FmuVariable]:
-    """All real variables; the position of a variable is its value reference."""
+    """All real variables of the FMU; the position of a variable is its value reference."""
     variables = fmu_parameters(code)
     for controller in code.controllers:
         variables += fmu_inputs(code.study, controller)
@@ -122,13 +132,13 @@ def real_variables(code: FlightCode) -> list[FmuVariable]:
 
 
 def flag_variables(code: FlightCode) -> list[FmuVariable]:
-    """The flag of each channel."""
+    """The integer variables of the FMU: the flag of each channel."""
     names = [channel_variable(controller, "flag") for controller in code.controllers]
     return [FmuVariable(name, OUTPUT, "", FLAG_MEANING) for name in names]
 
 
 def variables_text(code: FlightCode, guid: str) -> str:
-    """``fmu_variables.h``: the values of the variables, and how they reach the controllers."""
+    """The text of ``fmu_variables.h``: the values of the variables, and their exchange with the controllers."""
     variables = real_variables(code)
     references = {variable.name: reference for reference, variable in enumerate(variables)}
     causalities = [variable.causality for variable in variables]
@@ -163,17 +173,17 @@ def variables_text(code: FlightCode, guid: str) -> str:
 
 
 def channel_label(controller: SampledController) -> str:
-    """The begin of a message about a channel."""
+    """The beginning of messages about a channel; empty for the only channel."""
     return plain_message(f"channel {controller.channel}: ") if controller.channel else ""
 
 
 def plain_message(text: str) -> str:
-    """A message without % and #, which simulators expand."""
+    """A message with ? in place of % and #, which simulators would expand."""
     return text.replace("%", "?").replace("#", "?")
 
 
 def rule_table(controller: SampledController) -> list[str]:
-    """The messages for parameters outside of their ranges."""
+    """The table in C of messages for parameters outside of their ranges."""
     messages = []
     for parameter in controller.parameters:
         interval = parameter.quantity.interval if parameter.quantity is not None else ""
@@ -184,7 +194,7 @@ def rule_table(controller: SampledController) -> list[str]:
 
 
 def parameter_check(name: str) -> list[str]:
-    """The statements that check a channel's parameters."""
+    """The statements in C that check a channel's parameters; ``name`` is the controller's prefix."""
     return [
         f"const unsigned number_of_{name} = {name}_check(&all->{name}.parameters);",
         f"if (number_of_{name} != 0) {{",
@@ -194,7 +204,12 @@ def parameter_check(name: str) -> list[str]:
 
 
 def parameter_assignments(controller: SampledController, references: dict[str, int]) -> list[str]:
-    """The statements that give a channel its parameters."""
+    """The statements in C that assign a channel's parameters.
+
+    Args:
+        controller: The controller of the channel.
+        references: Value references by name.
+    """
     lines = []
     for parameter in controller.parameters:
         value = f"{real_cast(controller)}value[{references[parameter_name(controller, parameter)]}]"
@@ -203,12 +218,18 @@ def parameter_assignments(controller: SampledController, references: dict[str, i
 
 
 def real_cast(controller: SampledController) -> str:
-    """The cast from the FMU's numbers to the controller's."""
+    """The cast in C from float64 to the controller's type of numbers; empty if that is float64."""
     return "" if controller.c_real == "double" else f"({controller.c_real})"
 
 
 def channel_step(controller: SampledController, references: dict[str, int], flag: str) -> str:
-    """The block that steps a channel."""
+    """The block in C that makes a step of a channel.
+
+    Args:
+        controller: The controller of the channel.
+        references: Value references by name.
+        flag: C's expression of the channel's flag.
+    """
 
     def value(variable: str) -> str:
         return f"value[{references[channel_variable(controller, variable)]}]"

@@ -44,10 +44,10 @@ def certificate_sentence(study: Study) -> str:
 
 
 class FlightFolder:
-    """The files of a study's controllers.
+    """The files of a study's controllers in C.
 
     Args:
-        study: The study; its sweep is further, and uncertain gains have the medians of their laws.
+        study: The study. Its sweep is ignored, and the values of uncertain gains are the medians of their laws.
         premises: The premises of the study's certificate, for a monitor of the flight; None: no monitor.
 
     Raises:
@@ -63,7 +63,7 @@ class FlightFolder:
         self.software = None if software is None else software_files(software)
 
     def texts(self) -> dict[str, str]:
-        """Content of the text files by name."""
+        """Contents of the text files by name."""
         name = self.code.name
         study = self.code.study.name
         software = {} if self.software is None else software_texts(self.software, study)
@@ -82,15 +82,15 @@ class FlightFolder:
         }
 
     def fmu(self) -> ControllerFmu:
-        """The controllers as an FMU."""
+        """The same controllers as an FMU."""
         return controller_fmu(self.code)
 
     def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
-        """The bytes of the recording.
+        """The bytes of the controllers' recording, in parts.
 
         Args:
-            draws: Draws; at most those of the study.
-            samples: Samples of each; None: those of the study, at most :data:`RECORDED_SAMPLES`.
+            draws: Number of draws; at most that of the study.
+            samples: Samples of each draw; None: those of the study, at most :data:`RECORDED_SAMPLES`.
 
         Raises:
             ConfigError: The loop has no strict machine code, or a count is not positive.
@@ -107,26 +107,28 @@ class FlightFolder:
         return self._with_config_errors(recording_bytes(MONITOR, flights, self.code.precision))
 
     def software_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
-        """The bytes of the recording of software on board; arguments and errors as for :meth:`recording`."""
+        """The bytes of the recording of the software on board; arguments and errors as for :meth:`recording`."""
         assert self.software is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_ticks(self.code.study, self.software.software, draws, count)
         return self._with_config_errors(recording_bytes(SOFTWARE, flights, self.code.precision))
 
     def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
+        """Numbers of draws and samples to record; raises ConfigError if one is below 1."""
         for name, count in (("draws", draws), ("samples", samples or 1)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
         return min(draws, self.code.study.config.draws), samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
 
     def _with_config_errors(self, parts: Iterator[bytes]) -> Iterator[bytes]:
+        """The parts of a recording, with a ConfigError where the lane has no strict machine code."""
         try:
             yield from parts
         except Unsupported as problem:
             raise ConfigError(self.code.study.source, f"strict arithmetic cannot express {problem}") from None
 
     def summary(self) -> dict[str, Json]:
-        """For JSON: the channels with their names in C and their cost."""
+        """The JSON object of ``dssc-jax code --json``: the channels with their names in C and their cost."""
         return {
             "study": self.code.study.name,
             "hash": self.code.study.hash,
@@ -140,7 +142,7 @@ class FlightFolder:
 
 
 def monitor_summary(monitor: TracedMonitor) -> dict[str, Json]:
-    """For JSON: the monitor's name in C, its flags in the order of their bits, and its cost."""
+    """The JSON object of the monitor: its prefix in C, its flags in the order of their bits, and its cost."""
     cost = program_cost(monitor.step.program)
     return {
         "prefix": monitor.prefix,
@@ -153,7 +155,7 @@ def monitor_summary(monitor: TracedMonitor) -> dict[str, Json]:
 
 
 def channel_summary(controller: SampledController) -> dict[str, Json]:
-    """For JSON: a channel's names in C and its cost."""
+    """The JSON object of a channel: its names in C and its cost."""
     cost = step_cost(controller)
     return {
         "channel": controller.channel,

@@ -1,4 +1,4 @@
-"""The description of generated controllers, from which ``dssc-jax library`` builds a library."""
+"""The description of generated controllers in C, which ``dssc-jax library`` compiles into a shared object."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ DOUBLE = np.dtype(float)
 
 
 def description_text(code: FlightCode) -> str:
-    """The end of the source, which only the build of a library compiles."""
+    """The descriptions of all controllers, with which the source ends; only the build of a library compiles them."""
     return fill(
         "description.c",
         channels="\n".join(channel_text(code, controller) for controller in code.controllers),
@@ -25,7 +25,7 @@ def description_text(code: FlightCode) -> str:
 
 
 def channel_text(code: FlightCode, controller: SampledController) -> str:
-    """The tables and the description of one channel."""
+    """The tables and the description of one channel's controller in C."""
     name = controller.prefix
     computed_quantity = Quantity("", "computed from the study")
     parameter_rows: list[str] = []
@@ -62,23 +62,25 @@ def channel_text(code: FlightCode, controller: SampledController) -> str:
 
 
 def read_parameters(controller: SampledController) -> list[Parameter]:
-    """The parameters that start or step read; others, such as those of metrics, are no parameters of a library."""
+    """The parameters that start or step reads; others, such as those of metrics, are no parameters of a library."""
     read_positions = read_inputs(controller.start.program) | read_inputs(controller.step.program)
     return [parameter for position, parameter in enumerate(controller.parameters) if position in read_positions]
 
 
 def table_lines(name: str, rows: Sequence[str]) -> list[str]:
-    """The definition of a table; C has no empty ones."""
-    return [f"static const dssc_jax_number {name}[] = {{", *(f"    {row}," for row in rows), "};"] if rows else []
+    """The definition of a table in C; none without rows, because C has no empty tables."""
+    if not rows:
+        return []
+    return [f"static const dssc_jax_number {name}[] = {{", *(f"    {row}," for row in rows), "};"]
 
 
 def table_argument(name: str, rows: Sequence[str]) -> str:
-    """A table and its length as arguments."""
+    """The arguments in C for a table: the table and its length."""
     return f"{name}, DSSC_JAX_COUNT({name})" if rows else "NULL, 0"
 
 
 def limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
-    """The least and the greatest admissible value in C's notation; for an excluded end its neighbour."""
+    """The least and the greatest admissible value of a quantity in C; an excluded bound is moved to the next number."""
     low = -np.inf if quantity.at_least is None else quantity.at_least
     high = np.inf if quantity.at_most is None else quantity.at_most
     if quantity.above is not None:

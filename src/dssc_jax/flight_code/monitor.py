@@ -1,8 +1,8 @@
-"""The monitor of a flight: a pure step function that tells which premise of a certificate the flight has left.
+"""The monitor of a flight: a pure step function that tells which premises of a certificate the flight violates.
 
-``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one sample. The
-emitter of the controllers writes it as C. A number that is not finite is a number that is not known: it raises no flag,
-and clears none that is latched.
+``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one step. It is
+written as C in the same way as the controllers. A number that is not finite counts as unknown: it raises no flag, and
+clears none that is latched.
 """
 
 from collections.abc import Sequence
@@ -17,21 +17,21 @@ from dssc_jax.flight_code.premises import ChannelPremises, Interval, Premises
 from dssc_jax.flight_code.seen_disturbance import initial_seen, roundings, see
 
 NEVER = -1
-"""In place of the first sample of a flag that was never raised."""
+"""First sample of a flag that was never raised."""
 LAST_SAMPLE = 2**31 - 1
-"""Where the count of samples stays."""
+"""Number at which the count of samples stops."""
 
 
 class ChannelSample(NamedTuple):
-    """The signals of a channel that the monitor reads at one sample. The last two are () if no bound uses them.
+    """The signals of a channel that the monitor reads at one sample.
 
     Args:
         y: The output, as the controller receives it.
         y_dot: Rate of the output.
         y_ref: The reference.
         y_ref_dot: Rate of the reference.
-        u_p: The whole command of the controller.
-        sliding_margin: rho - abs(u_eq), as the controller reports it.
+        u_p: The whole command of the controller; () if no bound uses it.
+        sliding_margin: rho - abs(u_eq), as the controller reports it; () if no bound uses it.
     """
 
     y: Scalar
@@ -43,9 +43,12 @@ class ChannelSample(NamedTuple):
 
 
 class MonitorSample(NamedTuple):
-    """The monitor's inputs at one sample: its channels, the tilt [rad] and the rotors' commanded thrusts [N].
+    """The monitor's inputs at one sample.
 
-    The tilt and the thrusts are () if the certificate does not bound them.
+    Args:
+        channels: Signals of each channel.
+        tilt: Tilt [rad]; () if the certificate does not bound it.
+        rotor: Commanded thrust of each rotor [N]; () if the certificate does not bound them.
     """
 
     channels: tuple[ChannelSample, ...]
@@ -54,7 +57,13 @@ class MonitorSample(NamedTuple):
 
 
 class ChannelMemory(NamedTuple):
-    """The last measured sigma of a channel, the samples since then (0: none yet), and the disturbance that was seen."""
+    """The monitor's state of one channel.
+
+    Args:
+        sigma: The last known sigma.
+        gap: Number of samples since then; 0: sigma was never known.
+        seen: The state of the disturbance's enclosure, a :class:`SeenDisturbance`; () if no bound uses it.
+    """
 
     sigma: Scalar
     gap: Scalar
@@ -65,11 +74,11 @@ class MonitorState(NamedTuple):
     """State of the monitor.
 
     Args:
-        latched: Flags that were raised so far, a bit each.
-        sample: Number of the sample that comes, from 0 on.
-        first: The sample at which each flag was first raised; :data:`NEVER`.
-        started: 1 once the start was compared, else 0.
-        channels: Memories of the channels.
+        latched: Flags that were raised so far, a bit for each.
+        sample: Number of the next sample, from 0 on.
+        first: Sample at which each flag was first raised, or :data:`NEVER`.
+        started: 1 if the start of the flight was compared with its bounds, else 0.
+        channels: State of each channel.
     """
 
     latched: jax.Array
@@ -80,7 +89,15 @@ class MonitorState(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """e, e', sigma, the room for their roundings, and whether they are known."""
+    """The tracking errors of a channel at one sample.
+
+    Args:
+        e: Output error e.
+        e_dot: Rate of the error e'.
+        sigma: sigma = e' + l_0 e.
+        rounding: Bound of the rounding errors of e' and sigma; that of e is this divided by l_0.
+        known: Whether all measurements are finite; if not, the errors are 0.
+    """
 
     e: Scalar
     e_dot: Scalar
@@ -104,13 +121,15 @@ def initial_monitor(premises: Premises) -> MonitorState:
 def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
     """One sample.
 
+    It is compared with the bounds of the certificate.
+
     Args:
         premises: The bounds.
-        state: The state before it.
-        sample: What is seen at it.
+        state: The state before the sample.
+        sample: The signals at the sample.
 
     Returns:
-        The next state, and the flags that this sample raises: a bit each, in the order of ``premises.flags()``.
+        The next state, and the flags that this sample raises, a bit for each in the order of ``premises.flags()``.
     """
     deviations = []
     for channel, seen in zip(premises.channels, sample.channels, strict=True):
@@ -150,7 +169,12 @@ def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
 
 
 def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, jax.Array]:
-    """Whether the start was compared, and whether it is outside: at the first sample that has every channel."""
+    """Whether the start was compared, and whether it is outside: at the first sample that has every channel.
+
+    Returns:
+        1 if the start of the flight has been compared with its bounds by now, else 0; and whether it is out of bounds,
+        which is true at no sample but the first that has every channel.
+    """
     outside = []
     for channel, at in zip(premises.channels, deviations, strict=True):
         if channel.start is not None:
@@ -173,7 +197,15 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
 def channel_flags(
     premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, at: Deviation
 ) -> tuple[ChannelMemory, list[jax.Array]]:
-    """The next memory of a channel, and its flags in the order of ``channel.flags()``."""
+    """The next memory of a channel, and its flags in the order of ``channel.flags()``.
+
+    Args:
+        premises: The bounds of the flight.
+        channel: The bounds of the channel.
+        memory: The state of the channel before the sample.
+        sample: The signals of the channel.
+        at: The tracking errors of the channel.
+    """
     begun = jnp.greater(memory.gap, 0.0)
     flags = [at.known & jnp.greater(jnp.abs(at.e), channel.e)]
     if channel.e_dot is not None:
@@ -201,12 +233,21 @@ def is_finite(number: Scalar) -> jax.Array:
 
 
 def exceeds(number: Scalar, bound: float) -> jax.Array:
-    """Whether a known number is beyond a bound."""
+    """Whether a known number is beyond a bound.
+
+    Known means finite; the bound is one of the absolute value.
+    """
     return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 
 
 def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Array:
-    """Whether a number is outside of an interval."""
+    """Whether a number is outside of an interval.
+
+    Args:
+        number: The number.
+        interval: Both ends.
+        rounding: Bound of the number's rounding error, by which the interval is widened.
+    """
     low, high = interval
     return jnp.less(number, low - rounding) | jnp.greater(number, high + rounding)
 

@@ -1,7 +1,7 @@
 """Recorded flights of a study with the states and flags of its monitor, in strict arithmetic, for the bench.
 
-Of each draw there are two: the flight itself, and the same with deviations that grow from sample to sample and with
-numbers that are missing, so that most flags are raised.
+Each draw flies twice: as it is, and with deviations that grow from sample to sample and with missing numbers, so that
+most flags are raised.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,13 +21,14 @@ from dssc_jax.flight_code.traced_monitor import TracedMonitor, typed
 from dssc_jax.study import Study
 
 GROWTH = 0.25
-"""Growth of the deviations from sample to sample, as a share of those of the flight."""
+"""Growth of the deviations from sample to sample, relative to those of the flight."""
 MISSING_EVERY = 61
-"""Samples from one missing number to the next."""
+"""Number of samples from one missing number to the next."""
 
 Row: TypeAlias = tuple[Scalar, ...]
-"""The sample's numbers, its flags, the latched ones, and the floating-point numbers of the state after it."""
+"""The inputs of a sample, its flags, the latched flags, and the floating-point numbers of the state after it."""
 Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
+"""State of the loop, number of the sample, and the states of the monitors of both flights."""
 
 
 def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
@@ -52,8 +53,8 @@ def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
     return MonitorSample(tuple(channels), tilt, tuple(vehicle.rotor) if premises.rotor_count else ())
 
 
-def exaggerated(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
-    """The sample with larger deviations; every now and then a number is missing."""
+def exaggerate(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
+    """The sample k with deviations that grow with k; in one of :data:`MISSING_EVERY` samples, y is missing."""
     factor = 1.0 + GROWTH * k
     is_missing = k % MISSING_EVERY == MISSING_EVERY - 1
     channels = []
@@ -71,7 +72,10 @@ def exaggerated(premises: Premises, sample: MonitorSample, k: Scalar) -> Monitor
 def recording_lane(
     study: Study, premises: Premises, samples: int
 ) -> Callable[[dict[str, Scalar], jax.Array], tuple[Row, Row]]:
-    """The program of a lane: (numbers by name, draw index) -> a column of each member of a row, for both flights."""
+    """The program that records a draw: (numbers by name, draw index) -> rows of both flights.
+
+    Each member of a row is a column of shape (samples,).
+    """
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> tuple[Row, Row]:
         loop = study.loop
@@ -83,9 +87,9 @@ def recording_lane(
             state, k, monitors = carry
             after, recorded = step(loop, params, key, state, k, advance)
             monitor_sample = sample_of(premises, recorded)
-            plain_state, plain_row = monitored(premises, monitors[0], monitor_sample)
-            exaggerated_sample = exaggerated(premises, monitor_sample, k)
-            exaggerated_state, exaggerated_row = monitored(premises, monitors[1], exaggerated_sample)
+            plain_state, plain_row = monitor_row(premises, monitors[0], monitor_sample)
+            exaggerated_sample = exaggerate(premises, monitor_sample, k)
+            exaggerated_state, exaggerated_row = monitor_row(premises, monitors[1], exaggerated_sample)
             return (after, k + 1, (plain_state, exaggerated_state)), (plain_row, exaggerated_row)
 
         monitors = (typed(initial_monitor(premises)), typed(initial_monitor(premises)))
@@ -95,8 +99,8 @@ def recording_lane(
     return lane
 
 
-def monitored(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Row]:
-    """One sample of the monitor, and its row."""
+def monitor_row(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Row]:
+    """The state of the monitor after a sample, and the row to record."""
     next_state, current = monitor(premises, state, sample)
     next_state = typed(next_state)
     memories = [leaf for leaf in jax.tree.leaves(next_state) if leaf.dtype.kind == "f"]
@@ -106,8 +110,8 @@ def monitored(premises: Premises, state: MonitorState, sample: MonitorSample) ->
 
 
 def recorded_flights(study: Study, traced_monitor: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
-    """The rows of a study's first draws, which fly twice each: an array (samples, members of a row) for each flight."""
+    """The rows of a study's first draws, two flights each: an array of shape (samples, members of a row) a flight."""
     lane = recording_lane(study, traced_monitor.premises, samples)
-    for flights in recorded_columns(study, lane, draws, traced_monitor.precision):
+    for _, flights in recorded_columns(study, lane, draws):
         for columns in flights:
             yield np.stack(columns, axis=1)

@@ -1,52 +1,50 @@
-"""Sampled software on board of a plant, such as the inner loops with the mixer, traced for its C.
+"""Sampled software on board of a plant, such as the inner loops with the mixer, traced to be written as C.
 
-Its gains are parameters of the code. All other numbers of the study are constants: one that it reads and that has a law
-is refused.
+Its gains are parameters of the code. All other numbers of the study are constants, so a number with a law is refused if
+the software reads it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import keystr, tree_flatten_with_path
 
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.signals import PlantInput, Scalar, State
-from dssc_jax.flight_code.controller import TracedFunction
+from dssc_jax.flight_code.controller import TracedFunction, leaf_names, traced_function
 from dssc_jax.flight_code.parameters import Parameter, loop_parameters
 from dssc_jax.lanes.c.names import member_names
-from dssc_jax.lanes.tracing.origins import translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
 
 
 @dataclass(frozen=True)
 class TracedSoftware:
-    """Software on board. The inputs of a function: parameters, laws, readings, held numbers, commands, in this order.
+    """Traced software on board. The first inputs of each function are parameters, laws and readings.
 
     Args:
         prefix: Prefix of its functions and types in C.
-        parameters: Its numbers that may be changed in flight.
-        laws: Names of the study's other laws, of which it must read none.
-        readings: Names of what it measures, in C.
-        state_names: Names of its state in C.
+        parameters: Numbers that may be changed in flight.
+        laws: Names of the study's numbers with laws that are no parameters; the software must read none of them.
+        readings: Names of its measurements in C.
+        state_names: Names of its states in C.
         commands: Names of its commands in C, one for each channel.
-        start: Gives the held numbers before the first sample.
-        sample: Gives the held numbers after the part that runs at a sample of the loop.
-        tick: Gives the held numbers after a tick.
-        transfer: Gives the held numbers from which it goes on driving as another software did, and 1 where its limits
-            let it do so, else 0; None: it cannot.
-        drive_names: Names of the held numbers that drive actuators.
-        ticks: Ticks in a sample.
+        start: ``(...) -> states`` before the first sample.
+        sample: ``(..., states, commands) -> states`` after the part that runs at a sample of the loop.
+        tick: ``(..., states) -> states`` after a tick.
+        transfer: ``(..., drives) -> (states, feasible)``: states from which the software goes on driving the actuators
+            as another one did, and 1 if its limits allow this, else 0; None: no handover is possible.
+        drive_names: Names of the states that drive actuators.
+        ticks: Number of ticks in a sample.
         period: Time between two ticks [s].
         precision: Bits of a number.
-        outputs: Sentences on what its results drive.
+        outputs: Sentences for the documentation: what its results drive.
         directions: Names of the readings of each vector of length 1.
     """
 
@@ -69,27 +67,21 @@ class TracedSoftware:
 
     @property
     def real(self) -> np.dtype:
-        """The type of its numbers."""
+        """The dtype of its numbers."""
         return np.dtype(f"float{self.precision}")
 
 
-def without_held(software: Onboard, state: State) -> State:
-    """The plant's state with () in place of what the software holds."""
+def without_software(software: Onboard, state: State) -> State:
+    """The plant's state with () in place of the software's part, which leaves the software's measurements."""
     return software.holding(state, ())
 
 
-def names_of(tree: Any) -> tuple[str, ...]:
-    """A name in C for each leaf of a tree."""
-    paths = (keystr(path, simple=True, separator=".") for path, _ in tree_flatten_with_path(tree)[0])
-    return tuple(member_names(path.replace(".", "_") for path in paths))
-
-
 def traced_software(study: Study, name: str) -> TracedSoftware | None:
-    """The software on board of a study's plant; None: the study's plant has none.
+    """Trace the software on board of a study's plant; None if the plant has none.
 
     Args:
         study: The study, without a sweep.
-        name: Its name in C.
+        name: Name of the study in C.
 
     Raises:
         ConfigError: An operation has no exact form in C.
@@ -133,21 +125,22 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
                 plant_state = jax.eval_shape(
                     lambda at: as_arrays(estimation.estimated_state(study.template.plant, at)), plant_state
                 )
-            readings = jax.tree.map(lambda leaf: number, without_held(software, plant_state))
+            readings = jax.tree.map(lambda leaf: number, without_software(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))
             commands = (number,) * count
-            traced_start = traced_function(start, values, readings)
-            traced_sample = traced_function(sample, values, readings, held, commands)
-            traced_tick = traced_function(tick, values, readings, held)
-            state_names = names_of(held)
+            traced_start, _ = traced_function(start, values, readings)
+            traced_sample, _ = traced_function(sample, values, readings, held, commands)
+            traced_tick, _ = traced_function(tick, values, readings, held)
+            state_names = leaf_names(held)
             drive_names = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
             traced_transfer = None
             if software.taken_over is not None:
-                traced_transfer = traced_function(transfer, values, readings, (number,) * len(drive_names))
+                drives = (number,) * len(drive_names)
+                traced_transfer, _ = traced_function(transfer, values, readings, drives)
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     command_names = member_names(channel or "command" for channel in loop.channels)
-    reading_names = names_of(readings)
+    reading_names = leaf_names(readings)
     directions = []
     for field in software.directions:
         directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
@@ -172,21 +165,15 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
 
 
 def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:
-    """The numbers of the software that its C may change in flight."""
+    """The numbers of the software that may be changed in flight."""
 
-    def belongs(path: str) -> bool:
+    def selects(path: str) -> bool:
         slot, field, *_ = [*path.split("."), ""]
         return slot == "plant" and field in software.tunable
 
     def name(key: str) -> str:
-        """The fields of a number behind the plant, and behind the first of the fields, that of the gains."""
+        """The name in C of a number: its path without the plant and, for gains, without their field."""
         _, field, *fields = key.split(".")
         return "_".join(fields if field == software.tunable[0] else [field, *fields])
 
-    return loop_parameters(study, belongs, name)
-
-
-def traced_function(function: Callable[..., State], *shapes: Any) -> TracedFunction:
-    """A function of the software, traced."""
-    program, _, origins = translate_with_origins(function, *shapes)
-    return TracedFunction(program, origins)
+    return loop_parameters(study, selects, name)

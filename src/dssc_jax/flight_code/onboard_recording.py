@@ -1,4 +1,4 @@
-"""Recorded flights of a study, tick by tick: what its software on board reads and holds, in strict arithmetic."""
+"""Recorded flights of a study in strict arithmetic: inputs and states of its software on board, tick by tick."""
 
 from collections.abc import Callable, Iterator
 from typing import TypeAlias
@@ -13,20 +13,23 @@ from dssc_jax.closed_loop.sample import LoopState, held_parts, initial_state, st
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_code.onboard import TracedSoftware, without_held
+from dssc_jax.flight_code.onboard import TracedSoftware, without_software
 from dssc_jax.flight_code.replay_bench import recorded_columns
 from dssc_jax.study import Study
 
 NO_FLAGS = 0.0
 
 Row: TypeAlias = tuple[Scalar, ...]
-"""Readings, commands, parameters with a law, flags (none) and held numbers of one tick."""
+"""Readings, commands, parameters with a law, flags (none) and states after one tick."""
 
 
 def recording_lane(
     study: Study, traced: TracedSoftware, samples: int
 ) -> Callable[[dict[str, Scalar], jax.Array], list[Row]]:
-    """The program of a lane: (numbers by name, draw index) -> for each tick of a sample a column of each number."""
+    """The program that records a draw: (numbers by name, draw index) -> a row for each tick of a sample.
+
+    Each member of a row is a column of shape (samples,).
+    """
     uncertain = [parameter.key for parameter in traced.parameters if parameter.uncertain]
     loop = study.loop
     software = loop.mimo_plant.software
@@ -39,9 +42,9 @@ def recording_lane(
         estimation = estimation_of(loop, params)
 
         def measured_state(state: State) -> State:
-            """What the software measures."""
+            """The plant's state as the software measures it."""
             estimated_state = state if estimation is None else estimation.estimated_state(params.plant, state)
-            return without_held(software, estimated_state)
+            return without_software(software, estimated_state)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], list[Row]]:
             state, k = carry
@@ -59,7 +62,7 @@ def recording_lane(
             return (following, k + 1), rows
 
         start = initial_state(loop, params, key)
-        held = software.start(params.plant, measured_state(start.plant), None)  # as its C starts: never settled
+        held = software.start(params.plant, measured_state(start.plant), None)  # as in C, which never settles
         start = as_arrays(start._replace(plant=software.holding(start.plant, held)))
         return jax.lax.scan(sample, (start, jnp.zeros((), jnp.int32)), length=samples)[1]
 
@@ -67,13 +70,13 @@ def recording_lane(
 
 
 def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: int) -> Iterator[np.ndarray]:
-    """The rows of the first draws of a study, shape (ticks, numbers of a row) each.
+    """The rows of the first draws of a study, shape (ticks, numbers of a row) for each draw.
 
-    A flight ends before the first row with a number that is not finite: the software in C keeps its state there.
+    A flight ends before the first row with a number that is not finite, where the software in C keeps its old state.
     """
     lane = recording_lane(study, traced, samples)
     constants = {parameter.key: parameter.value for parameter in traced.parameters}
-    for ticks in recorded_columns(study, lane, draws, traced.precision, constants):
+    for _, ticks in recorded_columns(study, lane, draws, constants):
         tick_rows = [np.stack(columns, axis=1) for columns in ticks]
         rows = np.stack(tick_rows, axis=1).reshape(-1, tick_rows[0].shape[1])
         is_finite = np.isfinite(rows).all(axis=1)

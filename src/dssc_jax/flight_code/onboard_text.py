@@ -6,17 +6,17 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.c_files import (
     LENGTH_ERROR,
-    finite,
+    finite_condition,
     finite_function,
     header_file,
     joined_definitions,
-    of_length_1,
     source_file,
+    unit_length_condition,
 )
 from dssc_jax.flight_code.controller import TracedFunction
 from dssc_jax.flight_code.header import member_text
 from dssc_jax.flight_code.onboard import TracedSoftware
-from dssc_jax.flight_code.parameters import Parameter, assignments, checks, parameter_comment
+from dssc_jax.flight_code.parameters import Parameter, assignment_lines, check_lines, parameter_comment
 from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_type
@@ -32,7 +32,14 @@ LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "drive
 
 
 class FunctionLines(NamedTuple):
-    """A function of the software in C: its lines, the parameters and readings that it needs, and its definitions."""
+    """The body of a function of the software in C.
+
+    Args:
+        lines: Lines of the body.
+        parameters: Names of the parameters that it reads.
+        readings: Names of the readings that it reads.
+        definitions: Definitions of the tables and functions that it uses.
+    """
 
     lines: list[str]
     parameters: list[str]
@@ -41,18 +48,18 @@ class FunctionLines(NamedTuple):
 
 
 def write_function(
-    software: TracedSoftware, function: TracedFunction, arguments: Sequence[str], further: Sequence[str] = ()
+    software: TracedSoftware, function: TracedFunction, arguments: Sequence[str], extra_outputs: Sequence[str] = ()
 ) -> FunctionLines:
-    """Write one function.
+    """Write the body of one function.
 
     Args:
         software: The software.
         function: The function.
-        arguments: C's expressions of its inputs behind parameters, laws and readings.
-        further: Names of its outputs behind the held numbers.
+        arguments: C's expressions of its inputs after parameters, laws and readings.
+        extra_outputs: Names of its outputs after the states.
 
     Raises:
-        ConfigError: It reads a number that has a law.
+        ConfigError: The function reads a number that has a law.
     """
     read_positions = read_inputs(function.program)
     first_law = len(software.parameters)
@@ -71,7 +78,7 @@ def write_function(
     count = len(software.state_names)
     for name, output in zip(software.state_names, outputs[:count], strict=True):
         text.line(f"updated.{name} = {text.read(output)};")
-    for name, output in zip(further, outputs[count:], strict=True):
+    for name, output in zip(extra_outputs, outputs[count:], strict=True):
         text.line(f"const {c_type(software.real)} {name} = {text.read(output)};")
     parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in read_positions]
     needed_readings = [
@@ -82,7 +89,7 @@ def write_function(
 
 
 class SoftwareFiles(NamedTuple):
-    """The data from which all files are written."""
+    """The data from which all files of the software are written: the traced software and its functions in C."""
 
     software: TracedSoftware
     start: FunctionLines
@@ -92,25 +99,25 @@ class SoftwareFiles(NamedTuple):
 
     @property
     def functions(self) -> list[FunctionLines]:
-        """All functions."""
+        """Start, sample, tick and, if there is one, transfer."""
         functions = [self.start, self.sample, self.tick]
         return functions if self.transfer is None else [*functions, self.transfer]
 
     @property
     def readings(self) -> list[str]:
-        """Names of the readings that some function needs."""
+        """Names of the readings that at least one function reads."""
         needed_names = {name for function in self.functions for name in function.readings}
         return [name for name in self.software.readings if name in needed_names]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that some function needs."""
+        """The parameters that at least one function reads."""
         needed_names = {name for function in self.functions for name in function.parameters}
         return tuple(parameter for parameter in self.software.parameters if parameter.name in needed_names)
 
 
 def software_files(software: TracedSoftware) -> SoftwareFiles:
-    """Write the functions; raises ConfigError as :func:`write_function`."""
+    """Write all functions of the software in C; raises ConfigError as :func:`write_function`."""
     state_members = [f"held.{name}" for name in software.state_names]
     commands = [f"wanted->{name}" for name in software.commands]
     transfer = None
@@ -127,11 +134,11 @@ def software_files(software: TracedSoftware) -> SoftwareFiles:
 
 
 def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
-    """Content of the text files by name.
+    """Contents of header, source, bench and makefile of the software, by the file's name.
 
     Args:
         files: The software.
-        study: The study's name.
+        study: Name of the study.
     """
     software = files.software
     real = c_type(software.real)
@@ -150,7 +157,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
     lengths = []
     for direction in software.directions:
         if set(direction) <= set(files.readings):
-            lengths.append(of_length_1([f"seen->{reading}" for reading in direction], software.real))
+            lengths.append(unit_length_condition([f"seen->{reading}" for reading in direction], software.real))
     comments = [parameter_comment(number, parameter) for number, parameter in enumerate(files.parameters, start=1)]
     members = zip(files.parameters, comments, strict=True)
     declarations = fill(
@@ -169,11 +176,11 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         name=name,
         is_finite=finite_function(software.real),
         definitions=joined_definitions(definitions),
-        readings_valid="\n        && ".join([finite(readings), *lengths]),
-        commands_finite=finite(commands),
-        held_finite=finite([f"updated.{member}" for member in software.state_names]),
-        parameters=assignments("inner_loop->parameters", files.parameters, software.real),
-        checks=checks(files.parameters, software.real),
+        readings_valid="\n        && ".join([finite_condition(readings), *lengths]),
+        commands_finite=finite_condition(commands),
+        held_finite=finite_condition([f"updated.{member}" for member in software.state_names]),
+        parameters=assignment_lines("inner_loop->parameters", files.parameters, software.real),
+        checks=check_lines(files.parameters, software.real),
         start=body_lines(files.start, name),
         sample=body_lines(files.sample, name),
         tick=body_lines(files.tick, name),
@@ -187,31 +194,39 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
 
 
 def body_lines(function: FunctionLines, name: str) -> list[str]:
-    """The lines of a function with the pointers that it needs; a reading that it does not need is marked."""
-    pointer = f"    const {name}_parameters *const p = &inner_loop->parameters;"
-    before = [pointer] if function.parameters else []
-    return [*before, *function.lines] if function.readings else [*before, "    (void)seen;", *function.lines]
+    """The body of a function, with the pointer to its parameters; the argument ``seen`` may be unused.
+
+    Args:
+        function: The function.
+        name: Prefix of the software in C.
+    """
+    lines = list(function.lines)
+    if not function.readings:
+        lines.insert(0, "    (void)seen;")
+    if function.parameters:
+        lines.insert(0, f"    const {name}_parameters *const p = &inner_loop->parameters;")
+    return lines
 
 
 def transfer_declaration(software: TracedSoftware) -> str:
-    """The function for a takeover in flight."""
+    """The declaration in C of the function for a takeover in flight."""
     real = c_type(software.real)
     members = [f"{real} {name};" for name in software.drive_names]
     return fill("inner_loop_transfer.h", name=software.prefix, driven=members)
 
 
 def transfer_definition(function: FunctionLines, software: TracedSoftware) -> str:
-    """The definition of that function."""
+    """The definition in C of the function for a takeover in flight."""
     return fill(
         "inner_loop_transfer.c",
         name=software.prefix,
-        driven_finite=finite([f"driven->{name}" for name in software.drive_names]),
+        driven_finite=finite_condition([f"driven->{name}" for name in software.drive_names]),
         transfer=body_lines(function, software.prefix),
     )
 
 
 def replay_bench(files: SoftwareFiles) -> ReplayBench:
-    """The bench, whose rows are ticks; a row has all readings, also those that no function needs."""
+    """The bench of the software, whose rows are ticks; a row has all readings, even those that no function reads."""
     software = files.software
     name = software.prefix
     count = len(software.readings)

@@ -1,4 +1,4 @@
-"""The numbers of generated code that may be changed in flight: of a controller, of software on board."""
+"""The numbers of a controller or of software on board that generated code lets its caller change in flight."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -17,26 +17,35 @@ from dssc_jax.study.laws import UncertainValue
 
 
 class Parameter(NamedTuple):
-    """A number of the code that may be changed in flight."""
+    """A number of generated code that may be changed in flight.
 
-    key: str  # its key in Study.params: its name in the study, or its path if the study computes it
-    name: str  # its name in C
-    quantity: Quantity | None  # unit, meaning and range; None if its field declares none
-    value: float  # the study's value, or that at the medians of laws
-    uncertain: bool  # whether it has a law in the study, or follows from one
+    Args:
+        key: Key in ``Study.params``: its name in the study, or its path if the study computes it.
+        name: Name in C.
+        quantity: Unit, meaning and range; None: its field declares none.
+        value: The study's value, or the value at the medians of the laws.
+        uncertain: Whether it has a law in the study, or follows from a number that has one.
+    """
+
+    key: str
+    name: str
+    quantity: Quantity | None
+    value: float
+    uncertain: bool
 
 
 def loop_parameters(
-    study: Study, belongs: Callable[[str], bool], name: Callable[[str], str], units: ChannelUnits = UNNAMED_UNITS
+    study: Study, selects: Callable[[str], bool], name: Callable[[str], str], units: ChannelUnits = UNNAMED_UNITS
 ) -> tuple[Parameter, ...]:
-    """Numbers of the study's loop, in the order of their fields.
+    """The selected numbers of a study's loop as parameters, in the order of their fields.
 
     Numbers that decide the shape of the program (choices, counts) stay constants.
 
     Args:
         study: The study.
-        belongs: Whether a number at a dotted path in the loop's parameters is one.
-        name: Its name in C, from its name in the study, or its path if the study computes it.
+        selects: ``(path) -> bool``: whether the number at a dotted path in the loop's parameters is selected.
+        name: ``(key) -> name in C``, where the key is the number's name in the study, or its path if the study computes
+            it.
         units: Units of y and u, for numbers that the study computes.
     """
     names = {path: name_in_study for name_in_study, number in study.numbers.items() for path in number.paths}
@@ -44,7 +53,7 @@ def loop_parameters(
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:
         dotted_path = keystr(path, simple=True, separator=".")
-        if not belongs(dotted_path) or not isinstance(leaf, float | UncertainValue):
+        if not selects(dotted_path) or not isinstance(leaf, float | UncertainValue):
             continue
         number = study.numbers.get(names.get(dotted_path, ""))
         if number is not None and not number.quantity.law:
@@ -59,7 +68,11 @@ def loop_parameters(
 
 
 def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity | None:
-    """The quantity that a field of parameters declares, for a number at a dotted path; None: none, as in a matrix."""
+    """The quantity that the field of a number declares, by the number's dotted path in ``params``.
+
+    Returns:
+        The quantity in the units of a channel; None if the field declares none, as that of a matrix.
+    """
     quantity = None
     node = params
     for step in path.split("."):
@@ -72,14 +85,20 @@ def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity |
 
 
 def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """Laws of draws, what follows from them, and constants, by their keys in ``Study.params``; one value a draw."""
+    """Numbers of some draws by their keys in ``Study.params``, shape (draws,) each.
+
+    Args:
+        study: The study.
+        indices: Indices of the draws, shape (draws,).
+        constants: Numbers that all draws share; laws, and numbers that follow from laws, override them.
+    """
     values = draw_values(study, indices)
     values |= {name: np.asarray(column) for name, column in study.derived(values).items()}
     return {name: np.full(len(indices), value) for name, value in constants.items()} | values
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:
-    """Number, unit, meaning, range and the study's value of a parameter."""
+    """The comment on a parameter in C: its number, unit, meaning, range and the study's value."""
     quantity = parameter.quantity
     median = ", median of its law" if parameter.uncertain else ""
     if quantity is None:
@@ -88,14 +107,14 @@ def parameter_comment(number: int, parameter: Parameter) -> str:
     return f"{number}: {quantity.unit}: {quantity.meaning}{interval}; {parameter.value!r}{median}"
 
 
-def assignments(structure: str, parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
-    """Statements that give a structure in C the study's values."""
+def assignment_lines(structure: str, parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
+    """Statements in C that assign the study's values to the members of a structure."""
     literals = {parameter.name: c_literal(real.type(parameter.value), real) for parameter in parameters}
     return [f"{structure}.{name} = {literal};" for name, literal in (literals or {"unused": "0"}).items()]
 
 
-def checks(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
-    """Statements that return the number of the first inadmissible one of changed parameters."""
+def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
+    """Statements in C that return the number, from 1 on, of the first parameter with an inadmissible value."""
     lines: list[str] = []
     for number, parameter in enumerate(parameters, start=1):
         conditions = " && ".join(parameter_conditions(parameter, real))
@@ -104,7 +123,7 @@ def checks(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
 
 
 def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
-    """Conditions that an admissible parameter satisfies, and NaN does not."""
+    """Conditions in C that all admissible values of a parameter satisfy, and no others; NaN is not admissible."""
     member = f"parameters->{parameter.name}"
     conditions = [f"is_finite({member})"]
     quantity = parameter.quantity

@@ -1,4 +1,4 @@
-"""Premises that a monitor checks: the bounds of a certificate, in plain numbers, and the flags for them."""
+"""Premises that a monitor checks: the bounds of a certificate as numbers, and a flag for each."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
@@ -12,7 +12,7 @@ Interval: TypeAlias = tuple[float, float]
 
 
 class Flag(NamedTuple):
-    """A flag: its bit's name in C without the study's, and what it says in a sentence."""
+    """A flag of the monitor: its name in C, without the study's prefix, and its meaning in a sentence."""
 
     name: str
     sentence: str
@@ -27,9 +27,9 @@ class DisturbancePremises:
         slope: Bound of |d'|, in that unit per second.
         k_p: Interval of the high-frequency gain.
         a_p: Interval of the damping [1/s].
-        mu: Interval of the lag's time constant [s]; (0, 0) for none.
+        mu: Interval of the lag's time constant [s]; (0, 0): there is no lag.
         lag_order: Number of first-order lags 1/(mu s + 1) between command and plant.
-        delay_weights: Weights of the commands of ages 0, 1, ... samples in what acts.
+        delay_weights: Weights of the commands of ages 0, 1, ... samples in the mean command behind the delay.
     """
 
     level: float
@@ -53,9 +53,9 @@ class ChannelPremises:
         e_dot: Bound of |e'|; None: the certificate states none.
         sigma: Bound of |sigma|.
         sigma_slope: Bound of |sigma'|; None: the certificate states none.
-        slides: Whether the controller has a clip, which is not to be active.
-        start: Intervals of e and e' at the first sample; None: those of the plane count.
-        disturbance: Assumptions on the disturbance; None: it cannot be seen.
+        slides: Whether the controller has a clip, which must not be active.
+        start: Intervals of e and e' at the first sample; None: ``plane_start`` of the flight bounds them.
+        disturbance: Bounds of the disturbance; None: the measurements do not determine it.
         units: Units of the output and of the command.
     """
 
@@ -103,13 +103,14 @@ class Premises:
 
     Args:
         sample_time: T_s [s].
-        channels: One for each channel of the loop.
-        plane_start: Bounds of the norms of (e_x, e_y) [m] and (e_x', e_y') [m/s] at the first sample, or None.
+        channels: The bounds of each channel of the loop.
+        plane_start: Bounds of the norms of (e_x, e_y) [m] and (e_x', e_y') [m/s] at the first sample; None: there are
+            none.
         tilt: Bound of the tilt [rad]; None: there is none.
         rotors: Interval of the rotors' commanded thrusts [N]; None: there is none.
         rotor_count: Number of rotors.
-        statement: What the certificate proves, in words.
-        unwatched: What the monitor cannot see, in words; empty: nothing to say.
+        statement: The statement of the certificate in words.
+        unwatched: A sentence on the premises that the monitor cannot check; empty: it checks all.
     """
 
     sample_time: float
@@ -140,43 +141,43 @@ class Premises:
         return tuple(flight_flags)
 
     def rounded(self, real: np.dtype) -> "Premises":
-        """Return the bounds in another type of numbers, each rounded outwards."""
+        """The same premises with bounds in another dtype, each rounded outwards."""
         channels = tuple(rounded_channel(channel, real) for channel in self.channels)
-        plane = self.plane_start and (above(self.plane_start[0], real), above(self.plane_start[1], real))
-        tilt = None if self.tilt is None else above(self.tilt, real)
-        rotors = self.rotors and outwards(self.rotors, real)
+        plane = self.plane_start and (rounded_up(self.plane_start[0], real), rounded_up(self.plane_start[1], real))
+        tilt = None if self.tilt is None else rounded_up(self.tilt, real)
+        rotors = self.rotors and rounded_outwards(self.rotors, real)
         return replace(self, channels=channels, plane_start=plane, tilt=tilt, rotors=rotors)
 
 
-def above(value: float, real: np.dtype) -> float:
-    """The smallest number of a type that is not below a value."""
+def rounded_up(value: float, real: np.dtype) -> float:
+    """The smallest number of a dtype that is not below a value."""
     nearest = real.type(value)
     return float(nearest if float(nearest) >= value else np.nextafter(nearest, real.type(np.inf)))
 
 
-def outwards(interval: Interval, real: np.dtype) -> Interval:
-    """An interval of numbers of a type that holds another one."""
-    return -above(-interval[0], real), above(interval[1], real)
+def rounded_outwards(interval: Interval, real: np.dtype) -> Interval:
+    """The smallest interval with ends of a dtype that contains an interval."""
+    return -rounded_up(-interval[0], real), rounded_up(interval[1], real)
 
 
 def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
-    """A channel's bounds, rounded outwards."""
+    """The bounds of a channel in another dtype, rounded outwards."""
     disturbance = channel.disturbance
     if disturbance is not None:
         disturbance = replace(
             disturbance,
-            level=above(disturbance.level, real),
-            slope=above(disturbance.slope, real),
-            k_p=outwards(disturbance.k_p, real),
-            a_p=outwards(disturbance.a_p, real),
+            level=rounded_up(disturbance.level, real),
+            slope=rounded_up(disturbance.slope, real),
+            k_p=rounded_outwards(disturbance.k_p, real),
+            a_p=rounded_outwards(disturbance.a_p, real),
         )
-    start = channel.start and (outwards(channel.start[0], real), outwards(channel.start[1], real))
+    start = channel.start and (rounded_outwards(channel.start[0], real), rounded_outwards(channel.start[1], real))
     return replace(
         channel,
-        e=above(channel.e, real),
-        e_dot=None if channel.e_dot is None else above(channel.e_dot, real),
-        sigma=above(channel.sigma, real),
-        sigma_slope=None if channel.sigma_slope is None else above(channel.sigma_slope, real),
+        e=rounded_up(channel.e, real),
+        e_dot=None if channel.e_dot is None else rounded_up(channel.e_dot, real),
+        sigma=rounded_up(channel.sigma, real),
+        sigma_slope=None if channel.sigma_slope is None else rounded_up(channel.sigma_slope, real),
         start=start,
         disturbance=disturbance,
     )

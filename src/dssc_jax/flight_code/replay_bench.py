@@ -21,16 +21,18 @@ from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
 SINGLE = 32  # bits of a number
+BATCH_BYTES = 64 << 20
+"""Memory for the columns of the draws that are recorded together."""
 
 
 class ReplayBench(NamedTuple):
-    """A bench.
+    """The bench of one piece of software.
 
     Args:
-        label: What is compared, in words, such as ``inner loop``; names of files and targets follow from it.
-        prefix: Prefix of its functions and types in C.
+        label: Name of the software in words, such as ``inner loop``; names of files and targets follow from it.
+        prefix: Prefix of the software's functions and types in C.
         precision: Bits of a number.
-        row: What a row belongs to: ``sample`` or ``tick``.
+        row: Name of the instant of a row: ``sample`` or ``tick``.
         inputs: Number of inputs in a row.
         results: Names of the results in a row.
         advance: Statements in C that give the inputs ``row`` to the state ``held``, fill ``results`` and return the
@@ -58,11 +60,11 @@ def magic(label: str) -> str:
 
 
 def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
-    """Content of the bench's source and of its part of the makefile, by name.
+    """Contents of the bench's source and of its part of the makefile, by the file's name.
 
     Args:
         bench: The bench.
-        recording: Name of the file of its recording.
+        recording: Name of the file with its recording.
     """
     stem = bench.label.replace(" ", "_")
     target = bench.label.replace(" ", "-")
@@ -102,41 +104,44 @@ def recorded_columns(
     study: Study,
     lane: Callable[[dict[str, Any], jax.Array], Any],
     draws: int,
-    precision: int,
     constants: Mapping[str, float] | None = None,
-) -> Iterator[Any]:
-    """What a lane records of the first draws of a study, in strict arithmetic: for each draw a tree of columns.
+) -> Iterator[tuple[dict[str, float], Any]]:
+    """Run a recording lane for the first draws of a study, in strict arithmetic.
 
     Args:
         study: The study.
         lane: (numbers by name, draw index) -> a tree of columns.
-        draws: How many draws.
-        precision: Bits of a number.
-        constants: Numbers without a law that are inputs of the lane all the same, by their keys in ``Study.params``;
-            what follows from them is then rounded at each operation, as it is in C.
+        draws: Number of draws.
+        constants: Numbers without a law that are inputs of the lane all the same, by their keys in ``Study.params``.
+            The results that follow from them are then rounded at each operation, as they are in C.
+
+    Returns:
+        For each draw its numbers by name, and the tree of its columns.
 
     Raises:
         Unsupported: The lane has no strict machine code.
     """
-    with arithmetic(precision):
+    constants = constants or {}
+    names = sorted({*study.laws, *constants})
+    with arithmetic(study.config.loop.precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
-        constants = constants or {}
-        names = sorted({*study.laws, *constants})
         lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=True)
         width = lanes.signature.width
-        for first_draw in range(0, draws, width):
-            indices = np.arange(first_draw, min(first_draw + width, draws))
+        lane_bytes = sum(dtype.itemsize * (length or 1) for dtype, length in lanes.signature.outputs)
+        batch = max(1, BATCH_BYTES // (lane_bytes * width)) * width
+        for first_draw in range(0, draws, batch):
+            indices = np.arange(first_draw, min(first_draw + batch, draws))
             values = numbers_of_draws(study, indices, constants)
-            columns_of_draws = lanes.start(
-                ({name: values[name] for name in names}, indices), len(indices), usable_cores()
-            )()
+            inputs = {name: values[name] for name in names}
+            columns = lanes.start((inputs, indices), len(indices), usable_cores())()
             for place in range(len(indices)):
-                yield jax.tree.map(lambda column, place=place: column[place], columns_of_draws)
+                numbers = {name: float(column[place]) for name, column in values.items()}
+                yield numbers, jax.tree.map(lambda column, place=place: column[place], columns)
 
 
 def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:
-    """The bytes of recorded flights for the bench: little-endian, each with its number of rows.
+    """The bytes of recorded flights for the bench, little-endian; each begins with its number of rows.
 
     Args:
         label: As of :class:`ReplayBench`.

@@ -1,15 +1,15 @@
-"""The disturbance that a plant shows: an interval of its mean over a sample, and how fast it changes.
+"""An enclosure of the disturbance from measurements: an interval of its mean over a sample, and of its slope.
 
 Over a sample, y'' = -a_p y' + k_p (v + d) gives exactly
 
     mean d = ((y'_k - y'_(k-1)) + a_p (y_k - y_(k-1)))/(k_p T_s) - mean v
 
-where v is the command after delay or lag. k_p, a_p and the lag's time constant are known in intervals only. So is v,
-hence d: the interval below holds the mean of d for every plant of the certificate. In the settled loop v = -u_av + u_n
-is nearly constant, the interval is narrow, and d = u_av - u_n.
+where v is the command after delay or lag. Only intervals of k_p, a_p and the lag's time constant are known, hence only
+intervals of v and d. The interval below contains the mean of d for every plant of the certificate. In the settled loop
+v = -u_av + u_n is nearly constant, the interval is narrow, and d = u_av - u_n.
 
-Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values that F_(k-1) averages are
-tau + T_s older than d_k in the mean. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
+Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values of d in F_(k-1) are on average
+tau + T_s older than d_k. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
 """
 
 import math
@@ -22,33 +22,33 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.flight_code.premises import DisturbancePremises, Interval
 
 LAGS_AVERAGED = 10
-"""tau in time constants of all lags, and at least in samples."""
+"""tau as a multiple of the sum of the lags' time constants, or of the sample time if that is longer."""
 UNKNOWN = 1e30
-"""End of the interval of a command that is not known."""
+"""Upper end of the interval of an unknown command; the lower end is its negative."""
 PASSED_MEAN_AT = 1.7933
 PASSED_MEAN_PEAK = 0.29843
-"""Where (1 - exp(-h) (1 + h))/h has its peak, and a bound of it."""
+"""The h at which (1 - exp(-h) (1 + h))/h has its peak, and a bound of the peak."""
 
 
 class EnclosingInterval(NamedTuple):
-    """Lower and upper end of an interval that holds a number."""
+    """Lower and upper end of an interval that contains an unknown number."""
 
     low: Scalar
     high: Scalar
 
 
 class SeenDisturbance(NamedTuple):
-    """State between two samples.
+    """State of the enclosure between two samples.
 
     Args:
         y: Output at the last sample.
-        y_dot: Its rate.
-        fresh: 1 if the last sample was measured, else 0.
-        commands: Earlier commands that a delay holds back, latest first.
+        y_dot: Rate of the output at the last sample.
+        fresh: 1 if y and y' were measured at the last sample, else 0.
+        commands: Earlier commands that the delay holds back, latest first.
         lags: Output of each lag.
-        acting: What acts on the plant over the sample that begins.
-        average: The low-pass of the disturbance.
-        averaging: 1 if there is an average, else 0.
+        acting: Mean of v, the command after delay and lags, over the sample that begins.
+        average: The low-pass F of the disturbance.
+        averaging: 1 if ``average`` has a value, else 0.
     """
 
     y: Scalar
@@ -62,7 +62,7 @@ class SeenDisturbance(NamedTuple):
 
 
 class SeenFlags(NamedTuple):
-    """Bounds that the disturbance exceeds, whatever the plant within its intervals: of its size, and of its slope."""
+    """Whether the disturbance exceeds the bound of its size, and of its slope, for every plant of the certificate."""
 
     level: jax.Array
     slope: jax.Array
@@ -105,8 +105,8 @@ def see(
 ) -> tuple[SeenDisturbance, SeenFlags]:
     """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
 
-    The disturbance is enclosed if this sample and the last were both measured. Its slope is judged if there is also an
-    average of earlier samples.
+    Its size is compared if this sample and the last were both measured; its slope also needs an average of earlier
+    samples.
 
     Args:
         premises: The plant's intervals, and the bounds of the disturbance.
@@ -114,7 +114,7 @@ def see(
         y: Output; any number if it was not measured.
         y_dot: Rate of the output.
         measured: Whether both were measured.
-        command: The command that acts from now on.
+        command: The controller's command from this sample on.
         dt: T_s [s].
 
     Returns:
@@ -155,7 +155,8 @@ def mean_disturbance(
 ) -> EnclosingInterval:
     """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
 
-    (A + a_p B)/k_p takes its extremes where both k_p and a_p are at an end of their intervals.
+    (A + a_p B)/k_p has its extremes where k_p and a_p are both at an end of their intervals. Arguments as of
+    :func:`see`.
     """
     change = (y_dot - state.y_dot) / dt
     speed = (y - state.y) / dt
@@ -176,7 +177,17 @@ def mean_disturbance(
 def acting_command(
     premises: DisturbancePremises, state: SeenDisturbance, command: Scalar, dt: float
 ) -> tuple[tuple[EnclosingInterval, ...], tuple[EnclosingInterval, ...], EnclosingInterval]:
-    """Delayed commands, lags at the end of the sample that begins, and the mean of what acts until then."""
+    """Delayed commands, lags at the end of the sample that begins, and the mean of what acts until then.
+
+    Args:
+        premises: Intervals of delay and lags.
+        state: The state before the sample.
+        command: The controller's new command; unknown if it is not finite.
+        dt: T_s [s].
+
+    Returns:
+        The delayed commands, latest first; the output of each lag at the end of the sample; and the mean of v over it.
+    """
     known = jnp.abs(command) < UNKNOWN
     newest = EnclosingInterval(jnp.where(known, command, -UNKNOWN), jnp.where(known, command, UNKNOWN))
     ages = (newest, *state.commands)
@@ -197,7 +208,14 @@ def acting_command(
 
 
 def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval]) -> EnclosingInterval:
-    """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x."""
+    """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x.
+
+    So the ends of the result follow from the ends of the intervals.
+
+    Args:
+        held: Interval of the input over the sample.
+        parts: Interval of x and interval of its ratio, for each part.
+    """
     low = held.low
     high = held.high
     for x, (smallest, largest) in parts:
@@ -209,10 +227,10 @@ def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval])
 
 
 class LagRatios(NamedTuple):
-    """Intervals of the ratios of a lag over a sample with the input v held, for h = T_s/mu.
+    """Intervals of the factors that describe lags over a sample with constant input v, for h = T_s/mu.
 
-    One lag x' = (v - x)/mu ends at v + decay (x - v), and its mean is v + mean (x - v). A second one behind it, z, ends
-    at v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) + passed_mean (x - v).
+    A lag x' = (v - x)/mu ends at v + decay (x - v), and its mean is v + mean (x - v). A second lag z behind it ends at
+    v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) + passed_mean (x - v).
     """
 
     decay: Interval  # exp(-h)

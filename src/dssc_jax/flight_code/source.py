@@ -5,11 +5,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dssc_jax.flight_code.c_files import absolute_value, finite, finite_function, joined_definitions, source_file
+from dssc_jax.flight_code.c_files import (
+    absolute_value,
+    finite_condition,
+    finite_function,
+    joined_definitions,
+    source_file,
+)
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController, TracedFunction
 from dssc_jax.flight_code.header import file_comment
 from dssc_jax.flight_code.library import description_text
-from dssc_jax.flight_code.parameters import assignments, checks
+from dssc_jax.flight_code.parameters import assignment_lines, check_lines
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.lanes.c.text import CText
@@ -25,7 +31,14 @@ COMPUTED = [f"computed.{member}" for member in COMMAND]
 
 
 class FunctionText(CText):
-    """Writes one function of a controller, with C's expressions of its inputs between parameters and signals."""
+    """The text in C of one function of a controller.
+
+    Args:
+        code: The controllers of the study.
+        controller: The controller.
+        traced: The traced function.
+        inputs: C's expressions of the inputs between parameters and signals.
+    """
 
     def __init__(
         self, code: FlightCode, controller: SampledController, traced: TracedFunction, inputs: Sequence[str] = ()
@@ -39,17 +52,17 @@ class FunctionText(CText):
         self.text = ""
 
     def assign(self, members: Sequence[str], outputs: Sequence[Value]) -> None:
-        """Assign computed outputs to members."""
+        """Write assignments of outputs to members of a structure."""
         for member, output in zip(members, outputs, strict=True):
             self.line(f"{member} = {self.read(output)};")
 
     def reads(self, name: str) -> bool:
-        """Whether the body reads a member of a structure; the words of its comments do not count."""
+        """Whether the body so far reads a member of the structure ``name``; comments do not count."""
         return any(re.search(rf"\b{name}(->|\.)", line.split("/*")[0]) for line in self.lines)
 
 
 def source_text(code: FlightCode) -> str:
-    """The source: the functions of every channel."""
+    """The source file with the functions of all channels."""
     functions: list[str] = []
     helpers: dict[str, None] = {}
     tables: dict[str, None] = {}
@@ -82,25 +95,25 @@ def source_text(code: FlightCode) -> str:
 
 
 def init_functions(controller: SampledController) -> str:
-    """``init``, ``reset`` and ``check``."""
+    """The functions ``init``, ``reset`` and ``check`` of a controller in C."""
     return fill(
         "init.c",
         name=controller.prefix,
-        parameters=assignments("controller->parameters", controller.parameters, controller.real),
+        parameters=assignment_lines("controller->parameters", controller.parameters, controller.real),
         states=[f"controller->state.{state} = 0;" for state in controller.states or ("unused",)],
-        checks=checks(controller.parameters, controller.real),
+        checks=check_lines(controller.parameters, controller.real),
     )
 
 
 def parameter_pointer(controller: SampledController, function: FunctionText) -> str:
-    """The declaration of p, if the function's body reads it."""
+    """The declaration of p, the pointer to the parameters; empty if the function does not read it."""
     if not function.reads("p"):
         return ""
     return f"const {controller.prefix}_parameters *const p = &controller->parameters;"
 
 
 def start_function(code: FlightCode, controller: SampledController) -> FunctionText:
-    """The state before the first step."""
+    """The function in C that computes the state before the first step."""
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
     function.assign([f"state->{state}" for state in controller.states], function.outputs)
@@ -110,7 +123,10 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
 
 
 def step_function(code: FlightCode, controller: SampledController) -> FunctionText:
-    """One sample. Telemetry is computed only if it is wanted, and nothing is kept unless all is finite."""
+    """The function in C for one sample.
+
+    It computes telemetry only if the caller asks for it, and stores no result unless all are finite.
+    """
     name = controller.prefix
     function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
     updated_members = [f"updated.{state}" for state in controller.states]
@@ -121,10 +137,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     computation = list(function.lines)
     if controller.infos:
         function.line("if (telemetry != NULL) {")
-        function.indented(1)
+        function.indent(1)
         function.compute(function.outputs[count:])
         function.assign([f"telemetry->{info}" for info in controller.infos], function.outputs[count:])
-        function.indented(-1)
+        function.indent(-1)
         function.line("}")
     else:
         function.line("(void)telemetry;")
@@ -137,11 +153,11 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     function.text = fill(
         "step.c",
         name=name,
-        signals_finite=finite(controller.signals),
+        signals_finite=finite_condition(controller.signals),
         state_before=state_before if updated_members else "",
         parameters=parameter_pointer(controller, function),
         computation=computation,
-        results_finite=finite([*COMPUTED, *updated_members]),
+        results_finite=finite_condition([*COMPUTED, *updated_members]),
         state_after="controller->state = updated;" if updated_members else "",
         telemetry=function.lines[len(computation) :],
     )
@@ -149,7 +165,7 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
 
 
 def transfer_function(code: FlightCode, controller: SampledController, traced: TracedFunction) -> FunctionText:
-    """The state that carries a command."""
+    """The function in C for a bumpless start: it sets the state whose first step gives a command."""
     function = FunctionText(code, controller, traced, ["command"])
     updated_members = [f"updated.{state}" for state in controller.states]
     function.compute(function.outputs)
@@ -160,10 +176,10 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         "transfer.c",
         name=controller.prefix,
         real=controller.c_real,
-        arguments_finite=finite([*controller.signals, "command"]),
+        arguments_finite=finite_condition([*controller.signals, "command"]),
         parameters=parameter_pointer(controller, function),
         computation=function.lines,
-        results_finite=finite([*updated_members, *COMPUTED]),
+        results_finite=finite_condition([*updated_members, *COMPUTED]),
         fabs=absolute_value(controller.real),
         tolerance=c_literal(tolerance, controller.real),
         smallest=c_literal(controller.smallest_difference, controller.real),

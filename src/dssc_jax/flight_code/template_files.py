@@ -1,7 +1,7 @@
-"""The template files of the generated texts, in the folder ``templates``.
+"""Templates of the generated texts, in the folder ``templates``.
 
-``@{name}`` stands for a text, ``@@`` for an @. A line that is a placeholder alone is replaced by all lines of the text,
-each with the indentation of the placeholder; it is left out if there are none.
+``@{name}`` stands for a text, ``@@`` for an @. A line with nothing but a placeholder is replaced by all lines of its
+text, each with the indentation of the placeholder, and is left out if the text is empty.
 """
 
 import re
@@ -27,7 +27,12 @@ def template_text(file: str) -> str:
 
 
 def fill(file: str, **values: str | Iterable[str]) -> str:
-    """Fill a template file with a text, or lines, for each placeholder."""
+    """The text of a template file with its placeholders replaced.
+
+    Args:
+        file: Name of the template file.
+        values: Text, or lines, for each placeholder.
+    """
     texts = {name: value if isinstance(value, str) else "\n".join(value) for name, value in values.items()}
     filled_lines = []
     for line in template_text(file).split("\n"):

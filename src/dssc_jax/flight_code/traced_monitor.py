@@ -1,4 +1,4 @@
-"""The traced monitor of a study's flight, from which its C is written and with which its bits are compared."""
+"""The traced monitor of a study's flight, which is written as C and compared with it bit by bit."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -10,24 +10,23 @@ from jax.tree_util import keystr, tree_flatten_with_path
 
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
-from dssc_jax.flight_code.controller import FlightCode, TracedFunction
+from dssc_jax.flight_code.controller import FlightCode, TracedFunction, traced_function
 from dssc_jax.flight_code.monitor import ChannelSample, MonitorSample, MonitorState, initial_monitor, monitor
 from dssc_jax.flight_code.premises import Premises
-from dssc_jax.lanes.tracing.origins import translate_with_origins
 
 Tree = TypeVar("Tree", MonitorState, MonitorSample)
 
 
 @dataclass(frozen=True)
 class TracedMonitor:
-    """A monitor: (state, sample) -> next state, flags of the sample.
+    """A traced monitor.
 
     Args:
-        premises: Its bounds, rounded outwards to the type of its numbers.
+        premises: The bounds that it watches, rounded outwards to the dtype of its numbers.
         prefix: Prefix of its functions and types in C.
         inputs: Names of the sample's numbers in C.
         memories: Names of the state's floating-point numbers in C, in the order of its leaves.
-        step: The traced step.
+        step: ``(state, sample) -> (next state, flags of the sample)``.
         precision: Bits of a number.
     """
 
@@ -40,7 +39,7 @@ class TracedMonitor:
 
     @property
     def real(self) -> np.dtype:
-        """The type of its numbers."""
+        """The dtype of its numbers."""
         return np.dtype(f"float{self.precision}")
 
 
@@ -55,7 +54,7 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
     with arithmetic(code.precision):
         state = monitor_state(rounded_premises)
         sample = sample_shape(rounded_premises)
-        program, _, origins = translate_with_origins(step, state, sample)
+        traced_step, _ = traced_function(step, state, sample)
     labels = [channel.label for channel in premises.channels]
     inputs = member_names_of(sample, labels)
     memories = [
@@ -68,13 +67,13 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
         prefix=f"{code.name}_monitor",
         inputs=tuple(inputs),
         memories=tuple(memories),
-        step=TracedFunction(program, origins),
+        step=traced_step,
         precision=code.precision,
     )
 
 
 def typed(state: MonitorState) -> MonitorState:
-    """The state with arrays of its types in place of plain numbers."""
+    """The state with arrays in place of plain numbers, each of its type: integers stay, floats have the precision."""
 
     def array(leaf: Scalar) -> jax.Array:
         value = jnp.asarray(leaf)
@@ -84,17 +83,17 @@ def typed(state: MonitorState) -> MonitorState:
 
 
 def monitor_state(premises: Premises) -> MonitorState:
-    """Shapes and types of the state; to be called in the arithmetic of the monitor."""
+    """The state's tree of shapes and dtypes; to be called in the arithmetic of the monitor."""
     return shapes(typed(initial_monitor(premises)))
 
 
 def shapes(tree: Tree) -> Tree:
-    """The tree with the shape and type of each scalar in its place."""
+    """A tree with the shape and dtype of each scalar in its place."""
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((), leaf.dtype), tree)
 
 
 def sample_shape(premises: Premises) -> MonitorSample:
-    """Shapes and types of a sample; to be called in the arithmetic of the monitor."""
+    """A sample's tree of shapes and dtypes; to be called in the arithmetic of the monitor."""
     number = jnp.zeros((), jnp.result_type(float))
     channels = []
     for channel in premises.channels:
@@ -108,7 +107,7 @@ def sample_shape(premises: Premises) -> MonitorSample:
 
 
 def member_names_of(tree: MonitorState | MonitorSample, labels: list[str]) -> list[str]:
-    """A name in C for each leaf; those of a channel begin with its label."""
+    """A name in C for each leaf of a tree; that of a leaf of a channel begins with the channel's label."""
     names = []
     for path, _ in tree_flatten_with_path(tree)[0]:
         fields = keystr(path, simple=True, separator=".").split(".")

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.flight_logs.conversions import likeness_text
-from dssc_jax.flight_logs.reader import signal_name
+from dssc_jax.flight_logs.hints.conversions import likeness_text
+from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
 from dssc_jax.statistics.exchangeable import extremeness, largest_departures
 from dssc_jax.study import Study

@@ -21,9 +21,9 @@ from dssc_jax.flight_logs.compared_curves import (
     drawn_curves,
     output_hints,
 )
-from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import log_comparison
-from dssc_jax.flight_logs.reader import FlightLog, signal_name
+from dssc_jax.flight_logs.reading.coverage import require_samples
+from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
 from dssc_jax.flight_logs.replay import (
     ChannelCurves,
     LogReplay,
@@ -303,7 +303,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
 
     Example:
         >>> import numpy as np, dssc_jax as dj
-        >>> from dssc_jax.flight_logs.reader import Column
+        >>> from dssc_jax.flight_logs.reading.reader import Column
         >>> study = dj.Study.load("motor").override({"draws": 19})
         >>> run = dj.simulate(study, 7)
         >>> columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}

@@ -18,10 +18,10 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.comparison import MOST_NUMBERS, Signal, drawn_curves
-from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import next_flight_figure
-from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
-from dssc_jax.flight_logs.references import study_references
+from dssc_jax.flight_logs.hints.references import study_references
+from dssc_jax.flight_logs.reading.coverage import require_samples
+from dssc_jax.flight_logs.reading.reader import FlightLog, channel_signals, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson

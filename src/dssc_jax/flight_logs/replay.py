@@ -19,14 +19,17 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_logs.angle_units import angle_hints
-from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.command_hints import command_hint, rate_hint
-from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
-from dssc_jax.flight_logs.coverage import few_samples_remedy, times_text
-from dssc_jax.flight_logs.integrals import integral_hints
-from dssc_jax.flight_logs.output_steps import is_reference
-from dssc_jax.flight_logs.reader import (
+from dssc_jax.flight_logs.hints.angle_units import angle_hints
+from dssc_jax.flight_logs.hints.attitudes import attitude_hints
+from dssc_jax.flight_logs.hints.command_hints import command_hint, rate_hint
+from dssc_jax.flight_logs.hints.conversions import LogHints, conversion_text, followed_conversion, rms
+from dssc_jax.flight_logs.hints.integrals import integral_hints
+from dssc_jax.flight_logs.hints.output_steps import is_reference
+from dssc_jax.flight_logs.hints.references import compared_references, median_values, study_references
+from dssc_jax.flight_logs.hints.reset_hints import reset_hints
+from dssc_jax.flight_logs.hints.starts import start_hints
+from dssc_jax.flight_logs.reading.coverage import few_samples_remedy, times_text
+from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
     channel_signals,
     forward_filled,
@@ -34,9 +37,6 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.references import compared_references, median_values, study_references
-from dssc_jax.flight_logs.reset_hints import reset_hints
-from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
@@ -282,7 +282,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         replays[name] = replay
         inputs = {label: values for label, values in signals.items() if label != "u_total"}
         held_counts |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
-        if "u_total" in signals:
+        if "u_total" not in signals:
+            not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
+        else:
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
             rate_text = rate_hint(log.columns[name], loop.sample_time)

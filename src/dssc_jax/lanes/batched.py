@@ -60,10 +60,10 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
 
 
 def scalar_type(example: Any) -> jax.ShapeDtypeStruct:
-    """The type of a scalar, from an example of it.
+    """The shape () and JAX's dtype of an example.
 
     Raises:
-        TypeError: It is no scalar.
+        TypeError: The example is an array.
     """
     if np.shape(example) != ():
         raise TypeError(f"an example must be a tree of scalars, got an array of shape {np.shape(example)}")

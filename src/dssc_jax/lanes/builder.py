@@ -1,8 +1,8 @@
-"""Construction of a lane's program, which simplifies it.
+"""Construction of a lane's program, with simplifications on the way.
 
-An operation on constants is evaluated, equal operations of a block become one value, and an operation joins the
-outermost block in which its operands are known, so that a loop computes nothing that does not change in it. Only a
-branch keeps its operations, because it exists to skip them.
+An operation on constants is evaluated, and equal operations of a block become one value. An operation is hoisted to the
+outermost block in which its operands are known, so that a loop computes nothing that does not change in it. Only the
+sides of a branch keep their operations, because a branch exists to skip them.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -16,10 +16,10 @@ from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Rec
 
 
 class Builder:
-    """Builds a program from the inside of the block ``here``.
+    """Builds a program node by node; ``here`` is the block that is being built.
 
     Args:
-        fast: Whether products and quotients may be regrouped, see :meth:`_regrouped`; it changes their last bits.
+        fast: Whether products and quotients may be regrouped (:meth:`_regrouped`), which changes their last bits.
     """
 
     def __init__(self, fast: bool = False) -> None:
@@ -28,7 +28,7 @@ class Builder:
         self._constants: dict[Hashable, Value] = {}
 
     def constant(self, number: Any, dtype: np.dtype) -> Value:
-        """A number of the given type."""
+        """A constant of a dtype; equal constants are one value."""
         scalar = np.asarray(number).astype(dtype)[()]
         key = dtype, scalar.tobytes()
         if key not in self._constants:
@@ -36,16 +36,16 @@ class Builder:
         return self._constants[key]
 
     def input(self, position: int, dtype: np.dtype) -> Value:
-        """A number of the lane."""
+        """The input of the lane at a position."""
         return self._placed("input", dtype, (), position, True, self.here)
 
     def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:
-        """The result of an operation.
+        """Add an operation, and return its result; simplifications may return another value.
 
         Args:
             operation: An :class:`Operation`, or its name.
-            operands: Its operands.
-            dtype: Type of the result; None: that of the last operand, or a truth value for a comparison.
+            operands: The operands.
+            dtype: Dtype of the result; None: that of the last operand, or a truth value for a comparison.
             detail: The table of a ``lookup``, the subroutine of a ``rarely``.
         """
         dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
@@ -64,29 +64,43 @@ class Builder:
         return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
 
     def memory(self, slot: Slot) -> Value:
-        """The token of a slot that is full of zeros."""
+        """Reserve a slot full of zeros, and return its token."""
         outermost = self.here
         while outermost.parent is not None:
             outermost = outermost.parent
         return self._placed("memory", TOKEN, (), slot, True, outermost)
 
     def read(self, slot: Slot, token: Value, index: Value) -> Value:
-        """An element of a slot."""
+        """Read an element of a slot; ``token`` stands for the slot's content."""
         return self._placed("read", slot.dtype, (token, index), slot, True, self.here)
 
     def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
-        """The token after an element of a slot was written, and after some reads."""
+        """Write an element of a slot, and return the new token.
+
+        Args:
+            slot: The slot.
+            token: The token of the content before.
+            index: Uniform index of the element.
+            value: The new element.
+            reads: Reads of the content before, which must come first.
+        """
         return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
 
     def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
-        """The results of a function of C, which is called for each lane; they count as different in every lane."""
+        """Call a function of C for each lane, and return its results, which count as varying."""
         home = self._home(operands)
         types = [place.dtype for place in function.results]
         call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
         return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
 
     def loop(self, initial_states: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
-        """Enter a loop; :meth:`end_loop` leaves it."""
+        """Begin a loop; :meth:`end_loop` ends it.
+
+        Args:
+            initial_states: States before the first turn.
+            varying: Whether each state may differ between lanes after a turn.
+            guard: Whether to enter the loop; None: always.
+        """
         loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(initial_states))
         for position, (value, varies) in enumerate(zip(initial_states, varying, strict=True)):
             state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
@@ -95,14 +109,15 @@ class Builder:
         return loop
 
     def end_loop(self, loop: CodeLoop, next_states: Sequence[Value], proceed: Value) -> list[Value]:
-        """End a loop and return its state after it.
+        """End a loop, and return its states after it.
 
         Args:
-            loop: The loop that was entered.
-            next_states: Its state after a turn.
-            proceed: The condition for another turn.
+            loop: The loop that :meth:`loop` began.
+            next_states: States after a turn.
+            proceed: The uniform condition for another turn.
         """
-        loop.next_states, loop.proceed = list(next_states), proceed
+        loop.next_states = list(next_states)
+        loop.proceed = proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [
@@ -112,11 +127,11 @@ class Builder:
         return loop.results
 
     def branch(self, condition: Value, sides: Sequence[Callable[[], list[Value]]]) -> list[Value]:
-        """Add a branch: a condition chooses which of two sides computes the results.
+        """Add a branch, and return its results.
 
         Args:
-            condition: Whether the first side does.
-            sides: For each side the function that builds it and returns its results.
+            condition: Whether a lane takes the first of the two sides.
+            sides: For each side, the function that builds it and returns its results.
         """
         surrounding_block = self.here
         blocks = []
@@ -136,14 +151,14 @@ class Builder:
         return branch.results
 
     def record(self, recording: Recording, position: Value, value: Value) -> None:
-        """Store a value in a recorded array."""
+        """Add the storing of a value at a uniform position of a recording."""
         self.here.nodes.append(Record(recording, position, value))
 
     def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
-        """The same product or quotient with fewer operations in this block; None if there is none.
+        """The same product or quotient with fewer operations in inner blocks; None if there is none.
 
-        A divisor that is known before a loop is inverted there. Two factors that are known before the third are
-        multiplied before it. Sums keep their order, on which cancellation depends.
+        A divisor that is known before a loop is inverted there. Two factors that are known before a third one are
+        multiplied there. Sums keep their order, because cancellation depends on it.
         """
         if operation == "div" and self._depth_of(operands[1]) < self._depth_of(operands[0]):
             inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
@@ -160,11 +175,11 @@ class Builder:
         return None
 
     def _depth_of(self, value: Value) -> int:
-        """The depth of the block in which an operation on a value alone is computed; -1 for a constant."""
+        """The depth of the block to which an operation on a value alone is hoisted; -1 for a constant."""
         return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:
-        """The outermost block in which an operation on these operands may be computed."""
+        """The block to which an operation on some operands is hoisted: the outermost one that may compute it."""
         deepest = max((operand.block.depth for operand in operands if operand.block is not None), default=0)
         block = self.here
         while block.depth > deepest and not block.keeps_operations and block.parent is not None:
@@ -174,7 +189,7 @@ class Builder:
     def _placed(
         self, operation: str, dtype: np.dtype, operands: tuple[Value, ...], detail: Any, varying: bool, home: CodeBlock
     ) -> Value:
-        """A value that is already known to the block or one around it, or a new one."""
+        """The equal value of the block or of a surrounding one, if there is one; else a new value in the block."""
         key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
         block: CodeBlock | None = home
         while block is not None:
@@ -188,14 +203,14 @@ class Builder:
 
 
 def is_normal_or_varies(factor: Value) -> bool:
-    """Whether a factor is neither subnormal, 0, infinite nor NaN; one that is not a constant counts as usable."""
+    """Whether a factor may be used in a regrouped product: a constant must be a normal number, any other value may."""
     if factor.operation != "constant":
         return True
     return bool(np.finfo(factor.dtype).tiny <= abs(factor.detail) < np.inf)
 
 
 def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
-    """An operand that equals the result for every value, rounding included; None if there is none."""
+    """The operand that always equals the result of an operation, to the last bit; None if there is none."""
     first_operand = operands[0]
     if operation in ("convert", "bitcast") and first_operand.dtype == dtype:
         return first_operand

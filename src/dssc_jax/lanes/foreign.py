@@ -1,8 +1,8 @@
 """Functions of C within a lane: ``void function(void *memory)`` as a pure function of scalars.
 
-A call gets memory that holds its operands at fixed places and zeros elsewhere, and leaves its results at other places.
-Nothing else goes in or out, so a function whose state is part of that memory is pure: the loop carries the state. As
-machine code a call is one call a lane; in plain XLA it is a callback of the host.
+A call gets memory with its operands at fixed places and zeros elsewhere, and leaves its results at other places. There
+is no other input or output, so a function whose state is part of that memory is pure: the loop carries the state. In
+machine code each lane makes a call; in plain XLA the call is a callback of the host.
 """
 
 import ctypes
@@ -28,11 +28,11 @@ FOREIGN_CALL = "foreign_call"
 """Name of the primitive."""
 
 ADDRESSES: dict[str, int] = {}
-"""Addresses of the functions that this process may call, by symbol; LLVM knows them for the whole process, too."""
+"""Addresses of the functions that lanes of this process may call, by symbol; LLVM has the same table."""
 
 
 class MemoryPlace(NamedTuple):
-    """A number in the memory of a call: its type, of 32 or 64 bits, and its distance from the start in bytes."""
+    """The place of a number in the memory of a call: its dtype, of 32 or 64 bits, and its offset in bytes."""
 
     dtype: np.dtype
     offset: int
@@ -42,11 +42,11 @@ class ForeignFunction(NamedTuple):
     """A C function with one argument, the address of its memory.
 
     Args:
-        symbol: Its name. Different code needs another name: the cache tells compiled programs apart by their text for
-            LLVM, which holds the symbol but not the code.
+        symbol: Its name, which must differ for different code: the cache of compiled programs compares their texts,
+            which contain the symbol but not the code.
         size: Bytes of its memory.
-        operands: Where a call's operands stand.
-        results: Where its results stand.
+        operands: Places of the operands.
+        results: Places of the results.
     """
 
     symbol: str
@@ -59,13 +59,13 @@ Operand: TypeAlias = jax.Array | np.ndarray | np.generic | float
 
 
 def provide(symbol: str, address: int) -> None:
-    """Let lanes call a function of this process; its code must stay loaded."""
+    """Register a function of this process by its symbol, so that lanes can call it; its code must stay loaded."""
     ADDRESSES[symbol] = address
     machine.add_symbol(symbol, address)
 
 
 def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
-    """The results of a call for scalars, within a trace or not.
+    """Call a function for scalars, traced or not, and return its results.
 
     Raises:
         TypeError: The number of operands is wrong, or JAX's precision lacks a type of the function.
@@ -100,7 +100,7 @@ def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
 
 
 def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
-    """Positions in memory, in words of 32 bits, of the numbers at some places."""
+    """Positions in memory of the words of 32 bits at some places, shape (words,)."""
     positions = [np.arange(place.offset, place.offset + place.dtype.itemsize, WORD) // WORD for place in places]
     return np.concatenate(positions)
 
@@ -109,10 +109,10 @@ def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
 
 
 def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Array]:
-    """The call in plain XLA.
+    """The implementation of the primitive in plain XLA, by a callback of the host.
 
-    JAX hands arrays to a callback in a thread of its own, whose precision is 32 bits whatever the trace's, and would
-    truncate longer numbers. So all of them travel as words of 32 bits.
+    JAX passes arrays to a callback in another thread, whose precision is always 32 bits, and would truncate longer
+    numbers. So all numbers are passed as words of 32 bits.
     """
     shape = operands[0].shape
     operand_words = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
@@ -136,14 +136,14 @@ def as_words(operand: jax.Array) -> jax.Array:
 
 
 def abstract(*operands: jax.ShapeDtypeStruct, function: ForeignFunction) -> list[object]:
-    """Shapes and types of the results, as JAX's traces have them."""
+    """The abstract evaluation of the primitive: shapes and dtypes of the results."""
     return [jax.typeof(jax.ShapeDtypeStruct(operands[0].shape, place.dtype)) for place in function.results]
 
 
 def batched(
     operands: Sequence[jax.Array], axes: Sequence[int | None], *, function: ForeignFunction
 ) -> tuple[list[jax.Array], list[int]]:
-    """The call over a batch, whose axis comes first in the results."""
+    """The batching rule of the primitive: the call over a batch, whose axis comes first in the results."""
     pairs = list(zip(operands, axes, strict=True))
     (size, *_) = [operand.shape[axis] for operand, axis in pairs if axis is not None]
     columns = []
@@ -155,10 +155,10 @@ def batched(
 
 
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
-    """Refuse a derivative: a function of C has none. JAX calls this rule where it would differentiate the primitive.
+    """The differentiation rule of the primitive, which refuses: a function of C has no derivative.
 
     Raises:
-        Unsupported: Always. The analyses that need derivatives refuse native code before they trace.
+        Unsupported: Always. Analyses that need derivatives refuse native code earlier, with a better message.
     """
     raise Unsupported(f"a derivative of native code: {function.symbol} has none")
 

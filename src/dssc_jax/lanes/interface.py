@@ -6,21 +6,21 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 AXIS = "lanes"
-"""Name of the axis over the lanes that run together, for :func:`jax.lax.pmax` in a lane's program."""
+"""Name of the axis along which lanes that run together are reduced by :func:`jax.lax.pmax`."""
 
 ENTRY_POINT = "lanes"
 """Name of the function that runs a range of lanes."""
 
 
 class Signature(NamedTuple):
-    """The signature of a lane's machine code, for its callers.
+    """The signature of a lane's machine code: all that a caller must know of it.
 
     Args:
         width: Lanes of a vector.
-        inputs: Types of the columns that it reads.
-        outputs: Type of each column that it writes, and the length of a recording; None for a number.
-        results: The tree of results, with 0 in place of each.
-        code: The name of the machine code.
+        inputs: Dtype of each column that the code reads.
+        outputs: Dtype of each column that the code writes, with the length of a recording, or None for a number.
+        results: The tree of results, with 0 in place of each result.
+        code: Name of the machine code in the cache.
     """
 
     width: int
@@ -31,26 +31,26 @@ class Signature(NamedTuple):
 
 
 class Loaded(Protocol):
-    """Code of a lane's program that can run."""
+    """Machine code of a lane that is ready to run."""
 
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes, and return a function that waits for them and tells when they ended.
+        """Begin to run all lanes.
 
         Args:
             inputs: Columns of at least ``lanes`` numbers each.
             outputs: Columns for the results.
             lanes: Number of lanes, a multiple of ``width``.
             width: Lanes of a vector.
-            threads: How many threads of the CPU to use.
+            threads: Number of threads of the CPU.
 
         Returns:
-            The function; its result is a time of :func:`time.perf_counter`.
+            A function that waits for the lanes, and returns the time of :func:`time.perf_counter` at which they ended.
         """
         ...
 
 
 def stored_type(dtype: np.dtype) -> np.dtype:
-    """The type of a value in memory: a truth value is a byte."""
+    """The dtype in which a value of some dtype is stored in memory: a truth value is a byte."""
     return np.dtype(np.uint8) if dtype.kind == "b" else dtype

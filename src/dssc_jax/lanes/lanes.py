@@ -20,21 +20,18 @@ if TYPE_CHECKING:
     from dssc_jax.lanes.traced_lanes import TracedLanes
 
 Recall: TypeAlias = Callable[[Callable[[], Signature]], Signature]
-"""Finds a signature without the trace, or computes it by the function that it takes."""
+"""``(compute) -> signature``, from a cache or by calling ``compute``, which traces the lane."""
 
 
 class CompiledLanes:
-    """The program of a lane as machine code.
-
-    If the user's cache has the machine code, nothing is compiled.
+    """The program of a lane as machine code, from the user's cache or compiled.
 
     Args:
         lane: A function of trees of scalars.
-        arguments: ``jax.ShapeDtypeStruct`` in place of the scalars.
+        arguments: Its arguments, with ``jax.ShapeDtypeStruct`` in place of each scalar.
         width: Lanes of a vector; None: by the size of the program.
-        strict: Without contraction, for the same bits on every machine.
-        recall: Takes the function that computes the signature from the trace, and returns the signature, perhaps
-            without a call; None: the lane is traced.
+        strict: Whether products and sums are never contracted, which gives the same bits on every machine.
+        recall: Finds the signature in a cache, so that the lane need not be traced; None: the lane is traced.
 
     Raises:
         Unsupported: An operation has no translation.
@@ -58,46 +55,47 @@ class CompiledLanes:
 
     @cached_property
     def traced(self) -> "TracedLanes":
-        """The program and its text."""
-        with jax.enable_x64(self._wide), np.errstate(all="ignore"):  # those of the compilation, by whatever process
+        """The program and its text, in the precision that JAX had when this object was made."""
+        with jax.enable_x64(self._wide), np.errstate(all="ignore"):
             return self.translated(*self._request)
 
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedLanes":
-        """The program of a lane and its text for LLVM."""
-        from dssc_jax.lanes.traced_lanes import TracedLanes  # the translator, if the cache does not do without it
+        """Trace a lane; return its program and its text for LLVM."""
+        from dssc_jax.lanes.traced_lanes import TracedLanes  # not needed if the cache has the program
 
         return TracedLanes(lane, arguments, width, strict)
 
     def compiled(self) -> bytes:
-        """The machine code of the text."""
+        """Compile the text to machine code."""
         return machine.object_code(self.traced.text)
 
     def load(self, code: bytes) -> Loaded:
-        """Machine code that can run."""
+        """Load machine code into this process."""
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """The number of lanes whose recordings lie side by side, in a batch of ``lanes``."""
+        """Number of neighbouring lanes whose recordings are stored sample by sample, in a batch of ``lanes``."""
         return self.signature.width
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
-        """Begin to run a batch.
+        """Begin to run a batch of lanes.
 
         Args:
-            arguments: The trees with columns of shape (n,) in place of the scalars.
-            count: n.
-            threads: Threads to use.
+            arguments: The lane's arguments, with a column of shape (n,) in place of each scalar.
+            count: Number of lanes n.
+            threads: Number of threads.
 
         Returns:
-            A function that waits and returns the tree of results: columns of shape (n,), (n, length) of records.
+            A function that waits and returns the tree of results: columns of shape (n,), and (n, length) for
+            recordings.
         """
         finish = self.start_timed(arguments, count, threads)
         return lambda: finish()[0]
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
-        """As :meth:`start`; the function also returns when the lanes ended, by :func:`time.perf_counter`."""
+        """As :meth:`start`; the function also returns when the lanes ended, a time of :func:`time.perf_counter`."""
         width, inputs, outputs, results, _ = self.signature
         lanes = -(-count // width) * width
         padded_columns = [
@@ -118,7 +116,16 @@ class CompiledLanes:
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
-    """One result of all lanes: numbers, or recordings, which are stored sample by sample within ``width`` lanes."""
+    """One result of all lanes, in the order of the lanes.
+
+    Args:
+        column: The numbers as they are stored.
+        length: Length of a recording; None: a number for each lane.
+        width: Number of neighbouring lanes whose recordings are stored sample by sample.
+
+    Returns:
+        Shape (lanes,), or (lanes, length) for recordings.
+    """
     if length is None:
         return column
     return np.moveaxis(column.reshape(-1, length, width), 1, 2).reshape(-1, length)

@@ -43,11 +43,11 @@ class Operation(StrEnum):
     CONVERT = "convert"
     BITCAST = "bitcast"
     ANY = "any"
-    """Whether a truth value holds in any of the lanes that run together."""
+    """Whether a truth value is true in any of the lanes that run together."""
     LOOKUP = "lookup"
     """An element of a table."""
     RARELY = "rarely"
-    """The result of a subroutine where a condition holds, else a value; operands: condition, value, arguments."""
+    """The result of a subroutine where a condition is true, else a value; operands: condition, value, arguments."""
     MEMORY = "memory"
     """A slot of memory, full of zeros; the token of its content."""
     READ = "read"
@@ -55,9 +55,9 @@ class Operation(StrEnum):
     WRITE = "write"
     """The token after an element of a slot was written; operands: token, index, value, and earlier reads."""
     FOREIGN = "foreign"
-    """A call of a function of C for each lane, with the function as its detail; its results are its parts."""
+    """A call of a function of C for each lane, with the function as its detail; ``part`` gives its results."""
     PART = "part"
-    """The result of a call at a position."""
+    """One result of a call of a function of C, with its position as the detail."""
     CONSTANT = "constant"
     INPUT = "input"
     STATE = "state"
@@ -83,7 +83,17 @@ ARITHMETIC: dict[str, np.ufunc] = {
 
 
 def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
-    """The result of an operation on constants; None if it is left to the machine."""
+    """The result of an operation on constants.
+
+    Args:
+        operation: The operation.
+        numbers: The constants.
+        dtype: Dtype of the result.
+        detail: The table of a ``lookup``.
+
+    Returns:
+        The number; None if the operation must run on the machine, because NumPy could give another result.
+    """
     with np.errstate(all="ignore"):
         if operation in COMPARISONS:
             return COMPARISONS[operation](*numbers)

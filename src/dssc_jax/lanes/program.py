@@ -2,8 +2,7 @@
 
 A value is *varying* if it may differ between lanes, and *uniform* otherwise: time, and all that follows from it alone.
 An emitter keeps varying values in vectors of lanes and uniform values in scalars. A block is the body of the program,
-of a loop or of one side of a branch.
-:mod:`dssc_jax.lanes.builder` builds it.
+of a loop or of one side of a branch. :mod:`dssc_jax.lanes.builder` builds programs.
 """
 
 from collections.abc import Hashable, Iterator
@@ -16,9 +15,9 @@ from dssc_jax.lanes.operations import Operation
 
 BOOL = np.dtype(bool)
 TOKEN = np.dtype(np.int8)
-"""Type of what stands for the content of a slot."""
+"""Dtype of tokens, which stand for the content of a slot."""
 
-# Nodes refer to each other: one that printed its parts would print its whole program, many times over.
+# Nodes refer to each other, so a printed node would contain its whole program many times: they have no repr.
 
 
 @dataclass(eq=False, repr=False, slots=True)
@@ -26,13 +25,14 @@ class Value:
     """A scalar of one lane.
 
     Args:
-        operation: What it is.
-        dtype: Its type.
-        operands: The values that it is computed from.
-        detail: The constant, the table, the number of the input, the subroutine, the slot, the function of C, the
-            position of a part, or the loop or branch with the position in it.
+        operation: The operation that computes it.
+        dtype: Its dtype.
+        operands: The operands of the operation.
+        detail: An attribute of some operations: the constant, the table, the position of the input, the subroutine, the
+            slot, the function of C, the position of a part, or the loop or branch with the position of the state or
+            result.
         varying: Whether it may differ between lanes.
-        block: Where it is computed; None for a constant.
+        block: The block that computes it; None for a constant.
     """
 
     operation: Operation
@@ -48,8 +48,12 @@ class CodeBlock:
     """A sequence of values, loops, branches and records.
 
     Args:
-        parent: The surrounding block.
-        keeps_operations: Whether operations stay although the surrounding block knows their operands: a branch's side.
+        parent: The surrounding block; None: this is the body of the program.
+        keeps_operations: Whether operations stay here even if the surrounding block could compute them, as in the side
+            of a branch.
+        depth: Number of surrounding blocks.
+        nodes: The sequence.
+        value_of_key: The block's values by all that determines them, so that equal operations become one value.
     """
 
     parent: "CodeBlock | None" = None
@@ -61,16 +65,16 @@ class CodeBlock:
 
 @dataclass(eq=False, repr=False, slots=True)
 class CodeLoop:
-    """A loop that tests at its end: do the body as long as ``proceed`` holds.
+    """A loop that tests at its end: it repeats its body as long as ``proceed`` is true.
 
     Args:
-        body: Its block.
-        guard: Whether to enter at all; None: always.
-        initial_states: Values of the state before the first turn.
-        states: The state within the body.
-        next_states: The state after a turn.
-        proceed: A uniform condition, known in the body.
-        results: The state after the loop.
+        body: The body.
+        guard: Whether to enter the loop; None: always.
+        initial_states: States before the first turn.
+        states: States within the body.
+        next_states: States after a turn.
+        proceed: The uniform condition of another turn, a value of the body.
+        results: States after the loop.
     """
 
     body: CodeBlock
@@ -84,13 +88,13 @@ class CodeLoop:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Branch:
-    """Two sides, of which each lane takes one; a side that no lane takes is skipped.
+    """A branch with two sides, of which each lane takes one; a side that no lane takes is skipped.
 
     Args:
         condition: Whether a lane takes the first side.
-        sides: The two blocks.
-        values: Results of both sides.
-        results: The results.
+        sides: The blocks of the sides.
+        values: The results of each side.
+        results: The results of the branch.
     """
 
     condition: Value
@@ -129,11 +133,11 @@ class Recording:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Slot:
-    """Memory of a lane that a loop reads and writes.
+    """An array in the memory of a lane that a loop reads and writes.
 
     Args:
-        length: Number of its elements.
-        dtype: Their type.
+        length: Number of elements.
+        dtype: Dtype of the elements.
     """
 
     length: int
@@ -145,9 +149,9 @@ class Program:
     """The program of one lane.
 
     Args:
-        inputs: Types of the lane's numbers.
+        inputs: Dtypes of the lane's inputs.
         body: The outermost block.
-        outputs: Its results: scalars, and arrays that a loop records.
+        outputs: The lane's results: scalars, and arrays that a loop records.
     """
 
     inputs: list[np.dtype]
@@ -157,11 +161,11 @@ class Program:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Subroutine:
-    """A function of scalars that stands beside the program and that few lanes need.
+    """A function of scalars beside the program, which is called only if a lane needs it.
 
     Args:
-        name: Its name, unique in the program.
-        program: Its body, with one output.
+        name: Name, unique in the program.
+        program: Body, with one output.
     """
 
     name: str
@@ -173,22 +177,22 @@ Node: TypeAlias = Value | CodeLoop | Branch | Record
 
 
 def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:
-    """The blocks of a loop or branch; other nodes have none."""
+    """The blocks of a loop or branch; empty for other nodes."""
     if isinstance(node, CodeLoop):
         return (node.body,)
     return node.sides if isinstance(node, Branch) else ()
 
 
 def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
-    """A block and all within it."""
+    """A block and all blocks within it."""
     yield block
     for node in block.nodes:
         for inner in inner_blocks(node):
             yield from all_blocks(inner)
 
 
-def read_by(node: Node) -> list[Value]:
-    """The values that a node reads; not what its blocks read."""
+def operands_of(node: Node) -> list[Value]:
+    """The values that a node reads itself; those that its blocks read are not among them."""
     match node:
         case Value():
             return list(node.operands)

@@ -19,9 +19,9 @@ from uuid import uuid4
 
 CACHE_VARIABLE = "DSSC_JAX_CACHE"
 OFF = ("off", "0", "false")
-CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
-SEARCHES = 16  # of the whole folder, while as much is stored as it may hold: one visits every file
-DISK_BLOCK = 4096  # bytes of a disk that a file takes at least
+CACHE_SIZE = 2**28  # bytes
+SEARCHES = 16  # mean number of searches for old files while CACHE_SIZE bytes are stored; each visits every file
+DISK_BLOCK = 4096  # bytes of the disk that a file occupies at least
 UNUSABLE: set[Path] = set()
 """Caches that this process has warned of."""
 DIGEST = hashlib.sha256().digest_size
@@ -32,7 +32,7 @@ class ProgramCache:
 
     Args:
         folder: The folder; created when a program is stored.
-        limit: Maximum size in bytes; about a sixteenth more between two searches for what may go.
+        limit: Maximum size in bytes, exceeded by about a sixteenth between two searches for old files.
     """
 
     def __init__(self, folder: Path, limit: int = CACHE_SIZE) -> None:
@@ -40,7 +40,7 @@ class ProgramCache:
         self.limit = limit
 
     def get(self, key: str) -> bytes | None:
-        """The program of a name; None if there is none, or if the file does not match."""
+        """The program stored under a name; None if there is none, or if its file does not match its digest."""
         file = self._file(key)
         try:
             content = read_file(file)
@@ -49,7 +49,7 @@ class ProgramCache:
         program = content[DIGEST:]
         if content[:DIGEST] == digest(key, program):
             with suppress(OSError):
-                os.utime(file)  # it is in use
+                os.utime(file)  # marks it as used
             return program
         try:
             file.unlink()
@@ -60,12 +60,12 @@ class ProgramCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store a program under its name, and now and then delete old ones.
+        """Store a program under its name, and at random times delete old ones.
 
-        Deletion searches the whole folder. That happens on average SEARCHES times while ``limit`` bytes are written.
+        Deletion searches the whole folder, on average SEARCHES times while ``limit`` bytes are written.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: The program cannot be written.
         """
         self._path.mkdir(parents=True, exist_ok=True)
         content = digest(key, value) + value
@@ -79,7 +79,7 @@ class ProgramCache:
         return self._path / f"{key}.program"
 
     def _make_room(self) -> None:
-        """Delete the files that have not been read for the longest time."""
+        """Delete the files that have not been read for the longest time, until the others fit within the limit."""
         with os.scandir(self._path) as entries:
             file_entries = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
         files_by_age = [(status.st_mtime_ns, max(status.st_size, DISK_BLOCK), path) for status, path in file_entries]
@@ -95,7 +95,7 @@ def read_file(path: Path) -> bytes:
     """The content of a regular file.
 
     Raises:
-        OSError: It is something else, such as a named pipe, or it cannot be read.
+        OSError: It cannot be read, or is no regular file, such as a named pipe, which could block.
     """
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
@@ -103,7 +103,7 @@ def read_file(path: Path) -> bytes:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file whole, or not at all: beside its place under a name that nobody else uses, then moved into place.
+    """Write a file completely, or not at all, by a temporary file that is moved into its place.
 
     Raises:
         OSError: It cannot be written.
@@ -120,15 +120,15 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def digest(key: str, program: bytes) -> bytes:
-    """The digest that binds a program to its name."""
+    """The digest of a program and its name, with which its file begins."""
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """Read an entry of the user's cache by its name; compute and keep it if there is none.
+    """Read an entry of the user's cache by its name; compute and store it if there is none.
 
     Args:
-        name: Identifies everything on which the entry depends.
+        name: Name that differs whenever anything differs on which the entry depends.
         make: Computes the entry.
     """
     folder = cache_directory()
@@ -147,7 +147,12 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
 
 
 def warn_of_cache(folder: Path, reason: str) -> None:
-    """Say once in this process that nothing can be kept."""
+    """Print a warning, once in this process, that nothing can be stored in a cache.
+
+    Args:
+        folder: Folder of the cache.
+        reason: The system's reason.
+    """
     if folder in UNUSABLE:
         return
     UNUSABLE.add(folder)

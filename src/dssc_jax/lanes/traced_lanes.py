@@ -1,4 +1,4 @@
-"""From a lane to a module's text for LLVM: trace, translate, choose the size of a vector, write."""
+"""Trace the program of a lane, translate it, choose the width of its vectors, and write its text for LLVM."""
 
 import math
 import os
@@ -20,14 +20,14 @@ VERIFY_VARIABLE = "DSSC_JAX_VERIFY"
 
 
 class Packing(NamedTuple):
-    """How the program of a lane becomes that of a vector of lanes.
+    """The number of lanes in a vector and the order of operations, for programs of some size.
 
     Args:
-        operations: The packing is for programs of fewer operations.
-        vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
-            the state in registers.
-        window: See :func:`dssc_jax.lanes.passes.scheduling.schedule`. A processor looks that far ahead, too; where many
-            vectors share the registers, operations that come early cost more than they gain.
+        operations: The packing is for programs with fewer operations than this.
+        vectors: Number of hardware vectors in a vector of lanes. More of them hide the latency of operations; fewer
+            leave the state in registers.
+        window: See :func:`dssc_jax.lanes.passes.scheduling.schedule`. The more hardware vectors share the registers,
+            the narrower the best window.
     """
 
     operations: float
@@ -42,13 +42,13 @@ PACKINGS = {
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
 RANDOM_PACKINGS = Packing(5000, 4, 150), Packing(math.inf, 2, 150)
-"""For programs that draw random numbers, in chains where each operation waits for the one before."""
+"""Packings for programs that draw random numbers, by long chains of operations that each need the one before."""
 MANY_XORS = 100
-"""Exclusive ors of a program that draws random numbers."""
+"""A program with more exclusive ors than this draws random numbers."""
 
 
 class TracedLanes:
-    """The program of a lane as text for LLVM; arguments as of :class:`dssc_jax.lanes.lanes.CompiledLanes`.
+    """The program of a lane and its text for LLVM; arguments as of :class:`dssc_jax.lanes.lanes.CompiledLanes`.
 
     Raises:
         Unsupported: An operation has no translation.
@@ -63,7 +63,7 @@ class TracedLanes:
 
 
 def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: bool) -> tuple[Program, Any]:
-    """The program of a lane, and the tree of its results.
+    """Trace and translate a lane; return its program, and the tree of its results.
 
     Raises:
         Unsupported: An operation has no translation.
@@ -77,7 +77,14 @@ def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: b
 
 
 def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
-    """The signature of the program's code, for its callers; ``code`` is the name of the code."""
+    """The signature of the machine code of a program.
+
+    Args:
+        program: The program.
+        results: The tree of its results.
+        width: Lanes of a vector.
+        code: Name of the machine code in the cache.
+    """
     outputs = []
     for output in program.outputs:
         outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
@@ -86,19 +93,19 @@ def signature_of(program: Program, results: Any, width: int, code: str) -> Signa
 
 
 def check(program: Program) -> None:
-    """Verify a program if the environment asks for it, as the tests do; it takes a fifth of the translation's time."""
+    """Verify a program if the environment asks for it, as the tests do; it costs a fifth of the translation's time."""
     if os.environ.get(VERIFY_VARIABLE):
         verify(program)
 
 
 def best_packing(program: Program) -> Packing:
-    """The packing for this processor by the size of a program."""
+    """The fastest packing of a program on this processor, by the program's size."""
     counts = operation_counts(program)
-    random = counts.get("xor", 0) > MANY_XORS
-    packings = RANDOM_PACKINGS if random else PACKINGS[max(machine.vector_bits(), 256)]
+    draws_numbers = counts.get("xor", 0) > MANY_XORS
+    packings = RANDOM_PACKINGS if draws_numbers else PACKINGS[max(machine.vector_bits(), 256)]
     return next(packing for packing in packings if sum(counts.values()) < packing.operations)
 
 
 def number_bits(program: Program) -> int:
-    """Bits of the longest number that a lane is given."""
+    """Bits of the longest input of a program; 64 if it has none."""
     return 8 * max((dtype.itemsize for dtype in program.inputs), default=8)

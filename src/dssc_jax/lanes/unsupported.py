@@ -7,9 +7,9 @@ class Unsupported(Exception):
     """An operation that has no translation.
 
     Args:
-        reason: What is missing.
-        operation: The operation; empty until it is known.
-        call: Where the model calls it, as :func:`origin` tells it; empty until it is known.
+        reason: The reason why it has none.
+        operation: The operation in quotes; empty: not yet known.
+        call: The place where the model calls it, from :func:`origin`; empty: not yet known.
     """
 
     def __init__(self, reason: str, operation: str = "", call: str = "") -> None:
@@ -30,7 +30,7 @@ class Unsupported(Exception):
 
 
 def origin(equation: Any) -> str:
-    """Where a model calls an operation: function, file and line; empty if the trace does not tell."""
+    """The place where a model calls an operation, in words: function, file and line; empty if no model calls it."""
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     for frame in getattr(traceback, "frames", ()):
         if not any(part in frame.file_name for part in ("/jax/", "\\jax\\", "<frozen", "dssc_jax/lanes")):

@@ -70,26 +70,19 @@ __all__ = [
 
 
 def save_all(result: Result, folder: Path) -> list[Path]:
-    """Write the figures of a result as PNG and SVG.
-
-    Returns:
-        The files written.
-    """
+    """Write the figure of a run or a sweep as PNG and SVG, and return the paths of the files."""
     if result.study.axes:
         return save_figure(sweep(result), folder, "sweep")
     return save_figure(failures(result), folder, "failures")
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG.
+    """Write a figure as PNG and SVG, and return the paths of the files.
 
     Args:
         figure: The figure.
-        folder: A folder in an existing results folder; created if absent.
-        name: Name of the files.
-
-    Returns:
-        The files written.
+        folder: Folder in an existing results folder; created if absent.
+        name: Name of both files.
     """
     files.make_folder(folder, folder.parent)
     png = folder / f"{name}.png"

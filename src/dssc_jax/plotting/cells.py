@@ -8,30 +8,31 @@ from matplotlib.typing import LineStyleType
 from dssc_jax.plotting.style import DARK
 
 MOST_VECTOR_CELLS = 2500
+"""Largest number of cells of a map that is written as vector graphics."""
 OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=DARK)]
-"""White lines have a dark rim, so that they are seen on every colour, and in the legend as in the map."""
+"""Dark rim of white lines, which makes them visible on every colour of a map, and in its legend."""
 
 
-def map_top(share: np.ndarray) -> float:
+def largest_colour(share: np.ndarray) -> float:
     """Upper end of a map's colours: the largest probability if it is below one half, else 1."""
     largest = float(share.max())
     return largest if 0.0 < largest < 0.5 else 1.0
 
 
 def needs_bitmap(values: np.ndarray) -> bool:
-    """Whether a map has so many cells that it is written as one bitmap."""
+    """Whether a map has so many cells that it is written as a bitmap rather than as vector graphics."""
     return values.size > MOST_VECTOR_CELLS
 
 
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
-    """Edges of cells around increasing values: half way between neighbours, and as far beyond both ends.
+    """Edges of the cells around increasing values: half way between neighbours, and as far beyond both ends.
 
     Args:
-        values: Shape (n,).
+        values: Centres of the cells, shape (n,).
         logarithmic: Whether half way is meant on a logarithmic axis.
 
     Returns:
-        Shape (n + 1,).
+        The edges, shape (n + 1,).
     """
     centres = np.log(values) if logarithmic else values
     half = np.diff(centres) / 2.0 if len(centres) > 1 else np.array([0.5])
@@ -43,14 +44,14 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
 
 
 def capped_limits(finite: np.ndarray, cap: float | None) -> tuple[float, float] | None:
-    """Colour limits that end at a cap, so that a diverging corner does not flatten the other colours.
+    """Limits of a map's colours that end at a cap, so that a few huge values do not hide the differences of all others.
 
     Args:
-        finite: The finite values of a map.
+        finite: Finite values of the map.
         cap: Upper limit of the colours; None: no limit.
 
     Returns:
-        Lowest and highest coloured value; None if the cap is not within the values.
+        Lowest and highest value with a colour of its own; None if the cap is not within the values.
     """
     if cap is None or not finite.size or not finite.min() < cap < finite.max():
         return None
@@ -58,7 +59,16 @@ def capped_limits(finite: np.ndarray, cap: float | None) -> tuple[float, float] 
 
 
 def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float, style: LineStyleType) -> None:
-    """Draw a white contour if the level is crossed; infinities and NaN count as far above it."""
+    """Draw a white contour line of a map where its values cross a level.
+
+    Args:
+        ax: Axes of the map.
+        x: Values along the horizontal axis, shape (n,).
+        y: Values along the vertical axis, shape (m,).
+        z: Values of the map, shape (m, n); infinity and NaN count as far above the level.
+        level: The level.
+        style: Style of the line.
+    """
     if min(z.shape) < 2 or not np.nanmin(z) < level < np.nanmax(z):
         return
     finite_z = np.where(np.isfinite(z), z, 1e3 * abs(level))

@@ -12,18 +12,18 @@ from dssc_jax.plotting.style import BLUE, GREY, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
 OFFSET = 0.18
-"""Distance of one controller's two marks, for its original and its tuned gains, from their common row."""
+"""Distance of a controller's marks, for given and for tuned gains, from the controller's row."""
 
 
 class FailureEstimate(TypedDict):
-    """Failure probability of one controller, with the ends of its interval."""
+    """Failure probability of a controller with the bounds of its interval."""
 
     probability: float
     interval: Sequence[float]
 
 
 class PairedDifference(TypedDict):
-    """Failure probability of controller ``a`` minus that of ``b``, with the ends of its interval."""
+    """Failure probability of controller ``a`` minus that of ``b``, with the bounds of its interval."""
 
     a: str
     b: str
@@ -33,7 +33,7 @@ class PairedDifference(TypedDict):
 
 @styled
 def comparison(compared: Analysis) -> Figure:
-    """Plot failure probabilities with their intervals, and differences from the first controller, paired by draw.
+    """Plot each controller's failure probability, and its difference from the first controller on the same draws.
 
     Args:
         compared: The return value of :func:`dssc_jax.compare`.
@@ -67,7 +67,15 @@ def comparison(compared: Analysis) -> Figure:
 def probability_panel(
     ax: Axes, controllers: Mapping[str, FailureEstimate], colour: str, text: str, shift: float
 ) -> None:
-    """Draw one dot with its Clopper-Pearson interval for each controller, a little off the controller's row."""
+    """Draw each controller's failure probability with its Clopper-Pearson interval.
+
+    Args:
+        ax: Axes to draw into.
+        controllers: Estimates by controller, from the top row down.
+        colour: Colour of the marks.
+        text: Legend of the marks.
+        shift: Distance of the marks from the controllers' rows.
+    """
     estimates = list(controllers.values())
     share = np.array([estimate["probability"] for estimate in estimates])
     ends = np.array([estimate["interval"] for estimate in estimates]).T
@@ -78,13 +86,21 @@ def probability_panel(
 def difference_panel(
     ax: Axes, pairs: Sequence[PairedDifference], rows: Sequence[str], first: str, colour: str, shift: float
 ) -> None:
-    """Draw each controller minus the first, with the interval of the paired difference."""
+    """Draw the failure probability of each controller minus that of the first, with its interval.
+
+    Args:
+        ax: Axes to draw into.
+        pairs: Differences of all pairs of controllers.
+        rows: Controllers, from the top row down.
+        first: The controller with which the others are compared.
+        colour: Colour of the marks.
+        shift: Distance of the marks from the controllers' rows.
+    """
     for pair in pairs:
         if pair["a"] != first:
             continue
-        # the pair is the first controller minus another one
-        high, low = (-end for end in pair["interval"])
-        middle = -pair["difference"]
+        difference = -pair["difference"]  # the pair is the first controller minus the other
+        high, low = (-bound for bound in pair["interval"])
         row = rows.index(pair["b"]) + shift
-        reach = [[middle - low], [high - middle]]
-        ax.errorbar([middle], [row], xerr=reach, fmt="o", color=colour, capsize=3)
+        distances = [[difference - low], [high - difference]]
+        ax.errorbar([difference], [row], xerr=distances, fmt="o", color=colour, capsize=3)

@@ -7,62 +7,62 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.plotting.cells import cell_edges
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, RED, axis_label, fit_probability, is_log, label, set_scale
-from dssc_jax.plotting.sweep_marks import CERTIFIED, certified_region, mark_study_value
+from dssc_jax.plotting.sweep_marks import CERTIFIED_LEGEND, certified_region, mark_study_value
 from dssc_jax.plotting.thinning import envelope, thinned
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import upper_quantiles
 
 MOST_MARKED_POINTS = 200
-PROVED = "proved, with lag and sampling"
+PROVED_LEGEND = "proved, with lag and sampling"
 
 
 def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """Draw a metric's quantiles along one axis."""
+    """Draw the median of a metric along an axis of a sweep, with a band from the 5 to the 95 % quantile."""
     x = result.dataset[axis].values
-    low, middle, high = quantiles(result, measure)
+    low, median, high = quantiles(result, measure)
     name = "simulated"
     if result.study.config.draws > 1:
         name = "median"
         fill_band(ax, x, low, high, BLUE, "5 to 95 % of draws")
-    ax.plot(*thinned(x, middle), point_markers(x), color=BLUE, label=name)
+    ax.plot(*thinned(x, median), line_format(x), color=BLUE, label=name)
     if len(x) > 1:
         ax.set_xlim(x.min(), x.max())
-    if not np.isfinite(middle).any():
+    if not np.isfinite(median).any():
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
     for limit in metric_bounds(result, measure):
         ax.axhline(limit, color=RED, linestyle="--", label="required")
-    set_scale(ax, middle[np.isfinite(middle)], "y")
-    if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
-        add_slope(ax, x, middle)
+    set_scale(ax, median[np.isfinite(median)], "y")
+    if result.study.config.plot.slope and len(x) > 1 and have_logarithms(x) and have_logarithms(median):
+        add_slope(ax, x, median)
     ax.set_ylabel(label(result.dataset[measure.name].attrs))
     finish_curve(ax, result, axis)
 
 
 def fill_band(ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, text: str) -> None:
-    """Fill a band along one axis."""
+    """Fill a band between two curves, each of shape (n,), with as many points as a figure can show."""
     points, lower, upper = envelope(x, low, high)
     ax.fill_between(points, lower, upper, color=colour, alpha=0.2, linewidth=0.0, label=text)
 
 
 def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Draw the failure probability with its interval along one axis."""
+    """Draw the failure probability along an axis of a sweep, with its interval as a band."""
     x = result.dataset[axis].values
     failed = result.failed.values
     interval = result.method.failure_interval(failed)
     fill_band(ax, x, interval[:, 0], interval[:, 1], RED, f"95 % {result.method.name}")
-    ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
+    ax.plot(*thinned(x, failed.mean(-1)), line_format(x), color=RED, label="failed draws")
     ax.set_ylabel("failure probability")
     fit_probability(ax, float(interval.max()))
     finish_curve(ax, result, axis)
 
 
-def point_markers(x: np.ndarray) -> str:
-    """The style of a curve: a dot at each point if they can be distinguished."""
+def line_format(x: np.ndarray) -> str:
+    """Matplotlib's format of a curve: with a dot at each point, unless there are too many to be told apart."""
     return "o-" if len(x) <= MOST_MARKED_POINTS else "-"
 
 
 def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Add what all curves show: certified and proved stretches, the study's own value, scale and labels of the axis."""
+    """Add what all curves show: certified and proved parts of the axis, the study's own value, scale and labels."""
     x = result.dataset[axis].values
     set_scale(ax, x)
     certified = certified_region(result)
@@ -75,22 +75,28 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
     ax.legend(frameon=False)
 
 
-def stretches(inside: np.ndarray) -> list[tuple[int, int]]:
-    """First index, and index after the last, of every stretch of true values; shape (n,).
+def true_runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """First index, and index after the last, of every run of true values in a mask of shape (n,).
 
     Example:
-        >>> stretches(np.array([True, True, False, True]))
+        >>> true_runs(np.array([True, True, False, True]))
         [(0, 2), (3, 4)]
     """
-    changes = np.flatnonzero(np.diff(inside, prepend=False, append=False))
+    changes = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return [(int(begin), int(end)) for begin, end in changes.reshape(-1, 2)]
 
 
 def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
-    """Hatch the certified stretches, and show the axis to the edges of its first and last cell."""
+    """Hatch the parts of the axis that Theorem 1 certifies, and extend the axis to the edges of its cells.
+
+    Args:
+        ax: Axes of the curve.
+        x: Values along the axis, shape (n,).
+        certified: Whether each value is certified, shape (n,).
+    """
     edges = cell_edges(x, is_log(x))
-    text: str | None = CERTIFIED  # of the first stretch only
-    for begin, end in stretches(certified):
+    text: str | None = CERTIFIED_LEGEND  # of the first part only
+    for begin, end in true_runs(certified):
         low = float(edges[begin])
         high = float(edges[end])
         ax.axvspan(low, high, fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text)
@@ -99,11 +105,17 @@ def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
 
 
 def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
-    """Mark the proved stretches by a bar along the axis."""
+    """Mark the parts of the axis at which the loop is proved by a bar.
+
+    Args:
+        ax: Axes of the curve.
+        x: Values along the axis, shape (n,).
+        proved: Whether each value is proved, shape (n,).
+    """
     edges = cell_edges(x, is_log(x))
     along_axis = ax.get_xaxis_transform()
-    text: str | None = PROVED  # of the first stretch only
-    for begin, end in stretches(proved):
+    text: str | None = PROVED_LEGEND  # of the first part only
+    for begin, end in true_runs(proved):
         ends = edges[[begin, end]]
         ax.plot(ends, [0.0, 0.0], transform=along_axis, color=GREEN, linewidth=7.0, label=text, zorder=0)
         text = None
@@ -114,8 +126,8 @@ def quantiles(result: Result, measure: Measure) -> np.ndarray:
     return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
 
 
-def is_power(values: np.ndarray) -> bool:
-    """Whether the values have logarithms."""
+def have_logarithms(values: np.ndarray) -> bool:
+    """Whether all values are finite and positive."""
     return bool(np.isfinite(values).all() and (values > 0).all())
 
 
@@ -126,6 +138,6 @@ def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the fitted power law."""
+    """Draw the power law fitted to a curve, with its exponent in the legend."""
     slope, intercept = fitted_slope(x, y)
     ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")

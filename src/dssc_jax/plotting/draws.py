@@ -22,7 +22,7 @@ from dssc_jax.plotting.style import (
     title,
 )
 from dssc_jax.plotting.thinning import spaced_indices
-from dssc_jax.results.influence import by_influence, groups_of
+from dssc_jax.results.influence import equal_count_bins, sorted_by_influence
 from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
@@ -32,11 +32,11 @@ MOST_MARKED_STEPS = 20
 
 @styled
 def failures(result: Result) -> Figure:
-    """Plot a run without sweep: the metric that fails most often, and failures against each uncertain number.
+    """Plot a run: the distribution of one metric, and the failure probability against the most influential numbers.
 
-    That is the metric of the requirement which most draws violate, unless ``[plot]`` names another.
+    The metric is the one that ``[plot]`` names, else that of the requirement which most draws violate.
     """
-    laws = by_influence(result, shown_laws(result))[:MOST_FACTORS]
+    laws = sorted_by_influence(result, drawable_laws(result))[:MOST_FACTORS]
     panels = 1 + len(laws)
     columns = min(3, panels)
     rows = math.ceil(panels / columns)
@@ -59,20 +59,15 @@ def failures(result: Result) -> Figure:
     low, high = result.method.failure_interval(failed)
     count_text = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
     interval_text = f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}"
-    title(figure, f"{count_text}; {interval_text}{unshown(result, laws)}")
+    remark = ""
+    if len(laws) < len(result.study.laws):
+        remark = f"\nthe {len(laws)} most influential of {len(result.study.laws)} uncertain numbers"
+    title(figure, f"{count_text}; {interval_text}{remark}")
     return figure
 
 
-def unshown(result: Result, plotted_names: list[str]) -> str:
-    """The end of a figure's title, if the figure leaves out uncertain numbers; else empty."""
-    total = len(result.study.laws)
-    if total <= len(plotted_names):
-        return ""
-    return f"\nthe {len(plotted_names)} most influential of {total} uncertain numbers"
-
-
-def one_point(result: Result) -> None:
-    """Require a single point: a point's draws are used again at other points, so no interval holds for all together.
+def require_one_point(result: Result) -> None:
+    """Require a single point: all points of a sweep share their draws, so no interval holds for their draws together.
 
     Raises:
         ValueError: the result has several points.
@@ -81,14 +76,14 @@ def one_point(result: Result) -> None:
         raise ValueError(f"shows one point of a sweep, got all of {', '.join(result.study.axes)}; take Result.at")
 
 
-def shown_laws(result: Result) -> list[str]:
-    """The uncertain numbers whose draws can be shown on an axis."""
+def drawable_laws(result: Result) -> list[str]:
+    """Names of the uncertain numbers whose drawn values fit on an axis of matplotlib."""
     return [name for name in result.study.laws if np.abs(result.dataset[name].values).max() < DRAWABLE]
 
 
 @styled
 def distribution(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
-    """Plot the share of draws at or below each value of a metric, with the exact interval of each share.
+    """Plot the empirical distribution function of a metric, with the exact interval of each share of draws.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
@@ -99,7 +94,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
         ValueError: the result has several points.
         ConfigError: the result has no such metric.
     """
-    one_point(result)
+    require_one_point(result)
     figure, ax = panel(ax)
     measure = measure_named(result, metric)
     values = result.dataset[measure.name].values
@@ -136,22 +131,22 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
         ValueError: the result has several points.
         ConfigError: the number is not uncertain.
     """
-    one_point(result)
+    require_one_point(result)
     if name not in result.study.laws:
         raise ConfigError("name", f"'{name}' is no uncertain number of the result; {nearest(name, result.study.laws)}")
     figure, ax = panel(ax, SMALL)
     values = result.dataset[name].values
     failed = result.failed.values
-    groups = groups_of(values)
+    groups = equal_count_bins(values)
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
-    reach = None
+    distances = None
     top = share
     if result.method.independent:
         intervals = np.stack([result.method.interval(failed[group]) for group in groups])
-        reach = np.abs(intervals.T - share)
-        top = share + reach[1]
-    ax.errorbar(centres, share, reach, fmt="o", color=RED, capsize=3)
+        distances = np.abs(intervals.T - share)
+        top = share + distances[1]
+    ax.errorbar(centres, share, distances, fmt="o", color=RED, capsize=3)
     if result.study.laws[name].support[0] > 0.0:
         set_scale(ax, centres)
     if ax.get_xscale() == "linear":
@@ -164,7 +159,7 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
 
 
 def metric_bounds(result: Result, measure: Measure) -> list[float]:
-    """The limits that the study's requirements set for a measure."""
+    """Upper and lower limits of a metric in the study's requirements."""
     limits: list[float] = []
     for requirement in result.study.requirements:
         if requirement.measure.name == measure.name:

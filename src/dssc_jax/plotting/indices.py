@@ -1,4 +1,4 @@
-"""Figures of sensitivities."""
+"""Figure of sensitivities."""
 
 import textwrap
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
 OFFSET = 0.13
-"""Distance of two quantities from their common row."""
+"""Distance of a factor's marks, one for each sensitivity, from the factor's row."""
 QUANTITY_COLOURS = (BLUE, ORANGE)
 
 
 @styled
 def sensitivity(indices: Analysis) -> Figure:
-    """Plot what failure and the study's headline metric depend on, with intervals.
+    """Plot the sensitivity of failure and of the headline metric to each factor, with intervals.
 
     Args:
         indices: The return value of :func:`dssc_jax.sensitivity`.
@@ -52,12 +52,13 @@ def sensitivity(indices: Analysis) -> Figure:
 def factor_rows(
     ax: Axes, output: Mapping[str, Mapping[str, object]], quantities: Mapping[str, Mapping[str, str]]
 ) -> None:
-    """Draw every quantity with its interval, one row for each factor.
+    """Draw the sensitivities of an output with their intervals, one row for each factor.
 
     Args:
         ax: Axes to draw into.
-        output: For each factor, the value of a quantity by its name, and its interval by the name with ``_interval``.
-        quantities: What is known of each quantity; ``legend`` is its text.
+        output: Sensitivities by factor: the value of a quantity by its name, the interval by the name with
+            ``_interval``.
+        quantities: Attributes of each quantity by name; ``legend`` is its text.
     """
     factors = list(output.values())
     offsets = OFFSET * (2.0 * np.arange(len(quantities)) - len(quantities) + 1.0)
@@ -65,5 +66,5 @@ def factor_rows(
         value = np.array([factor[name] for factor in factors])
         low, high = np.array([factor[f"{name}_interval"] for factor in factors]).T
         rows = np.arange(len(factors)) + offset
-        reach = np.maximum([value - low, high - value], 0.0)
-        ax.errorbar(value, rows, xerr=reach, fmt="o", color=colour, capsize=3, label=quantity["legend"])
+        distances = np.maximum([value - low, high - value], 0.0)
+        ax.errorbar(value, rows, xerr=distances, fmt="o", color=colour, capsize=3, label=quantity["legend"])

@@ -1,6 +1,4 @@
-"""Figure of how wrong the laws may be."""
-
-from typing import Protocol
+"""Figure of how far the laws may be wrong."""
 
 import numpy as np
 import xarray as xr
@@ -8,29 +6,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.core.json_types import JsonObject
-from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, label, styled, title
-from dssc_jax.study import Study
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, label, study_title, styled, title
+from dssc_jax.results.analysis import Analysis
 
-ROW_GAP = 0.14  # distance of the two points of a law
-ROOM = 1.08  # factor on the largest shift, for the axis of shifts
-
-
-class PlottedLawErrors(Protocol):
-    """What the figure takes from :class:`dssc_jax.LawErrors`."""
-
-    study: Study
-    dataset: xr.Dataset
-    limit: float
-
-    def summary(self) -> JsonObject:
-        """The answer in plain numbers."""
-        ...
+ROW_GAP = 0.14
+"""Distance of the two marks of a law from the law's row."""
+AXIS_EXCESS = 1.08
+"""End of the axis of shifts, relative to the largest shift."""
 
 
 @styled
-def law_errors(errors: PlottedLawErrors) -> Figure:
-    """Plot the failure probability over changes of all laws, and how far each law alone may be wrong.
+def law_errors(errors: Analysis) -> Figure:
+    """Plot the failure probability over changes of all laws, and how far the mean of each law alone may be wrong.
 
     Args:
         errors: The return value of :func:`dssc_jax.laws`.
@@ -41,19 +28,26 @@ def law_errors(errors: PlottedLawErrors) -> Figure:
     figure = Figure(figsize=(SLIDE[0] + 4.0, max(SLIDE[1], 2.6 + 0.36 * numbers)), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     for ax, prefix, dimension in ((left, "shifted", "size"), (middle, "widened", "width")):
-        change_panel(ax, data, prefix, dimension, errors.limit)
+        change_panel(ax, data, prefix, dimension, summary["limit"])
     left.set_ylabel("failure probability")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     law_panel(right, data)
-    config = errors.study.config
     level = f"{100 * summary['confidence']:g} % confidence of each statement, {summary['draws']} draws"
-    title(figure, f"{config.description or config.name}\n{level}")
+    title(figure, f"{study_title(errors.study)}\n{level}")
     return figure
 
 
 def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit: float) -> None:
-    """Draw the failure probability over one kind of change of all laws."""
+    """Draw the failure probability over one kind of change of all laws.
+
+    Args:
+        ax: Axes to draw into.
+        data: Dataset of the analysis.
+        prefix: Beginning of the names of the variables, ``shifted`` or ``widened``.
+        dimension: Coordinate with the amounts of the change.
+        limit: Largest failure probability allowed.
+    """
     sizes = data[dimension].values
     worst = data[prefix].values
     upper = data[f"{prefix}_limit"].values
@@ -68,7 +62,7 @@ def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit:
 
 
 def law_panel(ax: Axes, data: xr.Dataset) -> None:
-    """Draw how far the mean of each law alone may be wrong, the most important law on top."""
+    """Draw how far the mean of each law alone may be wrong; the law with the smallest shift is on top."""
     estimate = data["shift_estimate"].values
     bound = data["shift"].values
     order = np.argsort(np.where(np.isnan(estimate), np.inf, estimate) + 1e-6 * bound, kind="stable")
@@ -80,6 +74,6 @@ def law_panel(ax: Axes, data: xr.Dataset) -> None:
         ax.annotate("limit not reached", place, color=GREY, fontsize=10, va="center", ha="right")
     ax.set_yticks(rows, [str(name) for name in data["number"].values[order]])
     ax.set_ylim(len(order) - 0.5, -0.5)
-    ax.set_xlim(0.0, ROOM * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
+    ax.set_xlim(0.0, AXIS_EXCESS * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
     ax.set_xlabel("shift of one mean alone\n[standard deviations]")
     ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))

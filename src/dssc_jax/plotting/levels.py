@@ -12,12 +12,12 @@ LEVELS = np.linspace(0.0005, 0.9995, 1000)
 
 
 def level_of(law: Law, values: np.ndarray) -> np.ndarray:
-    """Distribution function of a law at some values, to about a thousandth; shape (n,)."""
+    """Distribution function of a law at values of shape (n,), with an error of about 0.001."""
     return np.interp(values, law.quantile(LEVELS), LEVELS)
 
 
 def law_axis(ax: Axes, names: Sequence[str], subject: str) -> None:
-    """Set up one row for each number, with its law's levels along the horizontal axis.
+    """Set up axes with one row for each number, and the levels of its law along the horizontal axis.
 
     Args:
         ax: Axes to set up.

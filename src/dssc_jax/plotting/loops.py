@@ -1,4 +1,4 @@
-"""Bode, Nyquist and sensitivity fans of the linearised loop over all draws."""
+"""Figure of the linearised loop over all draws: Bode and Nyquist diagrams, sensitivities, margins."""
 
 import numpy as np
 import xarray as xr
@@ -6,19 +6,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, study_title, styled, title
 from dssc_jax.results.analysis import Analysis
 
 NYQUIST_SPAN = (-3.2, 1.2)
-"""Ends of the real axis."""
-LOWEST_GAIN = -60.0  # [dB]
+"""Ends of the real axis of the Nyquist diagram."""
+LOWEST_GAIN = -60.0
+"""Lowest gain [dB] that is drawn."""
 
 
 @styled
 def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | None = None) -> Figure:
-    """Plot Bode and Nyquist diagrams of L, both sensitivities, and the distributions of phase and delay margin.
+    """Plot Bode and Nyquist diagrams of the open loop L, S and T, and the distributions of phase and delay margin.
 
-    Bands hold 90 % of the draws at each frequency; lines in the Nyquist diagram are single draws.
+    Bands hold 90 % of the draws at each frequency; curves in the Nyquist diagram are single draws.
 
     Args:
         margins: The return value of :func:`dssc_jax.loop_margins`.
@@ -39,9 +40,9 @@ def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | N
     statistics = summary["operating_points"][point][broken_at]
     margin_panel(phase_margin, loop_data["phase"], statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
     margin_panel(delay_margin, loop_data["delay"], statistics["delay"]["tolerance_limit"], "s", 1.0)
-    config = margins.study.config
     place = point if point == "equilibrium" else f"linearised at {point}"
-    title(figure, f"{config.description or config.name}: loop broken at {broken_at}, {place}, {summary['draws']} draws")
+    loop_text = f"loop broken at {broken_at}, {place}, {summary['draws']} draws"
+    title(figure, f"{study_title(margins.study)}: {loop_text}")
     return figure
 
 
@@ -73,24 +74,38 @@ def sensitivity_panel(ax: Axes, loop_data: xr.Dataset) -> None:
 
 
 def decibels(gain: xr.DataArray) -> np.ndarray:
-    """Gains in dB."""
+    """Convert gains to dB."""
     return 20.0 * np.log10(gain.values)
 
 
 def legend_above(ax: Axes) -> None:
-    """Put a small legend above the axes, where it hides no line."""
+    """Put a small legend above the axes, where it does not cover a line."""
     ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
 
 
 def fan(ax: Axes, frequency: np.ndarray, quantiles: np.ndarray, colour: str, text: str) -> None:
-    """Draw the median and the band of 90 % over frequency; quantiles of shape (levels, frequencies)."""
+    """Draw the median and a band over frequency.
+
+    Args:
+        ax: Axes to draw into.
+        frequency: Frequencies [rad/s], shape (n,).
+        quantiles: 5, 50 and 95 % quantiles over the draws, shape (3, n).
+        colour: Colour of line and band.
+        text: Symbol of the quantity, for the legend.
+    """
     ax.fill_between(frequency, quantiles[0], quantiles[-1], color=colour, alpha=0.25, linewidth=0.0)
     ax.plot(frequency, quantiles[len(quantiles) // 2], color=colour, label=f"{text}: median and 90 % of draws")
     ax.set_xscale("log")
 
 
 def nyquist_panel(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
-    """Draw the curves of single draws, shape (draws, frequencies), the point -1, and the circle of M_s = 2."""
+    """Draw the Nyquist curves of single draws, the point -1, and the circle of M_s = 2.
+
+    Args:
+        ax: Axes to draw into.
+        real: Real part of L, shape (draws, frequencies).
+        imaginary: Imaginary part of L, of the same shape.
+    """
     ax.plot(real.T, imaginary.T, color=BLUE, linewidth=0.7, alpha=0.5)
     ax.add_patch(Circle((-1.0, 0.0), 0.5, fill=False, color=GREY, linestyle=":"))
     ax.plot([-1.0], [0.0], "+", color=RED, markersize=12, markeredgewidth=2.0)
@@ -104,10 +119,10 @@ def margin_panel(ax: Axes, margin: xr.DataArray, limit: float | None, unit: str,
 
     Args:
         ax: Axes to draw into.
-        margin: The margin of each draw; not finite where the draw has none.
-        limit: Its tolerance limit, if there is one.
-        unit: Unit to show.
-        scale: What the margin is multiplied by to have that unit.
+        margin: The margin of each draw, shape (draws,); not finite where the draw has none.
+        limit: Tolerance limit of the margin, if there is one.
+        unit: Unit of the axis.
+        scale: Factor that converts the margin to that unit.
     """
     values = scale * margin.values
     sorted_values = np.sort(values[np.isfinite(values)])

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, axis_label, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, axis_label, study_title, styled, title
 from dssc_jax.results.analysis import Analysis
 
 
 class MarginSummary(TypedDict):
-    """What the figures use of a margin's summary."""
+    """The numbers of a margin's summary that the figures show."""
 
     parameter: str
     unit: str
@@ -33,15 +33,15 @@ class MarginSummary(TypedDict):
 
 
 def summary_of(margins: Analysis) -> MarginSummary:
-    """The summary of a margin, typed."""
+    """The summary of a margin with types of its entries."""
     return cast("MarginSummary", margins.summary())
 
 
 @styled
 def margin(margins: Analysis) -> Figure:
-    """Plot critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
+    """Plot the distribution of the critical values, and the failure probability along the walk with its band.
 
-    The result of Theorem 1 for the same walk stands below both panels.
+    The result of Theorem 1 for the same walk is written below both panels.
 
     Args:
         margins: The return value of :func:`dssc_jax.margin`.
@@ -52,12 +52,11 @@ def margin(margins: Analysis) -> Figure:
     distribution_panel(left, margins.dataset["critical"], summary)
     degradation_panel(right, margins.dataset["value"], summary)
     for ax in (left, right):
-        set_walk(ax, summary)
-    certificate(left, summary)
-    for ax in (left, right):  # above: inside, the lines leave no room
-        ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-    config = margins.study.config
-    title(figure, f"{config.description or config.name}: {'; '.join(summary['criterion'])}")
+        set_walk_axis(ax, summary)
+    mark_certificate(left, summary)
+    for ax in (left, right):
+        ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))  # above: lines leave no room inside
+    title(figure, f"{study_title(margins.study)}: {'; '.join(summary['criterion'])}")
     return figure
 
 
@@ -71,17 +70,17 @@ def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummar
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def set_walk(ax: Axes, summary: MarginSummary) -> None:
-    """Set the axis along the walk, starting at its safe end."""
+def set_walk_axis(ax: Axes, summary: MarginSummary) -> None:
+    """Set scale and limits of the horizontal axis, which runs from the safe end of the walk to the other."""
     start, end = summary["bounds"]
     ax.set_xscale("log" if summary["log"] else "linear")
     ax.set_xlim(start, end)
 
 
 def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary) -> None:
-    """Draw the share of draws that have failed by each value of the walk.
+    """Draw the distribution function of the critical values along the walk.
 
-    Draws that fail at its start, and draws that pass to its end, keep the curve from 0 and from 1.
+    It does not begin at 0 if draws fail at the start of the walk, and does not reach 1 if draws pass to its end.
     """
     start, end = summary["bounds"]
     draws = critical.size
@@ -109,10 +108,10 @@ def in_order_of_walk(values: np.ndarray, summary: MarginSummary) -> np.ndarray:
     return sorted_values if end > start else sorted_values[::-1]
 
 
-def certificate(ax: Axes, summary: MarginSummary) -> None:
-    """Mark the ends of the certified and of the proved range, or draw an arrow if the former is off the axis.
+def mark_certificate(ax: Axes, summary: MarginSummary) -> None:
+    """Mark how far Theorem 1 certifies the loop and how far it is proved, and write the certificate below the figure.
 
-    The certificate's text goes below the figure.
+    An arrow at the edge of the axes stands for a certified value that is off the axis.
     """
     figure = ax.get_figure(root=True)
     assert figure is not None

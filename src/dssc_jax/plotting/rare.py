@@ -1,9 +1,10 @@
-"""Figure of a rare failure: its probability from every repeat, and where failures lie."""
+"""Figure of a rare failure: its probability by each method, and where failures lie within the laws."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.plotting.levels import law_axis, level_of
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, set_scale, styled, title
 from dssc_jax.results.analysis import Analysis
@@ -11,7 +12,7 @@ from dssc_jax.results.analysis import Analysis
 
 @styled
 def rare(event: Analysis) -> Figure:
-    """Plot the repeats' estimates with their mean and the plain draws, and where failures lie within the laws.
+    """Plot the failure probability by each repeat, by the method and by plain draws, and where failures lie.
 
     Args:
         event: The return value of :func:`dssc_jax.rare`.
@@ -19,7 +20,7 @@ def rare(event: Analysis) -> Figure:
     summary = event.summary()
     figure = Figure(figsize=SLIDE, layout="constrained")
     left, right = figure.subplots(1, 2)
-    probabilities(left, event)
+    probability_panel(left, summary)
     for row, (name, levels) in enumerate(summary["where"].items()):
         if levels["failing"] is None:
             continue
@@ -31,9 +32,11 @@ def rare(event: Analysis) -> Figure:
     return figure
 
 
-def probabilities(ax: Axes, event: Analysis) -> None:
-    """Draw estimates of a probability, one above the other; an interval from 0 begins below all of them."""
-    summary = event.summary()
+def probability_panel(ax: Axes, summary: JsonObject) -> None:
+    """Draw estimates of the failure probability in three rows: of the repeats, of the method, and of plain draws.
+
+    The axis may be logarithmic, so a bound of 0 is drawn below all estimates.
+    """
     plain = summary["plain"]
     method_answer = summary["by_method"]
     estimates = np.array(summary["estimates"])
@@ -41,17 +44,17 @@ def probabilities(ax: Axes, event: Analysis) -> None:
     positive = estimates[estimates > 0.0]
     left_end = 0.1 * min([*positive, 1.0 / plain["draws"]])
     ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
-    split_ends = np.maximum(method_answer["interval"], left_end)
-    plain_ends = np.maximum(plain["interval"], left_end)
-    estimate(ax, 1, method_answer["probability"], split_ends, BLUE)
-    estimate(ax, 2, plain["failures"] / plain["draws"], plain_ends, ORANGE)
-    set_scale(ax, np.concatenate([positive, split_ends, plain_ends]))
+    method_bounds = np.maximum(method_answer["interval"], left_end)
+    plain_bounds = np.maximum(plain["interval"], left_end)
+    draw_estimate(ax, 1, method_answer["probability"], method_bounds, BLUE)
+    draw_estimate(ax, 2, plain["failures"] / plain["draws"], plain_bounds, ORANGE)
+    set_scale(ax, np.concatenate([positive, method_bounds, plain_bounds]))
     ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(rows)), yticklabels=rows)
     ax.set_ylim(len(rows) - 0.5, -0.5)
 
 
-def estimate(ax: Axes, row: int, probability: float, ends: np.ndarray, colour: str) -> None:
-    """Draw an interval as a line, and the estimate as a dot on it unless it is 0."""
-    ax.plot(ends, [row, row], color=colour)
+def draw_estimate(ax: Axes, row: int, probability: float, bounds: np.ndarray, colour: str) -> None:
+    """Draw an interval, bounds of shape (2,), as a line, and the estimate as a dot on it unless it is 0."""
+    ax.plot(bounds, [row, row], color=colour)
     if probability:
         ax.plot([probability], [row], "o", color=colour)

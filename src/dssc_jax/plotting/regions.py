@@ -1,4 +1,4 @@
-"""Figure of the region of two numbers in which enough of all plants meet the requirements."""
+"""Figure of the region of two numbers in which the requirements are met."""
 
 import itertools
 from typing import Protocol
@@ -9,15 +9,15 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, axis_label, set_log, styled, title
+from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, axis_label, set_log, study_title, styled, title
 from dssc_jax.study import Study
 
 COLOURS_OF_VERDICTS = {0: ("at least 95 % pass", GREEN), 1: ("undecided", GREY), 2: ("fewer pass", RED)}
-ENCLOSED = "enclosed by pairs that pass, no claim"
+ENCLOSED_LEGEND = "enclosed by pairs that pass, no claim"
 
 
 class PlottedRegion(Protocol):
-    """What the figure takes from :class:`dssc_jax.SafeRegion`."""
+    """The attributes of :class:`dssc_jax.SafeRegion` that the figure reads."""
 
     study: Study
     dataset: xr.Dataset
@@ -29,13 +29,17 @@ class PlottedRegion(Protocol):
 
 
 def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
-    """Cells of the lattice in a square whose corners meet the requirements, and which has no other verdict.
+    """Find the cells of a lattice of pairs that are enclosed by pairs that meet the requirements.
+
+    All cells of a square, 1, 2, 4, ... cells wide, are enclosed if its four corners meet the requirements and no pair
+    in it has another verdict.
 
     Args:
-        verdict: 0 where the requirements are met, negative where nothing was simulated; shape (m, m).
+        verdict: Verdict of each pair, shape (m, m): 0 where the requirements are met, negative where nothing was
+            simulated.
 
     Returns:
-        Shape (m - 1, m - 1).
+        Whether each cell is enclosed, shape (m - 1, m - 1).
     """
     count = len(verdict) - 1
     enclosed = np.zeros((count, count), bool)
@@ -52,7 +56,7 @@ def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
 
 @styled
 def region(safe: PlottedRegion) -> Figure:
-    """Plot the verdict of every simulated pair, what lies between those that pass, and what Theorem 1 certifies.
+    """Plot the verdict of each simulated pair, the cells enclosed by pairs that pass, and what Theorem 1 certifies.
 
     Args:
         safe: The return value of :func:`dssc_jax.region`.
@@ -69,7 +73,7 @@ def region(safe: PlottedRegion) -> Figure:
         ax.use_sticky_edges = False  # points on the edge are drawn whole
         shade = np.ma.masked_where(~enclosed, np.ones(enclosed.shape))
         ax.pcolormesh(x, y, shade, cmap=ListedColormap([GREEN]), alpha=0.18, linewidth=0.0, rasterized=True)
-        ax.fill([], [], color=GREEN, alpha=0.18, linewidth=0.0, label=ENCLOSED)
+        ax.fill([], [], color=GREEN, alpha=0.18, linewidth=0.0, label=ENCLOSED_LEGEND)
     if certified.any():
         squares = ax.scatter(x[certified], y[certified], marker="s", s=26, facecolor="none", edgecolor=DARK)
         squares.set(linewidth=0.8, label="certified by Theorem 1")
@@ -84,7 +88,6 @@ def region(safe: PlottedRegion) -> Figure:
     if log_second:
         set_log(ax, data["second"].values, "y")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
-    config = safe.study.config
     level = f"{100 * summary['confidence']:g} % confidence for all pairs together, {summary['draws']} draws"
-    title(figure, f"{config.description or config.name}\n{level}")
+    title(figure, f"{study_title(safe.study)}\n{level}")
     return figure

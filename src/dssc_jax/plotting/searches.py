@@ -1,4 +1,4 @@
-"""Figures of searches: a tuning with every fresh draw's cost before and after, and the search for the worst draw."""
+"""Figures of searches: a tuning with the costs of fresh draws before and after, and the search for the worst draw."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypedDict
@@ -8,16 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dssc_jax.plotting.levels import law_axis, level_of
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, study_title, styled, title
 from dssc_jax.results.analysis import Analysis
 
 PROVED_NUMBERS = ("proved_error", "proved_up_to")
-"""Proved numbers that a tuning may optimise, as variables of its dataset."""
+"""Variables of a tuning's dataset with a proved number that the tuning optimises."""
 AGGREGATES = {"mean": "mean", "worst": "soft worst", "cvar": "CVaR"}
 
 
 class ObjectiveSummary(TypedDict):
-    """A tuning's objective in its summary."""
+    """Objective of a tuning: weight of each metric, aggregate over the draws, and level of the aggregate."""
 
     costs: Mapping[str, float]
     aggregate: str
@@ -25,7 +25,7 @@ class ObjectiveSummary(TypedDict):
 
 
 class VerdictSummary(TypedDict):
-    """What the figure uses of a tuning's verdict: fresh draws, and the objective on them before and after."""
+    """Number of fresh draws, and the objective on them at the start and at the result of a tuning."""
 
     draws: int
     objective: Sequence[float | None]
@@ -33,7 +33,7 @@ class VerdictSummary(TypedDict):
 
 @styled
 def tuning(tuned: Analysis) -> Figure:
-    """Plot objective and violation along the search, and the fresh draws' costs.
+    """Plot objective and violation along the search, and the distribution of the fresh draws' costs.
 
     Args:
         tuned: The return value of :func:`dssc_jax.tune`.
@@ -41,25 +41,28 @@ def tuning(tuned: Analysis) -> Figure:
     summary = tuned.summary()
     figure = Figure(figsize=SLIDE, layout="constrained")
     left, right = figure.subplots(1, 2)
-    history(left, tuned)
-    costs(right, tuned, summary["verdict"])
-    config = tuned.study.config
-    title(figure, f"{config.description or config.name}: {cost_text(summary['objective'])}")
+    history_panel(left, tuned)
+    cost_panel(right, tuned, summary["verdict"])
+    title(figure, f"{study_title(tuned.study)}: {objective_text(summary['objective'])}")
     return figure
 
 
-def cost_text(objective: ObjectiveSummary) -> str:
-    """The objective in words."""
-    weights = objective["costs"].items()
-    total = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
+def objective_text(objective: ObjectiveSummary) -> str:
+    """Describe the objective of a tuning, such as ``CVaR 90 % of error_rms + 0.1 command_tv``."""
+    terms = []
+    for name, weight in objective["costs"].items():
+        terms.append(name if weight == 1.0 else f"{weight:g} {name}")
     aggregate = AGGREGATES[objective["aggregate"]]
     if objective["aggregate"] == "cvar":
         aggregate = f"{aggregate} {100 * objective['level']:g} %"
-    return f"{aggregate} of {total}"
+    return f"{aggregate} of {' + '.join(terms)}"
 
 
-def history(ax: Axes, tuned: Analysis) -> None:
-    """Draw the objective on training and validation draws, and the largest violation of a limit."""
+def history_panel(ax: Axes, tuned: Analysis) -> None:
+    """Draw the objective along the search, and on a second axis the largest violation of a limit.
+
+    The objective is the proved number if the tuning has one, else that on training and validation draws.
+    """
     data = tuned.dataset
     step = data["step"].values
     proved = [data[name] for name in PROVED_NUMBERS if name in data]
@@ -82,8 +85,8 @@ def history(ax: Axes, tuned: Analysis) -> None:
     ax.legend(lines, labels, frameon=False, loc="best")
 
 
-def costs(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
-    """Draw distribution functions of the fresh draws' costs, and the aggregates."""
+def cost_panel(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
+    """Draw the distribution functions of the fresh draws' costs at the start and at the result, and the objectives."""
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
         sorted_costs = np.sort(np.where(np.isnan(cost), np.inf, cost))
@@ -97,7 +100,7 @@ def costs(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
 
 @styled
 def falsification(falsified: Analysis) -> Figure:
-    """Plot slacks along the search and over the draws' distances, and where the worst draw lies within its laws.
+    """Plot slacks along the search and over the distance of the draws, and where the worst draw lies within the laws.
 
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.
@@ -116,7 +119,7 @@ def falsification(falsified: Analysis) -> Figure:
 
 
 def finite_slack(falsified: Analysis) -> np.ndarray:
-    """The slack of each simulation; NaN where it is infinite."""
+    """The slack of each simulation, shape (simulations,); NaN where it is infinite."""
     slack = falsified.dataset["slack"]
     return np.where(np.isfinite(slack), slack, np.nan)
 
@@ -138,7 +141,7 @@ def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | N
     Args:
         ax: Axes to draw into.
         falsified: The analysis.
-        limit: The largest ``distance`` that was allowed, and the ``mass`` of draws within; None: no limit.
+        limit: Largest ``distance`` of the search, and the ``mass``, the share of all draws, within; None: no limit.
     """
     slack = finite_slack(falsified)
     distance = falsified.dataset["distance"]
@@ -154,7 +157,7 @@ def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | N
 
 
 def marked_draws(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
-    """The worst draw and the likeliest failure: name, index and marker."""
+    """Name, index and marker of the worst draw, and of the likeliest failure if there is one."""
     slack = falsified.dataset["slack"].values
     distance = falsified.dataset["distance"].values
     yield "worst draw", int(np.argmin(slack)), "o"

@@ -1,4 +1,4 @@
-"""Figure of a race of candidates: where the chosen ones lie, and when the others left."""
+"""Figure of a selection among candidates: where the selected ones lie, and how many draws the others got."""
 
 import numpy as np
 import xarray as xr
@@ -7,11 +7,12 @@ from matplotlib.figure import Figure
 
 from dssc_jax.plotting.style import BLUE, GREY, RED, SLIDE, set_log, styled, title
 from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.schema import name_with_unit
 
 
 @styled
 def selection(analysis: Analysis) -> Figure:
-    """Plot the candidates' values and shares of failed draws, and how many candidates got how many draws.
+    """Plot the candidates with their shares of failed draws, and the number of candidates over the number of draws.
 
     Args:
         analysis: The return value of :func:`dssc_jax.select`.
@@ -23,43 +24,44 @@ def selection(analysis: Analysis) -> Figure:
     figure = Figure(figsize=SLIDE, layout="constrained")
     left, right = figure.subplots(1, 2)
     if len(names) == 1:
-        draw_line(left, data, names[0])
+        share_panel(left, data, names[0])
     else:
-        draw_plane(figure, left, data, names)
+        plane_panel(figure, left, data, names)
     looks = np.unique(draws)
-    right.step([0, *looks], [len(draws), *(np.count_nonzero(draws >= look) for look in looks)], where="pre", color=BLUE)
+    remaining = [np.count_nonzero(draws >= look) for look in looks]
+    right.step([0, *looks], [len(draws), *remaining], where="pre", color=BLUE)
     right.set(yscale="log", xlabel="draws", ylabel="candidates with as many draws")
     title(figure, f"{summary['study']}: {'; '.join(summary['requirements'])}\n{analysis.headline}")
     return figure
 
 
-def labelled(data: xr.Dataset, name: str) -> str:
-    """A number's name with its unit."""
-    unit = data[name].attrs["units"]
-    return name + (f" [{unit}]" if unit not in ("", "1") else "")
+def label_of(data: xr.Dataset, name: str) -> str:
+    """Axis label of a number: its name and unit."""
+    return name_with_unit(name, data[name].attrs["units"])
 
 
-def draw_line(ax: Axes, data: xr.Dataset, name: str) -> None:
-    """Draw the share of failed draws over one number."""
-    is_chosen = data["place"].values >= 0
-    values, share = data[name].values, (data["failures"] / data["draws"]).values
-    ax.scatter(values[~is_chosen], share[~is_chosen], s=10, color=GREY, label="not chosen")
-    ax.scatter(values[is_chosen], share[is_chosen], s=30, color=BLUE, label="chosen", zorder=3)
-    ax.set(xlabel=labelled(data, name), ylabel="share of failed draws", ylim=(-0.02, 1.02))
+def share_panel(ax: Axes, data: xr.Dataset, name: str) -> None:
+    """Draw the share of failed draws of each candidate over one number, and mark the selected candidates."""
+    selected = data["place"].values >= 0
+    values = data[name].values
+    share = (data["failures"] / data["draws"]).values
+    ax.scatter(values[~selected], share[~selected], s=10, color=GREY, label="not chosen")
+    ax.scatter(values[selected], share[selected], s=30, color=BLUE, label="chosen", zorder=3)
+    ax.set(xlabel=label_of(data, name), ylabel="share of failed draws", ylim=(-0.02, 1.02))
     set_log(ax, values)
     ax.legend()
 
 
-def draw_plane(figure: Figure, ax: Axes, data: xr.Dataset, names: list[str]) -> None:
-    """Draw the share of failed draws over the first two numbers."""
-    is_chosen = data["place"].values >= 0
-    first, second = (data[name].values for name in names[:2])
+def plane_panel(figure: Figure, ax: Axes, data: xr.Dataset, names: list[str]) -> None:
+    """Draw the candidates over the first two numbers, coloured by share of failed draws, and mark the selected ones."""
+    selected = data["place"].values >= 0
+    first = data[names[0]].values
+    second = data[names[1]].values
     share = (data["failures"] / data["draws"]).values
     points = ax.scatter(first, second, s=12, c=share, cmap="viridis_r", vmin=0.0, vmax=1.0)
-    ax.scatter(
-        first[is_chosen], second[is_chosen], s=60, facecolors="none", edgecolors=RED, linewidths=1.8, label="chosen"
-    )
-    ax.set(xlabel=labelled(data, names[0]), ylabel=labelled(data, names[1]))
+    ring = {"s": 60, "facecolors": "none", "edgecolors": RED, "linewidths": 1.8}
+    ax.scatter(first[selected], second[selected], label="chosen", **ring)
+    ax.set(xlabel=label_of(data, names[0]), ylabel=label_of(data, names[1]))
     set_log(ax, first, "x")
     set_log(ax, second, "y")
     figure.colorbar(points, ax=ax, label="share of failed draws")

@@ -1,4 +1,4 @@
-"""Colours of what is known of a point of a sweep: proved, no draw fails, some fail, or all fail."""
+"""The standing of a point of a sweep with its colour: proved, no draw fails, some draws fail, or all fail."""
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -12,27 +12,33 @@ STANDINGS = (
     (YELLOW, "unknown: some draws fail"),
     (RED, "fails in every draw"),
 )
-"""Colour and meaning of each standing; what a proof covers follows the first."""
+"""Colour and meaning of each standing; the scope of the proofs is appended to the first meaning."""
 
 
 def standing_of(proved: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """The index in :data:`STANDINGS`, from what is proved and the share of draws that fail."""
+    """The index in :data:`STANDINGS` of each point.
+
+    Args:
+        proved: Whether each point is proved, of any shape.
+        share: Share of draws that fail at each point, of the same shape.
+    """
     return np.select([proved, share == 0.0, share < 1.0], [0, 1, 2], 3)
 
 
 def standing_colours() -> ListedColormap:
-    """One colour for each standing."""
+    """A colour map with one colour for each standing."""
     return ListedColormap([colour for colour, _ in STANDINGS])
 
 
 def standing_words(covered: str) -> list[str]:
-    """The meaning of each standing, where a proof is for ``covered``."""
+    """The meaning of each standing; ``covered`` names what the proofs cover, such as the plants."""
     proved, *texts = [text for _, text in STANDINGS]
     return [f"{proved} for {covered}", *texts]
 
 
-def standing_keys(covered: str) -> list[Patch]:
-    """Legend entries, where a proof is for ``covered``."""
-    colours = [colour for colour, _ in STANDINGS]
-    pairs = zip(colours, standing_words(covered), strict=True)
-    return [Patch(facecolor=colour, label=text) for colour, text in pairs]
+def standing_handles(covered: str) -> list[Patch]:
+    """A legend entry for each standing; ``covered`` as in :func:`standing_words`."""
+    handles = []
+    for (colour, _), text in zip(STANDINGS, standing_words(covered), strict=True):
+        handles.append(Patch(facecolor=colour, label=text))
+    return handles

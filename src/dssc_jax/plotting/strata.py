@@ -1,4 +1,4 @@
-"""Figure of a failure probability from strata: what each stratum holds, and how many of its draws fail."""
+"""Figure of a failure probability from strata: probability, draws and failures of each stratum."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,7 +10,7 @@ from dssc_jax.statistics import clopper_pearson
 
 @styled
 def strata(analysis: Analysis) -> Figure:
-    """Plot probability and draws of each stratum, and its share of failures with exact intervals.
+    """Plot the probability of each stratum, its share of the draws, and its share of failures with exact intervals.
 
     Args:
         analysis: The return value of :func:`dssc_jax.probability`.

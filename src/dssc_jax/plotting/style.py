@@ -18,6 +18,8 @@ from matplotlib.image import imsave
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
 from dssc_jax.core import files
+from dssc_jax.results.schema import name_with_unit
+from dssc_jax.study import Study
 
 # Okabe and Ito's palette, distinguishable with any colour vision
 BLUE = "#0072B2"
@@ -47,22 +49,28 @@ STYLE: dict[Any, Any] = {
 }
 FAST_PNG = {"compress_level": 3}
 """Options of the PNG encoder: two thirds of the usual time, for a file 4 % larger."""
-SLIDE = (11.5, 5.6)  # inches
+SLIDE = (11.5, 5.6)
+"""Width and height of a figure for a slide [inch]."""
 PANEL = (6.4, 4.6)
+"""Width and height of a single panel [inch]."""
 SMALL = (4.6, 3.8)
-DRAWABLE = np.float64(1e100)  # larger numbers overflow in matplotlib's axes; float32 would make a float infinite
-TITLE_DENSITY = 8.0  # characters of a title per inch
-LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
+"""Width and height of a small panel [inch]."""
+DRAWABLE = np.float64(1e100)  # a float would become infinite beside float32
+"""Numbers of this magnitude and above overflow in matplotlib's axes, and are not drawn."""
+TITLE_DENSITY = 8.0
+"""Characters of a title per inch."""
+LOG_SPAN = 8.0
+"""Ratio of the largest to the smallest positive value above which an axis is logarithmic."""
 Direction: TypeAlias = Literal["x", "y"]
 DrawingArguments = ParamSpec("DrawingArguments")
-Drawn = TypeVar("Drawn")
+Drawing = TypeVar("Drawing")
 
 
-def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments, Drawn]:
-    """Decorate a function to draw in the project's style, leaving the caller's style unchanged."""
+def styled(draw: Callable[DrawingArguments, Drawing]) -> Callable[DrawingArguments, Drawing]:
+    """Decorate a drawing function: it draws in the project's style, and leaves the caller's style unchanged."""
 
     @wraps(draw)
-    def wrapper(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawn:
+    def wrapper(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawing:
         with rc_context(STYLE):
             return draw(*args, **options)
 
@@ -70,7 +78,7 @@ def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments
 
 
 def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
-    """The axes to draw into, and their figure.
+    """The axes to draw into, and their figure; new ones unless axes are passed.
 
     Args:
         ax: The axes; None: those of a new figure.
@@ -84,43 +92,51 @@ def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, A
 
 
 def label(attributes: Mapping[str, object]) -> str:
-    """Long name with unit; a dollar sign does not start mathematics.
+    """The long name of a variable with its unit, for matplotlib: dollar signs are escaped.
 
     Args:
-        attributes: Attributes of a variable: ``long_name`` and ``units``.
+        attributes: Attributes of the variable: ``long_name`` and ``units``.
     """
-    name = str(attributes.get("long_name", ""))
-    unit = attributes.get("units", "")
-    text = name if unit in ("", "1") else f"{name} [{unit}]"
+    text = name_with_unit(str(attributes.get("long_name", "")), str(attributes.get("units", "")))
     return text.replace("$", r"\$")
 
 
 def axis_label(name: str, attributes: Mapping[str, object]) -> str:
-    """An axis label: the dotted name, and below it the label of its attributes."""
+    """An axis label: a dotted name, and below it the long name and the unit."""
     return f"{name}\n{textwrap.fill(label(attributes), 42)}"
 
 
+def study_title(study: Study) -> str:
+    """The description of a study, or its name if it has none."""
+    return study.config.description or study.name
+
+
 def title(figure: Figure, text: str) -> None:
-    """Set a title: wrapped to the figure's width, and without mathematics, because users write parts of it."""
+    """Set a title, wrapped to the width of the figure. Users write parts of it, so ``$`` starts no mathematics."""
     width = int(TITLE_DENSITY * figure.get_figwidth())
     lines = [textwrap.fill(line, width) for line in text.splitlines()]
     figure.suptitle("\n".join(lines), parse_math=False)
 
 
+def drawable(values: np.ndarray) -> np.ndarray:
+    """Values that fit on an axis; NaN in the place of larger ones, see :data:`DRAWABLE`."""
+    return np.where(np.abs(values) < DRAWABLE, values, np.nan)
+
+
 def is_log(values: np.ndarray) -> bool:
-    """Whether an axis of these values should be logarithmic: they are positive and span more than :data:`LOG_SPAN`."""
+    """Whether an axis of values should be logarithmic: they are positive and span more than :data:`LOG_SPAN`."""
     finite = values[np.isfinite(values)]
     return finite.size > 2 and finite.min() > 0 and finite.max() / finite.min() > LOG_SPAN
 
 
 def set_scale(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis logarithmic if :func:`is_log` says so."""
+    """Make an axis logarithmic if its values are positive and span a wide range, see :func:`is_log`."""
     if is_log(values):
         set_log(ax, values, direction)
 
 
 def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
-    """Make an axis logarithmic; see :func:`set_log_ticks`."""
+    """Make an axis of values logarithmic, with plain numbers at its ticks."""
     finite = values[np.isfinite(values)]
     if direction == "x":
         ax.set_xscale("log")
@@ -131,7 +147,7 @@ def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
 
 
 def set_log_ticks(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis with plain numbers, more of them if the range is short."""
+    """Label a logarithmic axis from ``low`` to ``high`` with plain numbers; a short axis has more of them."""
     decades = np.log10(high / low)
     if decades < 1.3:
         labelled_mantissas = (1.0, 2.0, 5.0)
@@ -146,17 +162,17 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
 
 
 def probability_top(largest: float, margin: float = 0.06) -> float:
-    """Upper end of an axis of probabilities: a little above the largest if that is below one half, else above 1."""
+    """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1."""
     return max(largest, 1e-6) * (1.0 + margin) if largest < 0.5 else 1.0 + 0.5 * margin
 
 
 def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
-    """Let the y axis show probabilities in per cent, from 0.
+    """Set the vertical axis to probabilities in per cent, from 0 to the largest.
 
     Args:
         ax: The axes.
-        largest: The largest probability drawn.
-        margin: Room above it, as a share of the axis; 0: the axis ends at the largest.
+        largest: Largest probability that is drawn.
+        margin: Space above the largest probability, as a share of the axis; 0: the axis ends there.
     """
     top = probability_top(largest, margin) if margin else largest
     ax.set_ylim(-0.03 * top, top)
@@ -164,7 +180,7 @@ def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
 
 
 def write(figure: Figure, path: Path) -> Path:
-    """Save a figure in the format that its name ends in."""
+    """Write a figure to a file, in the format of the file's suffix, and return the path."""
     form = path.suffix.lower().removeprefix(".")
     with rc_context(STYLE), files.replacing(path) as file:
         arrange(figure)
@@ -176,7 +192,7 @@ def write(figure: Figure, path: Path) -> Path:
 
 
 def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None = None) -> None:
-    """Save a figure as PNG and SVG; a thread compresses the PNG while the SVG is drawn.
+    """Write a figure as PNG and SVG; a thread compresses the PNG while the SVG is drawn.
 
     Args:
         figure: The figure.
@@ -201,7 +217,7 @@ def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None 
 
 
 def arrange(figure: Figure) -> None:
-    """Lay a figure out once for all its files; matplotlib would do so twice for each file."""
+    """Compute the layout of a figure once for all its files; matplotlib would do so twice for each file."""
     engine = figure.get_layout_engine()
     if engine is not None:
         figure.set_dpi(PIXELS_PER_INCH)

@@ -1,4 +1,4 @@
-"""Marks that curves and maps of a sweep share: the certified region, and the study's own value."""
+"""Marks on curves and maps of a sweep: the certified region, and the study's own value."""
 
 import xarray as xr
 from matplotlib.axes import Axes
@@ -7,8 +7,8 @@ from dssc_jax.plotting.cells import OUTLINE
 from dssc_jax.plotting.style import GREY, Direction
 from dssc_jax.results.result import Result
 
-CERTIFIED = "Theorem 1: without lag and sampling"
-STUDY_VALUE = "the study's own value"
+CERTIFIED_LEGEND = "Theorem 1: without lag and sampling"
+STUDY_VALUE_LEGEND = "the study's own value"
 
 
 def free_axes(result: Result) -> list[str]:
@@ -17,7 +17,7 @@ def free_axes(result: Result) -> list[str]:
 
 
 def certified_region(result: Result) -> xr.DataArray | None:
-    """Where Theorem 1 certifies the loop, over the axes still free; None if it certifies no point."""
+    """Whether Theorem 1 certifies the loop at each point, over :func:`free_axes`; None if it certifies no point."""
     dataset = result.with_theorem().dataset
     if "certified" not in dataset or not dataset["certified"].any():
         return None
@@ -25,7 +25,7 @@ def certified_region(result: Result) -> xr.DataArray | None:
 
 
 def study_value(result: Result, name: str) -> float | None:
-    """The study's own value of a swept number; None if it is a law."""
+    """The study's own value of a swept number; None if the number has a law."""
     value = result.study.leaves().get(name)
     return value if isinstance(value, float) else None
 
@@ -45,7 +45,7 @@ def mark_study_value(ax: Axes, result: Result, name: str, direction: Direction, 
         result: A sweep.
         name: The swept number.
         direction: The axis along which the number grows.
-        on_map: Draw it white with a dark rim and without a legend entry, rather than grey with one.
+        on_map: Whether the line is white with a dark rim and has no legend entry; else it is grey and has one.
     """
     value = study_value(result, name)
     if value is None or not reaches_study_value(result, name):
@@ -54,4 +54,4 @@ def mark_study_value(ax: Axes, result: Result, name: str, direction: Direction, 
     if on_map:
         draw(value, color="white", linestyle=":", linewidth=2.0, path_effects=OUTLINE)
     else:
-        draw(value, color=GREY, linestyle=":", linewidth=2.0, label=STUDY_VALUE)
+        draw(value, color=GREY, linestyle=":", linewidth=2.0, label=STUDY_VALUE_LEGEND)

@@ -13,10 +13,10 @@ from matplotlib.ticker import PercentFormatter
 from matplotlib.typing import LineStyleType
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, map_top, needs_bitmap
+from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, largest_colour, needs_bitmap
 from dssc_jax.plotting.curves import probability_curve, typical_curve
 from dssc_jax.plotting.draws import metric_bounds
-from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
+from dssc_jax.plotting.standings import standing_colours, standing_handles, standing_of
 from dssc_jax.plotting.style import (
     GREY,
     PANEL,
@@ -27,12 +27,13 @@ from dssc_jax.plotting.style import (
     panel,
     set_log_ticks,
     set_scale,
+    study_title,
     styled,
     title,
 )
 from dssc_jax.plotting.sweep_marks import (
-    CERTIFIED,
-    STUDY_VALUE,
+    CERTIFIED_LEGEND,
+    STUDY_VALUE_LEGEND,
     certified_region,
     free_axes,
     mark_study_value,
@@ -43,12 +44,13 @@ from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics.order import upper_quantiles
 
 LineKey: TypeAlias = tuple[str, LineStyleType]
-"""Legend entry of a white line on a map: meaning and style."""
+"""Legend text and style of a white line on a map."""
 
-MAP_PANEL = (PANEL[0], PANEL[1] + 0.8)  # inches
+MAP_PANEL = (PANEL[0], PANEL[1] + 0.8)
+"""Width and height of a single map [inch]."""
 HALF: LineKey = ("half of the draws fail", "-")
-BOUND: LineKey = ("95 % upper bound of the probability at 5 %", "--")
-AT_LIMIT: LineKey = ("the median at its limit", "-")
+UPPER_BOUND: LineKey = ("95 % upper bound of the probability at 5 %", "--")
+MEDIAN_LIMIT: LineKey = ("the median at its limit", "-")
 
 
 @styled
@@ -58,16 +60,15 @@ def sweep(result: Result) -> Figure:
     Raises:
         ValueError: the result has no sweep.
     """
-    result = held_to_two(result)
+    result = over_two_axes(result)
     figure = sweep_curves(result) if len(free_axes(result)) == 1 else sweep_maps(result)
-    name = result.study.config.description or result.study.name
     remarks = [text for text in (idle_text(result), result.certificate) if text]
-    title(figure, f"{name}{held_parameters_text(result)}\n" + "\n".join(remarks))
+    title(figure, f"{study_title(result.study)}{fixed_parameters_text(result)}\n" + "\n".join(remarks))
     return figure
 
 
 def sweep_curves(result: Result) -> Figure:
-    """Plot the headline metric over one axis, and the failure probability if there are requirements."""
+    """Plot the headline metric over one axis, and beside it the failure probability if there are requirements."""
     figure = Figure(figsize=SLIDE, layout="constrained")
     if result.study.requirements:
         left, right = figure.subplots(1, 2)
@@ -79,15 +80,18 @@ def sweep_curves(result: Result) -> Figure:
 
 
 def sweep_maps(result: Result) -> Figure:
-    """Plot proofs or the failure probability, and the headline metric, over two axes with a common legend."""
+    """Plot two maps over two axes with a common legend: standings or the failure probability, and the headline metric.
+
+    Standings are plotted if the points were proved.
+    """
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     if "proved" in result.dataset:
         standing(result, left)
-        handles = [*standing_keys(result.dataset["proved"].attrs["covered"]), *map_keys(result, [AT_LIMIT])]
+        handles = [*standing_handles(result.dataset["proved"].attrs["covered"]), *map_handles(result, [MEDIAN_LIMIT])]
     else:
         probability(result, left)
-        handles = map_keys(result, [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND])
+        handles = map_handles(result, [(f"{HALF[0]}, or {MEDIAN_LIMIT[0]}", "-"), UPPER_BOUND])
     typical(result, right)
     right.set_ylabel("")
     for ax in (left, right):
@@ -101,8 +105,8 @@ def sweep_maps(result: Result) -> Figure:
 def probability(result: Result, ax: Axes | None = None) -> Figure:
     """Plot the failure probability over the first one or two axes of a sweep, with its exact interval.
 
-    Along one axis the interval is a band. On a map the solid contour is at a probability of one half, and beyond the
-    dashed one the interval's upper end exceeds 5 %.
+    Along one axis the interval is a band. On a map, the solid contour is at a probability of one half, and beyond the
+    dashed one the upper bound of the interval exceeds 5 %.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -111,7 +115,7 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
     Raises:
         ValueError: the result has no sweep.
     """
-    result = held_to_two(result)
+    result = over_two_axes(result)
     axes = free_axes(result)
     if len(axes) == 1:
         figure, ax = panel(ax)
@@ -124,7 +128,7 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
 
 @styled
 def standing(result: Result, ax: Axes | None = None) -> Figure:
-    """Plot what is known of each point of a sweep over two axes: proved, no draw fails, some fail, or all fail.
+    """Plot the standing of each point of a sweep over two axes: proved, no draw fails, some draws fail, or all fail.
 
     Args:
         result: A sweep with proofs; axes beyond the second are held at their first value.
@@ -133,7 +137,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     Raises:
         ValueError: the result has no sweep over two axes, or no proofs.
     """
-    result = held_to_two(result)
+    result = over_two_axes(result)
     axes = free_axes(result)
     if len(axes) != 2 or "proved" not in result.dataset:
         raise ValueError("needs a sweep over two axes with proofs: prove it first")
@@ -141,32 +145,33 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     down, across = axes
     share = result.failed.transpose(down, across, "draw").values.mean(-1)
     proved = result.dataset["proved"].transpose(down, across).values
+    standings = standing_of(proved, share)
     x = result.dataset[across].values
     y = result.dataset[down].values
-    mesh = ax.pcolormesh(
-        x, y, standing_of(proved, share), cmap=standing_colours(), vmin=-0.5, vmax=3.5, shading="nearest"
-    )
+    mesh = ax.pcolormesh(x, y, standings, cmap=standing_colours(), vmin=-0.5, vmax=3.5, shading="nearest")
     mesh.set(edgecolor="white", linewidth=0.4, rasterized=needs_bitmap(share))
-    failing = proved & (share > 0.0)  # by a requirement that the proof does not cover
-    for i, j in np.argwhere(failing):
+    proved_with_failures = proved & (share > 0.0)  # of a requirement that the proof does not cover
+    for i, j in np.argwhere(proved_with_failures):
         ax.text(float(x[j]), float(y[i]), f"{share[i, j]:.0%}", ha="center", va="center", fontsize="x-small")
     draws = result.failed.sizes["draw"]
     ax.set_title(textwrap.fill(f"{draws} draws: {required_text(result)}", 44), parse_math=False)
     finish_map(ax, result, down, across, [])
-    handles = [*standing_keys(result.dataset["proved"].attrs["covered"]), *map_keys(result, [])]
+    handles = [*standing_handles(result.dataset["proved"].attrs["covered"]), *map_handles(result, [])]
     ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.32), frameon=False)
     return figure
 
 
 def required_text(result: Result) -> str:
-    """The study's requirements in one line, formulas by their names."""
+    """The study's requirements in one line; formulas are given by their names."""
     texts = [requirement.short for requirement in result.study.requirements]
     return "; ".join(texts) or "the draw stays finite"
 
 
 @styled
 def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -> Figure:
-    """Plot the median of a metric over the first one or two axes of a sweep; along one axis with 5 to 95 % of draws.
+    """Plot the median of a metric over the first one or two axes of a sweep.
+
+    Along one axis a band extends from the 5 to the 95 % quantile.
 
     Args:
         result: A sweep; axes beyond the second are held at their first value.
@@ -177,7 +182,7 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
         ValueError: the result has no sweep.
         ConfigError: the result has no such metric.
     """
-    result = held_to_two(result)
+    result = over_two_axes(result)
     axes = free_axes(result)
     measure = measure_named(result, metric)
     if len(axes) == 1:
@@ -189,8 +194,8 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
     return figure
 
 
-def held_to_two(result: Result) -> Result:
-    """The result over its first two axes with several values; the others are held at their first value.
+def over_two_axes(result: Result) -> Result:
+    """Reduce a result to its first two axes with several values; the others are fixed at their first value.
 
     Raises:
         ValueError: the result has no sweep.
@@ -199,47 +204,54 @@ def held_to_two(result: Result) -> Result:
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
     plotted_axes = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
-    held_axes = dict.fromkeys([name for name in axes if name not in plotted_axes], 0)
-    return result.at(held_axes) if held_axes else result
+    index = {name: 0 for name in axes if name not in plotted_axes}
+    return result.at(index) if index else result
 
 
-def held_parameters_text(result: Result) -> str:
-    """The swept parameters that a figure holds at one value, for its title."""
-    fixed = [name for name in result.study.axes if name not in result.dataset.dims]
-    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in fixed)
+def fixed_parameters_text(result: Result) -> str:
+    """The swept parameters that a figure shows at one value only, for the end of its title."""
+    names = [name for name in result.study.axes if name not in result.dataset.dims]
+    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in names)
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
-    """Draw the failure probability over two axes."""
+    """Draw the failure probability as a map, with contours at one half and of the upper bound at 5 %.
+
+    Args:
+        ax: Axes to draw into.
+        result: A result over two axes.
+        down: Name of the vertical axis.
+        across: Name of the horizontal axis.
+    """
     failed = result.failed.transpose(down, across, "draw").values
     share = failed.mean(-1)
     upper = result.method.failure_interval(failed)[..., 1]
     x = result.dataset[across].values
     y = result.dataset[down].values
     bitmap = needs_bitmap(share)
-    top = map_top(share)
+    top = largest_colour(share)
     image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=top, shading="nearest", rasterized=bitmap)
     contour(ax, x, y, share, 0.5, "-")
     contour(ax, x, y, upper, 0.05, "--")
     text = f"failure probability ({failed.shape[-1]} draws)"
     ax.figure.colorbar(image, ax=ax, format=PercentFormatter(1.0), label=text)
     ax.set_title(textwrap.fill(required_text(result), 44), parse_math=False)
-    finish_map(ax, result, down, across, [HALF, BOUND])
+    finish_map(ax, result, down, across, [HALF, UPPER_BOUND])
 
 
 def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
-    """Draw the median of a metric over two axes."""
+    """Draw the median of a metric as a map, with contours at its limits; arguments as for :func:`probability_map`."""
     x = result.dataset[across].values
     y = result.dataset[down].values
     metric = result.dataset[measure.name]
-    middle = upper_quantiles(metric.transpose(down, across, "draw").values, (0.5,), measure.metric.worst)[0]
-    finite = middle[np.isfinite(middle)]
+    median = upper_quantiles(metric.transpose(down, across, "draw").values, (0.5,), measure.metric.worst)[0]
+    finite = median[np.isfinite(median)]
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
     norm = "log" if is_log(finite) else "linear"
     cap = colour_cap(result, measure) if norm == "log" else None
     limits = capped_limits(finite, cap)
-    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, shading="nearest", rasterized=needs_bitmap(middle))
+    image = ax.pcolormesh(x, y, median, cmap="viridis", norm=norm, shading="nearest", rasterized=needs_bitmap(median))
     if limits is not None:
         image.set_clim(*limits)
     text = textwrap.fill(f"median {label(metric.attrs)}", 40)
@@ -248,13 +260,13 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
         set_log_ticks(bar.ax.yaxis, *image.get_clim())
     bounds = metric_bounds(result, measure)
     for bound in bounds:
-        contour(ax, x, y, middle, bound, "-")
+        contour(ax, x, y, median, bound, "-")
     ax.set_title("median over draws")
-    finish_map(ax, result, down, across, [AT_LIMIT] if bounds else [])
+    finish_map(ax, result, down, across, [MEDIAN_LIMIT] if bounds else [])
 
 
 def colour_cap(result: Result, measure: Measure) -> float | None:
-    """Upper end of a logarithmic map's colours, 30 times the metric's lowest upper limit; None without such a limit."""
+    """Upper end of a logarithmic map's colours: 30 times the metric's lowest upper limit; None without such a limit."""
     upper_limits: list[float] = []
     for requirement in result.study.requirements:
         if requirement.measure.name == measure.name and requirement.maximum:
@@ -263,7 +275,15 @@ def colour_cap(result: Result, measure: Measure) -> float | None:
 
 
 def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[LineKey]) -> None:
-    """Add what all maps show: the certified region, the study's own values, scales, labels and a key below."""
+    """Add what all maps show: the certified region, the study's own values, scales, labels and a legend below.
+
+    Args:
+        ax: Axes of the map.
+        result: A result over two axes.
+        down: Name of the vertical axis.
+        across: Name of the horizontal axis.
+        keys: The contours of the map.
+    """
     x = result.dataset[across].values
     y = result.dataset[down].values
     certified = certified_region(result)
@@ -278,20 +298,21 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[
     mark_study_value(ax, result, down, "y", on_map=True)
     ax.set_xlabel(axis_label(across, result.dataset[across].attrs))
     ax.set_ylabel(axis_label(down, result.dataset[down].attrs))
-    if handles := map_keys(result, keys):
+    handles = map_handles(result, keys)
+    if handles:
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
-def map_keys(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
-    """Legend of a map's white elements, drawn as in the map: its contours, and what every map shows."""
+def map_handles(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
+    """Legend entries of the white lines of a map: its contours, the study's own values, and the certified region."""
     all_keys = list(keys)
     if any(reaches_study_value(result, name) for name in free_axes(result)):
-        all_keys.append((STUDY_VALUE, ":"))
+        all_keys.append((STUDY_VALUE_LEGEND, ":"))
     handles: list[Line2D | Patch] = []
     for text, style in all_keys:
         line = Line2D([], [], color="white", linestyle=style, linewidth=1.8, label=text)
         line.set_path_effects(OUTLINE)
         handles.append(line)
     if certified_region(result) is not None:
-        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="//", linewidth=0.0, label=CERTIFIED))
+        handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="//", linewidth=0.0, label=CERTIFIED_LEGEND))
     return handles

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.margins import MarginSummary, certificate, in_order_of_walk, set_walk, summary_of
+from dssc_jax.plotting.margins import MarginSummary, in_order_of_walk, mark_certificate, set_walk_axis, summary_of
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
 from dssc_jax.results.analysis import Analysis
 
 THEORY_COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
-SETTLED = 1e-2  # 1/s
-"""A final amplitude up to this many times the initial push has died away, and is not drawn."""
+DECAYED = 1e-2  # 1/s
+"""Final amplitudes up to this many times the initial push count as decayed, and are not drawn."""
 
 
 @styled
@@ -24,15 +24,16 @@ def theory(
     oscillations: Mapping[str, xr.Dataset] | None = None,
     local: float | None = None,
 ) -> Figure:
-    """Plot both kinds of margin on the left, and oscillations beyond the local margin on the right.
+    """Plot local and simulated margins on the left, and oscillations beyond the local margin on the right.
 
-    The result of Theorem 1 for the walk of the first margins is given below, and marked by a line if it is on the axis.
+    The result of Theorem 1 for the walk of the first margins is written below, and marked by a line if it is on the
+    axis.
 
     Args:
-        margins: Margins over the same number, by their criterion. Those of a linearisation are
-            dashed, in continuous time dotted.
-        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller; if empty, only the
-            left panel is drawn.
+        margins: Margins over the same number, by criterion. Those of the sampled linearisation are dashed, those in
+            continuous time dotted.
+        oscillations: The return value of :func:`dssc_jax.analyses.theory.chattering`, by controller; without any, only
+            the left panel is drawn.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
     oscillations = oscillations or {}
@@ -46,15 +47,15 @@ def theory(
 
 
 def margins_panel(ax: Axes, margins: Mapping[str, Analysis]) -> None:
-    """Draw the distribution functions of all margins, and the first one's result of Theorem 1."""
+    """Draw the distribution functions of the critical values by each criterion, and the result of Theorem 1."""
     summaries = {name: summary_of(analysis) for name, analysis in margins.items()}
     for colour, (name, analysis) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
-        cumulative(ax, analysis.dataset, summaries[name], name, colour)
+        draw_distribution(ax, analysis.dataset, summaries[name], name, colour)
     first = next(iter(summaries.values()))
     start, end = first["bounds"]
     ax.set_ylim(-0.03, 1.03)
-    set_walk(ax, first)
-    certificate(ax, first)
+    set_walk_axis(ax, first)
+    mark_certificate(ax, first)
     ax.set_xlabel(f"critical {first['parameter']} [{first['unit']}]")
     side = "below" if end > start else "above"
     ax.set_ylabel(f"share of draws at or {side}")
@@ -64,11 +65,17 @@ def margins_panel(ax: Axes, margins: Mapping[str, Analysis]) -> None:
 
 
 def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
-    """Draw amplitudes over the lag's time constant, simulated and predicted."""
+    """Draw simulated and predicted amplitudes of sigma over the time constant of the lag.
+
+    Args:
+        ax: Axes to draw into.
+        oscillations: Amplitudes by controller.
+        local: Local margin [s], if there is one.
+    """
     for colour, (name, oscillation) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
         mu = oscillation[next(iter(oscillation.dims))].values
         final = oscillation["amplitude"]
-        amplitude = np.where(final > SETTLED * oscillation.attrs["push"], final, np.nan)
+        amplitude = np.where(final > DECAYED * oscillation.attrs["push"], final, np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
         predicted = oscillation["predicted"]
         if not np.isnan(predicted).all():
@@ -82,8 +89,8 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
     ax.set_title("beyond the local margin")
 
 
-def cumulative(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
-    """Draw the distribution function of critical values; with censored draws it does not reach 0 or 1."""
+def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
+    """Draw the distribution function of critical values; with censored draws it does not begin at 0 or end at 1."""
     critical = margins["critical"].values
     censoring = margins["censoring"].values
     start, end = summary["bounds"]
@@ -96,7 +103,7 @@ def cumulative(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str,
 
 
 def line_style(criterion: Sequence[str]) -> str:
-    """Solid for a simulated criterion, dashed for one of the sampled linearisation, dotted in continuous time."""
+    """Line style of a criterion: solid if simulated, dashed if linearised and sampled, dotted in continuous time."""
     text = " ".join(criterion)
     if "linearised" not in text:
         return "-"

@@ -6,15 +6,15 @@ PIXEL_COLUMNS = 600  # about two a millimetre of a printed figure
 
 
 def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple[np.ndarray, np.ndarray]:
-    """Reduce a curve over increasing x to the extremes of each column, so that no peak is lost.
+    """Reduce a curve to the lowest and the highest point of each column of a picture, so that no peak is lost.
 
     Args:
-        x: Shape (n,), increasing.
-        y: Shape (n,); NaN leaves a gap.
-        columns: Number of groups of neighbours into which the curve is cut; each keeps its lowest and highest point.
+        x: Increasing, shape (n,).
+        y: Values, shape (n,); NaN leaves a gap.
+        columns: Number of groups of neighbouring points into which the curve is cut.
 
     Returns:
-        The points kept, at most ``2 columns``, in their order; the curve itself if it has no more.
+        At most ``2 columns`` points in their order; the curve itself if it has no more.
 
     Example:
         >>> thinned(np.arange(9), np.array([0, 0, 0, 0, 7, 0, 0, -1, 0]), 2)[1]
@@ -36,16 +36,16 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple
 def envelope(
     x: np.ndarray, low: np.ndarray, high: np.ndarray, columns: int = PIXEL_COLUMNS
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Reduce a band over increasing x to the outermost values of each column.
+    """Reduce a band to its outermost values in each column of a picture.
 
     Args:
-        x: Shape (n,), increasing.
-        low: Its lower edge, shape (n,).
-        high: Its upper edge, shape (n,).
-        columns: Number of groups of neighbours into which the band is cut.
+        x: Increasing, shape (n,).
+        low: Lower edge of the band, shape (n,).
+        high: Upper edge of the band, shape (n,).
+        columns: Number of groups of neighbouring points into which the band is cut.
 
     Returns:
-        The band, with at most ``columns + 1`` points; the band itself if it has no more than twice as many.
+        x, lower and upper edge at ``columns + 1`` points; the band itself if it has at most ``2 columns``.
     """
     if len(x) <= 2 * columns:
         return x, low, high
@@ -57,6 +57,6 @@ def envelope(
 
 
 def spaced_indices(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
-    """At most ``limit`` indices of 0 .. count-1, evenly spaced, including both ends."""
-    places = np.linspace(0, count - 1, min(count, limit))
-    return np.unique(places.round().astype(int))
+    """At most ``limit`` evenly spaced indices from 0 to ``count - 1``, both included."""
+    indices = np.linspace(0, count - 1, min(count, limit))
+    return np.unique(indices.round().astype(int))

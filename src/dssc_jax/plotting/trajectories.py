@@ -15,7 +15,7 @@ from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, label
 from dssc_jax.plotting.thinning import spaced_indices, thinned
 
 ROUNDING_NOISE = 1e-9
-"""Signals below this share of the size of their channel are rounding noise."""
+"""Signals below this share of the largest output of their channel are rounding noise."""
 SIGNAL_COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 ROTOR_COLOURS = (BLUE, ORANGE, GREEN, GREY)  # red is the limit
 TIME_CONSTANTS = {"tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
@@ -28,7 +28,7 @@ WIND = ("wind_x", "wind_y", "wind_z")
 def trajectory(run: xr.Dataset) -> Figure:
     """Plot one draw over time: output, error, sigma, command, and the state-dependent functions if there are any.
 
-    For a plant of several channels, commands are on the left and errors on the right, with one row for each channel.
+    For a plant of several channels, each channel has one row, with its command on the left and its error on the right.
 
     Args:
         run: The return value of ``simulate`` or ``replay``.
@@ -49,7 +49,7 @@ def trajectory(run: xr.Dataset) -> Figure:
     for ax in axes[max(0, len(panels) - 2) : len(panels)]:
         ax.set_xlabel("time [s]")
         ax.tick_params(labelbottom=True)
-    title(figure, how_it_ended(run))
+    title(figure, trajectory_title(run))
     return figure
 
 
@@ -67,13 +67,13 @@ def error(ax: Axes, run: xr.Dataset) -> None:
 
 
 def sliding_variable(ax: Axes, run: xr.Dataset) -> None:
-    """Draw sigma."""
+    """Draw the sliding variable sigma."""
     line(ax, run, "sigma", ORANGE, r"$\sigma = \dot e + l_0 e$")
     ax.set_ylabel(rf"$\sigma$ {bracketed_unit(run, 'sigma')}")
 
 
 def command(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the robust command and the total one."""
+    """Draw the robust command and the total command."""
     line(ax, run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
     line(ax, run, "u", RED, "robust $u$")
     ax.set_ylabel(signal_label(run, "u_total"))
@@ -81,7 +81,7 @@ def command(ax: Axes, run: xr.Dataset) -> None:
 
 @styled
 def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Figure:
-    """Plot signals of one draw over time, each labelled with its meaning; signals of one unit share a panel.
+    """Plot signals of one draw over time, each labelled with its meaning; signals with the same unit share a panel.
 
     Args:
         run: The return value of ``simulate`` or ``replay``.
@@ -113,78 +113,73 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
     return figure
 
 
-class LineLook(TypedDict, total=False):
-    """Width in points, and style, of a line."""
+class LineOptions(TypedDict, total=False):
+    """Width [point] and style of a line."""
 
     linewidth: float
     linestyle: LineStyleType
 
 
-def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: Unpack[LineLook]) -> None:
-    """Draw one signal, with as many points as a page can show."""
+def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **options: Unpack[LineOptions]) -> None:
+    """Draw one signal over time, with as many points as a figure can show."""
     time, values = thinned(run["t"].values, run[name].values)
-    ax.plot(time, values, color=colour, label=text, **look)
+    ax.plot(time, values, color=colour, label=text, **options)
 
 
 def bracketed_unit(run: xr.Dataset, name: str) -> str:
-    """A signal's unit in brackets."""
+    """The unit of a signal in brackets."""
     return f"[{run[name].attrs['units']}]"
 
 
 def signal_label(run: xr.Dataset, name: str) -> str:
-    """A signal's meaning without its symbol, and its unit."""
+    """The meaning of a signal, without symbol and the word "total", and its unit."""
     attributes = run[name].attrs
     meaning = attributes["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
     return label({"long_name": meaning, "units": attributes["units"]})
 
 
 def flight(run: xr.Dataset) -> Figure:
-    """Plot a plant of several channels: the path and the attitude of a vehicle, then commands and errors.
+    """Plot a plant of several channels: path, attitude and other signals of a vehicle, then commands and errors.
 
     A channel whose error and command are rounding noise is left out, and named in the title.
     """
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
     active = [channel for channel in channels if not is_noise(run, channel)] or channels
-    vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
-    heights: list[float] = []
-    panels: list[Callable[[Axes, xr.Dataset], None]] = []
-    if vehicle:
-        panels = vehicle_panels(run)
-        heights = [PATH_HEIGHT] + [ROW_HEIGHT] * math.ceil(len(panels) / 2)
+    is_vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
+    panels = vehicle_panels(run) if is_vehicle else []
+    heights = [PATH_HEIGHT] + [ROW_HEIGHT] * math.ceil(len(panels) / 2) if is_vehicle else []
     first_channel_row = len(heights)
     heights += [ROW_HEIGHT] * len(active)
     figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
-    path_axes: list[Axes] = []
-    if vehicle:
-        in_space = figure.add_subplot(grid[0, 0], projection="3d")
-        path_in_space(in_space, run)
-        from_above = figure.add_subplot(grid[0, 1])
-        path_from_above(from_above, run)
-        path_axes = [in_space, from_above]
+    if is_vehicle:
+        path_in_space(figure.add_subplot(grid[0, 0], projection="3d"), run)
+        path_from_above(figure.add_subplot(grid[0, 1]), run)
+    time_axes: list[Axes] = []
     for index, draw in enumerate(panels):
-        draw(figure.add_subplot(grid[1 + index // 2, index % 2]), run)
+        ax = figure.add_subplot(grid[1 + index // 2, index % 2])
+        draw(ax, run)
+        time_axes.append(ax)
     for row, channel in enumerate(active, first_channel_row):
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1])
         channel_panels(left, right, run, channel)
         if channel == active[0]:
             left.legend(loc="best", frameon=False)
-        if channel == active[-1]:
-            left.set_xlabel("time [s]")
-            right.set_xlabel("time [s]")
-    for ax in figure.axes:
-        place = ax.get_subplotspec()
-        if place is not None and ax not in path_axes:
-            mark_events(ax, run, with_names=place.is_last_row())
+        time_axes += [left, right]
+    last_row = time_axes[-2:]
+    for ax in last_row:
+        ax.set_xlabel("time [s]")
+    for ax in time_axes:
+        mark_events(ax, run, with_names=ax in last_row)
     omitted = [channel for channel in channels if channel not in active]
-    note = f"\nnot shown: {', '.join(omitted)}, whose error and command are rounding noise" if omitted else ""
-    title(figure, how_it_ended(run) + note)
+    remark = f"\nnot shown: {', '.join(omitted)}, whose error and command are rounding noise" if omitted else ""
+    title(figure, trajectory_title(run) + remark)
     return figure
 
 
 def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
-    """Mark the times of a draw's events by lines, and write their kinds beside them if ``with_names``."""
+    """Mark the times of a draw's events by lines, and with ``with_names`` write their kinds above."""
     kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
     times = np.atleast_1d(run.attrs.get("event_times", []))
     for kind, time in zip(kinds, times, strict=True):
@@ -197,7 +192,7 @@ def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
 
 
 def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:
-    """Draw a channel's commands on the left, and its error on the right."""
+    """Draw the commands of a channel into the left axes, and its error into the right axes."""
     line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
     line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
     line(right, run, f"{channel}_e", BLUE, "error")
@@ -206,7 +201,7 @@ def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> No
 
 
 def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
-    """The functions that draw a vehicle's other signals over time, as far as the run has them."""
+    """The functions that draw attitude, rotors, wind and thrust of a vehicle, as far as the run has these signals."""
     panels: list[Callable[[Axes, xr.Dataset], None]] = [attitude]
     if "rotor_1" in run:
         panels.append(rotors)
@@ -242,7 +237,7 @@ def path_in_space(ax: Axes3D, run: xr.Dataset) -> None:
 
 
 def path_from_above(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the path and its reference from above, with equal scales, and mark the start and the end."""
+    """Draw the path and its reference from above, with equal scales, and mark start and end."""
     indices = spaced_indices(run.sizes["t"])
     x = run["x_y"].values[indices]
     y = run["y_y"].values[indices]
@@ -269,7 +264,7 @@ def attitude(ax: Axes, run: xr.Dataset) -> None:
 
 
 def rotors(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the commanded thrust of each rotor and its limit, and shade the time with a rotor at its limit."""
+    """Draw the commanded thrust of each rotor and its limit, and shade the times at which a rotor is at its limit."""
     numbers = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
     for index, number in enumerate(filter(str.isdigit, numbers)):
         colour = ROTOR_COLOURS[index % len(ROTOR_COLOURS)]
@@ -306,20 +301,20 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
 
 
 def thrust(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the commanded thrust."""
+    """Draw the total commanded thrust."""
     line(ax, run, "thrust", BLUE, "wanted thrust")
     ax.set_ylabel("wanted thrust [N]")
 
 
 def gain(ax: Axes, run: xr.Dataset) -> None:
-    """Draw k_o on a logarithmic axis."""
+    """Draw the state-dependent gain k_o on a logarithmic axis."""
     line(ax, run, "k_o", BLUE, "$k_o$")
     ax.set_yscale("log")
     ax.set_ylabel(f"gain $k_o$ {bracketed_unit(run, 'k_o')}")
 
 
 def time_constants(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the state-dependent time constants on a logarithmic axis."""
+    """Draw the state-dependent time constants tau_m and tau_av on a logarithmic axis."""
     for name, (text, colour) in TIME_CONSTANTS.items():
         if name in run:
             line(ax, run, name, colour, text)
@@ -327,8 +322,8 @@ def time_constants(ax: Axes, run: xr.Dataset) -> None:
     ax.set_ylabel("time constants [s]")
 
 
-def how_it_ended(run: xr.Dataset) -> str:
-    """The title of a trajectory: the study, the draw and how it ended."""
+def trajectory_title(run: xr.Dataset) -> str:
+    """The title of a trajectory: study, draw, and how the draw ended."""
     study = run.attrs.get("study", "")
     draw = run.attrs.get("draw", 0)
     return f"{study}, draw {draw}: {run.attrs.get('verdict', '')}"

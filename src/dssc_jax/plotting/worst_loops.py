@@ -1,10 +1,10 @@
-"""Worst margins of the linearised loop: drawn, found and bounded."""
+"""Figure of the worst margins of the linearised loop: drawn, found and bounded."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, study_title, styled, title
 from dssc_jax.results.analysis import Analysis
 
 PANELS = {
@@ -15,7 +15,7 @@ PANELS = {
     "sensitivity_peak": ("M_s [1]", 1.0),
     "complementary_peak": ("M_t [1]", 1.0),
 }
-"""Label and scale of each margin."""
+"""Axis label of each margin, and the factor that converts it to the label's unit."""
 MARKS = {
     "drawn": ("o", BLUE, "worst drawn"),
     "found": ("D", ORANGE, "worst found in the box"),
@@ -37,20 +37,22 @@ def worst_loop(worst: Analysis) -> Figure:
         margin_panel(ax, worst, margin, loops)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    config = worst.study.config
-    title(figure, f"{config.description or config.name}: worst margins over the box of the laws")
+    title(figure, f"{study_title(worst.study)}: worst margins over the box of the laws")
     return figure
 
 
 def margin_panel(ax: Axes, worst: Analysis, margin: str, loops: list[str]) -> None:
-    """Draw one margin of all break points, one line each; what is not finite is left out, and said so."""
+    """Draw the worst drawn, found and bounded value of one margin, one row for each break point.
+
+    Values that are not finite are left out; a text in the panel tells if all values of a kind are.
+    """
     label, scale = PANELS[margin]
     data = worst.dataset.sel(margin=margin)
-    places = np.arange(len(loops))
-    for line, (name, (marker, colour, text)) in enumerate(MARKS.items(), 1):
+    rows = np.arange(len(loops))
+    for line, (name, (marker, colour, text)) in enumerate(MARKS.items(), start=1):
         values = scale * data[name].values
         values = np.where(np.isfinite(values), values, np.nan)
-        ax.plot(values, places, marker, color=colour, label=text, markersize=12, fillstyle="none", markeredgewidth=2.0)
+        ax.plot(values, rows, marker, color=colour, label=text, markersize=12, fillstyle="none", markeredgewidth=2.0)
         if np.isnan(values).all():
             ax.text(0.5, 0.1 * line, f"{text}: none", transform=ax.transAxes, ha="center")
-    ax.set(xlabel=label, yticks=places, yticklabels=loops, ylim=(-0.7, len(loops) - 0.3))
+    ax.set(xlabel=label, yticks=rows, yticklabels=loops, ylim=(-0.7, len(loops) - 0.3))

@@ -6,10 +6,9 @@ from typing import TypeAlias
 
 import jax
 
-from dssc_jax.core.contracts import Differentiator, Sensor
+from dssc_jax.core.contracts import Controller, Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
-from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
@@ -18,7 +17,6 @@ from dssc_jax.models.actuators.lag import LAG, Order
 from dssc_jax.models.actuators.transfer_function import TRANSFER_FUNCTION
 from dssc_jax.models.controllers.dssc import DSSC, SSC
 from dssc_jax.models.controllers.dssc_forms import DsscGains
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.controllers.pi import PI, PiGains
 from dssc_jax.models.differentiators import NO_DIFFERENTIATOR
@@ -27,12 +25,12 @@ from dssc_jax.models.disturbances.prescribed import STEP
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.sensors.lag import SENSOR_LAG
+from dssc_jax.proofs.law_content import functions_content, nominal_content
 from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.vehicle_coverage import is_vehicle, vehicle_problem_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, tables_of
-from dssc_jax.study.laws import Law
 
 LARGEST_NUMBER = 1e100
 """Largest number that a problem may hold."""
@@ -79,8 +77,6 @@ def axis_problem_of(study: Study) -> ProofProblem:
         raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     low, high = ends
     zero_dynamics = low.plant.zero_dynamics
-    if are_uncertain(zero_dynamics, high.plant.zero_dynamics):
-        raise NotCovered("the zero dynamics are uncertain")
     level, slope, by_state = disturbance_of(study, ends)
     reference_suprema = reference_bounds(loop.reference, ends.part("reference"))
     lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
@@ -106,14 +102,23 @@ def axis_problem_of(study: Study) -> ProofProblem:
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
-    for name, value in asdict(problem).items():
-        if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
-            raise NotCovered(f"{name} holds a number beyond {LARGEST_NUMBER:g}, whose square is none of float64")
+    require_squares(problem)
     return problem
 
 
+def require_squares(problem: ProofProblem) -> None:
+    """Require that float64 holds the square of every number of a problem.
+
+    Raises:
+        NotCovered: a number is too large.
+    """
+    for name, value in asdict(problem).items():
+        if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
+            raise NotCovered(f"{name} holds a number beyond {LARGEST_NUMBER:g}, whose square is none of float64")
+
+
 def require_covered_laws(study: Study) -> None:
-    """Require that a proof can take an interval in place of each law.
+    """Require that each law belongs to a number that a proof covers over an interval, and has bounded support.
 
     Raises:
         NotCovered: A law is of another number, has no bounds, or belongs to a parameter from which numbers follow.
@@ -133,15 +138,8 @@ def require_covered_laws(study: Study) -> None:
             raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
 
 
-def are_uncertain(low: ZeroDynamics | None, high: ZeroDynamics | None) -> bool:
-    """Whether the zero dynamics have a law, or differ between both ends of the study's numbers."""
-    if low is None:
-        return False
-    return low != high or any(isinstance(row, Law) for row in low)
-
-
 def numbers_in(value: object) -> list[float]:
-    """All numbers of a field, at any depth."""
+    """The numbers in a field of a problem, within its tables and tuples; text is left out."""
     if isinstance(value, int | float):
         return [value]
     if isinstance(value, dict):
@@ -152,10 +150,12 @@ def numbers_in(value: object) -> list[float]:
 
 
 def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
-    """Bounds of |d| [m/s] and |d'| [m/s^2] of the part that does not depend on the state, and k_d1 to k_d5 of (30).
+    """Bounds of a study's disturbance: of |d| [m/s] and |d'| [m/s^2] without the state, and k_d1 to k_d5 of (30).
+
+    A step is refused, unless it is at t = 0: its slope has no bound.
 
     Raises:
-        NotCovered: one is not known.
+        NotCovered: a bound is not known.
     """
     require_no_inputs(study.loop)
     model = study.loop.disturbance[0]
@@ -175,10 +175,10 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
 
 
 def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> float:
-    """The time constant [s] of the sensor's lag, 0 for none.
+    """Time constant of the sensor's lag [s]; 0 for an ideal sensor.
 
     Raises:
-        NotCovered: sigma is measured with something else than a known lag.
+        NotCovered: sigma is measured otherwise, or the time constant is uncertain.
     """
     if differentiator is not NO_DIFFERENTIATOR or sensor not in (IDEAL, SENSOR_LAG):
         raise NotCovered("sigma is measured neither exactly nor through a lag")
@@ -191,7 +191,7 @@ def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> fl
 
 
 def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
-    """Intervals of e, e' and eta at t = 0.
+    """Intervals of e, e' and eta at t = 0: those of the plant's start, less the reference's start.
 
     Raises:
         NotCovered: the reference's start is uncertain.
@@ -209,10 +209,10 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
 
 
 def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
-    """The problem's G(mu s) and its delay.
+    """The fields of a problem for the unmodelled dynamics: numerator and denominator of G(mu s), mu, and the delay.
 
     Raises:
-        NotCovered: the unmodelled dynamics are neither linear nor a known delay.
+        NotCovered: the unmodelled dynamics are neither a lag, a transfer function nor a known delay.
     """
     model = study.loop.unmodelled[0]
     low, high = (end.unmodelled[0] for end in ends)
@@ -233,7 +233,7 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
 
 
 def controller_of(study: Study) -> JsonObject:
-    """The controller's part of a problem.
+    """The fields of a problem for the controller: l_0, form, functions, rho, nominal control and start.
 
     Raises:
         NotCovered: the controller, or one of its options, is outside of the class.
@@ -242,18 +242,41 @@ def controller_of(study: Study) -> JsonObject:
     gains = study.template.controller[0]
     if not isinstance(gains, PiGains | DsscGains):
         raise NotCovered(UNPROVED_CONTROLLER)
-    nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
-    common = {"l0": float(gains.l0), "nominal": nominal}
     if isinstance(gains, PiGains):
-        if member is not PI.members[Discretisation.IMPLICIT]:
-            raise NotCovered("PI is covered in its implicit form only")
-        if not (gains.k_p > 0.0 and gains.k_i > 0.0):
-            raise NotCovered("PI needs K_P > 0 and K_I > 0")
-        constants = {"k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
-        functions = {"kind": "constant", **constants}
-        if nominal:
-            common["nominal"] = (*nominal[:2], False)
-        return common | {"form": "implicit", "functions": functions, "rho": None, "start": "zero"}
+        return pi_content(member, gains)
+    return dssc_content(member, gains)
+
+
+def pi_content(member: Controller, gains: PiGains) -> JsonObject:
+    """The part of a problem that PI makes: DSSC with constant functions, without a bound of the command.
+
+    Raises:
+        NotCovered: PI is not in its implicit form, or a gain is not positive.
+    """
+    if member is not PI.members[Discretisation.IMPLICIT]:
+        raise NotCovered("PI is covered in its implicit form only")
+    if not (gains.k_p > 0.0 and gains.k_i > 0.0):
+        raise NotCovered("PI needs K_P > 0 and K_I > 0")
+    functions = {"kind": "constant", "k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
+    nominal = nominal_content(gains.nominal)
+    if nominal is not None:  # PI has no predictor
+        nominal = (*nominal[:2], False)
+    return {
+        "l0": float(gains.l0),
+        "nominal": nominal,
+        "form": "implicit",
+        "functions": functions,
+        "rho": None,
+        "start": "zero",
+    }
+
+
+def dssc_content(member: Controller, gains: DsscGains) -> JsonObject:
+    """The part of a problem that DSSC or SSC makes.
+
+    Raises:
+        NotCovered: the sampled form or an option is outside of the class.
+    """
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
     if form is None:
@@ -262,14 +285,14 @@ def controller_of(study: Study) -> JsonObject:
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed")
-    kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
     if not gains.functions.finite_slope and form == Discretisation.CONSERVATIVE:
         reason = "in the conservative form phi_1 needs a finite slope at sigma = 0"
         raise NotCovered(f"{reason}; set controller.discretisation = 'implicit'")
-    constants = {name: float(value) for name, value in gains.functions._asdict().items() if value is not None}
-    return common | {
+    return {
+        "l0": float(gains.l0),
+        "nominal": nominal_content(gains.nominal),
         "form": form.value,
-        "functions": {"kind": kind, **constants},
+        "functions": functions_content(gains.functions),
         "rho": float(gains.rho.rho),
         "start": gains.predictor_start.value,
     }

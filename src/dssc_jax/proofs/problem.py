@@ -1,8 +1,8 @@
 """The problem of a proof, in plain numbers: one loop with intervals, from a study and into a certificate's file."""
 
+import math
 from dataclasses import asdict, dataclass
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 
 Interval = tuple[float, float]
@@ -63,7 +63,7 @@ class ProofProblem:
     reference_size: float = 0.0
 
     def __hash__(self) -> int:
-        """A hash of its numbers."""
+        """A hash of some numbers, so that functions of a problem can be cached although ``functions`` is a table."""
         return hash((self.sample_time, self.l0, self.k_p, self.a_p, self.mu, self.delay))
 
     def to_dict(self) -> JsonObject:
@@ -80,26 +80,19 @@ class ProofProblem:
 
     @property
     def delay_weights(self) -> tuple[float, ...]:
-        """Weights of the commands of ages 0, 1, ... samples in what acts on the plant; their sum is 1."""
-        samples = int(self.delay)
-        fraction = self.delay - samples
-        weights = (*(0.0 for _ in range(samples)), 1.0 - fraction)
-        return (*weights, fraction) if fraction > 0.0 else weights
+        """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant."""
+        return delay_weights(self.delay)
 
 
-TUPLES = ("k_p", "a_p", "mu", "zero_a", "zero_c", "numerator", "denominator", "reference", "by_state")
+def delay_weights(delay: float) -> tuple[float, ...]:
+    """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant; their sum is 1.
 
+    A fractional delay is a change of command within a sample, which acts like a mean of two commands.
 
-def problem_from(content: JsonObject) -> ProofProblem:
-    """A problem from JSON's types.
-
-    Raises:
-        ConfigError: a field is missing or unknown.
+    Args:
+        delay: Delay of the command, in samples.
     """
-    try:
-        pairs = {name: tuple(content[name]) for name in TUPLES}
-        nominal = content["nominal"] and tuple(content["nominal"])
-        initial = tuple(map(tuple, content["initial"]))
-        return ProofProblem(**{**content, **pairs, "nominal": nominal, "initial": initial})
-    except (KeyError, TypeError) as error:
-        raise ConfigError("problem", f"is not that of a certificate: {error}") from None
+    samples = math.floor(delay)
+    fraction = delay - samples
+    weights = (0.0,) * samples + (1.0 - fraction,)
+    return (*weights, fraction) if fraction > 0.0 else weights

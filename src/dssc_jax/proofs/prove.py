@@ -70,11 +70,11 @@ class Proved:
 
     @property
     def share(self) -> float:
-        """Share of the box's volume that is proved; 1/mu on a logarithmic scale."""
+        """Share of the problem's box that is proved, by volume; 1/mu counts on a logarithmic scale."""
         return 1.0 if self.complete else float(sum(volume(proof.box, self.problem) for proof in self.proofs))
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers."""
+        """The outcome as JSON's types: whether it is proved, bounds of |e| [m], the statement, and the failures."""
         has_proofs = bool(self.proofs)
         failures = [
             {"box": with_mu(failure.box), "reason": failure.reason, "text": REASONS[failure.reason]}
@@ -96,7 +96,7 @@ class Proved:
         if not self.proofs:
             return f"Nothing is proved: {self.reason}."
         box = with_mu(self.problem.box)
-        intervals = " and ".join(in_words(name, interval, self.units) for name, interval in box.items())
+        intervals = " and ".join(interval_text(name, interval, self.units) for name, interval in box.items())
         plants = "every plant" if self.complete else f"{self.share:.1%} of the plants"
         level = self.units.of("u")
         slope = self.units.of("u/s")
@@ -113,13 +113,13 @@ class Proved:
         )
 
     def certificate(self) -> JsonObject:
-        """The certificate as JSON's types; it holds the proved boxes only."""
+        """The certificate as JSON's types: the problem, and the proofs of the proved boxes."""
         proofs = [proof.to_dict() for proof in self.proofs]
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
 
 
 def with_mu(box: Box) -> Box:
-    """A box with the time constant mu in place of 1/mu."""
+    """The intervals of a box, with the time constant mu [s] in place of its inverse ``rate`` [1/s]."""
     intervals = {name: interval for name, interval in box.items() if name != "rate"}
     if "rate" in box:
         low, high = box["rate"]
@@ -127,8 +127,8 @@ def with_mu(box: Box) -> Box:
     return intervals
 
 
-def in_words(name: str, interval: Interval, units: ChannelUnits) -> str:
-    """A number or an interval in a sentence."""
+def interval_text(name: str, interval: Interval, units: ChannelUnits) -> str:
+    """An uncertain number with its interval or value, and its unit, for a sentence."""
     unit = {"mu": "s", "k_p": units.of("y/(s^2 u)")}.get(name, "1/s")
     low, high = interval
     return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
@@ -163,9 +163,9 @@ def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int]
     Raises:
         ConfigError: ``boxes`` is not positive.
     """
+    if boxes < 1:
+        raise ConfigError("boxes", f"must be at least 1, got {boxes}")
     if isinstance(problem, VehicleProblem):
-        if boxes < 1:
-            raise ConfigError("boxes", f"must be at least 1, got {boxes}")
         return prove_vehicle(problem)
     return prove_axis(problem, boxes, progress)
 
@@ -173,16 +173,14 @@ def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int]
 def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:
     """:func:`prove` for the problem of a loop of the class (5)-(8).
 
-    Raises:
-        ConfigError: ``boxes`` is not positive.
+    The largest box that is not proved yet is tried first. If no proof is found, it is halved, as long as no more than
+    ``boxes`` boxes have to be tried in all.
     """
-    if boxes < 1:
-        raise ConfigError("boxes", f"must be at least 1, got {boxes}")
     start_time = time.perf_counter()
     content = problem.to_dict()
     counter = itertools.count()
-    pending_boxes: list[tuple[float, int, Box]] = []  # the number in the middle orders equal volumes
-    pending_boxes.append((-1.0, next(counter), problem.box))
+    # a heap by volume; the count in the middle orders equal volumes
+    pending_boxes: list[tuple[float, int, Box]] = [(-1.0, next(counter), problem.box)]
     proofs: list[Proof] = []
     failures: list[Failure] = []
     verdicts: list[ProofVerdict] = []
@@ -190,7 +188,7 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
     while pending_boxes:
         _, _, box = heapq.heappop(pending_boxes)
         box_count += 1
-        result, verdict = attempt(problem, content, box)
+        result, verdict = proved_box(problem, content, box)
         if isinstance(result, Proof) and verdict is not None:
             proofs.append(result)
             verdicts.append(verdict)
@@ -215,10 +213,22 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
     )
 
 
-def attempt(
+def proved_box(
     problem: ProofProblem, content: Mapping[str, object], box: Box
 ) -> tuple[Proof | Failure, ProofVerdict | None]:
-    """Search and verify one box; if the verifier rejects a later stage, those before it may still do."""
+    """Search a proof for one box and verify it.
+
+    If the verifier rejects a stage, the proof with the stages before it is tried: a longer proof only has a smaller
+    residual.
+
+    Args:
+        problem: The problem.
+        content: The problem as a certificate holds it.
+        box: Intervals of the uncertain numbers.
+
+    Returns:
+        The proof with its verdict, or the reason of the failure and None.
+    """
     result = prove_box(problem, box)
     if isinstance(result, Failure):
         return result, None

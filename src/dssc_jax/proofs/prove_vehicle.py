@@ -17,8 +17,8 @@ from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehi
 
 VEHICLE_VERSION = 2
 VEHICLE_KIND = "vehicle"
-ROOMS = (1.0, 10.0)
-"""Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
+ROOM_FACTORS = (1.0, 10.0)
+"""Factors of the room that the search leaves for the verifier; the next one is tried if the verifier rejects."""
 ROUNDED_START = 1e-9
 """Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
@@ -120,7 +120,7 @@ class VehicleProved:
 
 
 def vehicle_words(problem: VehicleProblem) -> list[str]:
-    """The vehicle's intervals, its lag and its delay, in words."""
+    """The parts of a statement for what a problem has: intervals, a rotor lag, a delay, and a start away from rest."""
     words = []
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
@@ -138,33 +138,41 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
-    """A certificate's content."""
+    """The content of a certificate's file."""
     return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
 
 
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
-    """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
+    """Search bounds that imply themselves, and verify them.
+
+    The verifier receives what a certificate's file would hold, so that a verdict is the same for the file.
+    """
     start_time = time.perf_counter()
-    proof: JsonObject | Obstacle = Obstacle.GAIN
     verdict: VehicleVerdict | None = None
-    for room in ROOMS:
-        proof = search_proof(problem, room)
+    for room_factor in ROOM_FACTORS:
+        proof = search_proof(problem, room_factor)
         if isinstance(proof, Obstacle):
-            break
+            failure = proof if verdict is None else Obstacle.VERIFIER
+            return VehicleProved(problem, None, verdict, failure, time.perf_counter() - start_time)
         verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
         if verdict.proved:
             return VehicleProved(problem, proof, verdict, None, time.perf_counter() - start_time)
-    seconds = time.perf_counter() - start_time
-    if isinstance(proof, Obstacle) and verdict is None:
-        return VehicleProved(problem, None, None, proof, seconds)
-    return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, seconds)
+    return VehicleProved(problem, None, verdict, Obstacle.VERIFIER, time.perf_counter() - start_time)
 
 
-def search_proof(problem: VehicleProblem, room: float) -> JsonObject | Obstacle:
-    """The bounds that the search finds, in cells of time if the vehicle starts elsewhere; or why it finds none."""
+def search_proof(problem: VehicleProblem, room_factor: float) -> JsonObject | Obstacle:
+    """Search bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
+
+    Args:
+        problem: The vehicle.
+        room_factor: Factor of the room that is left for the verifier.
+
+    Returns:
+        The proof as a certificate holds it, or why none is found.
+    """
     if problem.starts_away:
-        bounds_in_cells = cell_bounds(problem, room)
+        bounds_in_cells = cell_bounds(problem, room_factor)
         if not isinstance(bounds_in_cells, Obstacle):
             return cells_proof_of(problem, bounds_in_cells)
-    bounds = best_bounds(problem, room)
+    bounds = best_bounds(problem, room_factor)
     return bounds if isinstance(bounds, Obstacle) else proof_of(problem, bounds)

@@ -51,7 +51,7 @@ class ProvedReach:
         return f"{sentence} {self.last.statement()}"
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers."""
+        """The outcome as JSON's types."""
         return {
             "over": self.name,
             "proved_up_to": self.proved,
@@ -59,13 +59,13 @@ class ProvedReach:
             "reason": self.reason or None,
             "tried": [{"value": value, "proved": proved} for value, proved in self.values],
             "error": None if self.last is None else self.last.error,
-            **({} if self.last is None else last_words(self.last)),
+            **({} if self.last is None else covered_content(self.last)),
             "statement": self.statement(),
         }
 
 
-def last_words(proof: AnyProved) -> JsonObject:
-    """The coverage of the proof at the last proved value, and the bounds of a vehicle's signals there."""
+def covered_content(proof: AnyProved) -> JsonObject:
+    """What a proof covers, in words, and the bounds of the signals if it is that of a vehicle."""
     summary = proof.summary()
     bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
     return {"covered": proof.claim.covered, **bounds}
@@ -116,27 +116,24 @@ def proved_up_to(
             progress(len(proofs), None)
         return proof.complete
 
-    proved_share = 0.0
-    unproved_share = 1.0
-    if not proved_at(proved_share):
-        value, proof = proofs[proved_share]
+    def reach_between(proved_share: float | None, refused_share: float | None) -> ProvedReach:
+        """The outcome, from the last share that is proved and the nearest one that is not; None where there is none."""
+        value, proof = (None, None) if proved_share is None else proofs[proved_share]
+        refused_value, failure = (None, None) if refused_share is None else proofs[refused_share]
         return ProvedReach(
-            name=name, values=tried_values(proofs), last=None, proved=None, refused=value, reason=proof.reason
+            name=name,
+            values=[(tried_value, outcome.complete) for tried_value, outcome in proofs.values()],
+            last=proof,
+            proved=value,
+            refused=refused_value,
+            reason="" if failure is None else failure.reason,
         )
-    if proved_at(unproved_share):
-        value, proof = proofs[unproved_share]
-        return ProvedReach(name=name, values=tried_values(proofs), last=proof, proved=value, refused=None, reason="")
-    proved_share, unproved_share = map(float, bisect(proved_at, proved_share, unproved_share, HALVINGS))
-    value, proof = proofs[proved_share]
-    unproved_value, failure = proofs[unproved_share]
-    return ProvedReach(
-        name=name, values=tried_values(proofs), last=proof, proved=value, refused=unproved_value, reason=failure.reason
-    )
 
-
-def tried_values(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
-    """The values that were tried, in order, and whether each is proved."""
-    return [(value, proof.complete) for value, proof in proofs.values()]
+    if not proved_at(0.0):
+        return reach_between(None, 0.0)
+    if proved_at(1.0):
+        return reach_between(1.0, None)
+    return reach_between(*map(float, bisect(proved_at, 0.0, 1.0, HALVINGS)))
 
 
 def problem_at(study: Study, name: str, value: float) -> AnyProblem:

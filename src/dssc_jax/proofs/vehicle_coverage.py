@@ -8,12 +8,13 @@ import numpy as np
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
-from dssc_jax.design.certification import Ends, NotCovered, ends_of
+from dssc_jax.design.certification import NotCovered
+from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
 from dssc_jax.models.controllers.dssc import DSSC, SSC
 from dssc_jax.models.controllers.dssc_forms import DsscGains
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Vgsta
+from dssc_jax.models.controllers.gain_functions import Vgsta
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.differentiators import NO_DIFFERENTIATOR
 from dssc_jax.models.disturbances import NO_DISTURBANCE
@@ -24,6 +25,7 @@ from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.article import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.proofs.law_content import functions_content, nominal_content
 from dssc_jax.proofs.problem import Interval
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, Sine, VehicleProblem
 from dssc_jax.study import Study
@@ -37,6 +39,8 @@ START_ROOM = 1e-12
 """Room for the rounding of where a moving reference begins [m], [m/s], [rad]."""
 EQUAL_ANGLES = 1e-9
 """Largest difference [rad] of angles that count as equal."""
+ONE: Interval = (1.0, 1.0)
+"""The interval of the number 1."""
 AXES = {"x": 0, "z": 2, "psi": 3}
 """Places of the channels in the loop; y has the controller of x."""
 
@@ -98,7 +102,11 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
 
 
 def require_laws(study: Study) -> None:
-    """Refuse laws of numbers that the theorem does not cover, and laws without bounds."""
+    """Require that each law belongs to a number that a proof covers over an interval, and has bounded support.
+
+    Raises:
+        NotCovered: a law is of another number, or has no bounds.
+    """
     for name, law in study.written_laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
             raise NotCovered(
@@ -109,7 +117,14 @@ def require_laws(study: Study) -> None:
 
 
 def require_loop(study: Study) -> None:
-    """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
+    """Require a loop of the theorem around the vehicle.
+
+    It starts level, hovers or flies the mission, and measures exactly. Only the wind disturbs it. On the mission its
+    rotors have no lag.
+
+    Raises:
+        NotCovered: a part of the loop differs; the message names the part.
+    """
     loop = study.loop
     plant: UavParams = study.template.plant
     if any((plant.roll or 0.0, plant.pitch or 0.0, *plant.body_rate)):
@@ -130,7 +145,11 @@ def require_loop(study: Study) -> None:
 
 
 def require_inner_loop(plant: Ends) -> InnerGains:
-    """The inner loops' gains; refuse variants that the theorem does not cover."""
+    """Gains of the inner loops, which must be those of the article in the variant that the theorem covers.
+
+    Raises:
+        NotCovered: the inner loops are others, or an option or an uncertain gain is outside of the theorem.
+    """
     inner = plant.low.inner_loop
     if not getattr(inner, "has_proof", False):
         raise NotCovered("plant.inner_loop is sampled; a proof of the vehicle takes plant.inner_loop.kind = 'article'")
@@ -148,7 +167,11 @@ def require_inner_loop(plant: Ends) -> InnerGains:
 
 
 def require_geometry(plant: Ends) -> None:
-    """Refuse rotors that are not equally spaced with alternating spins, and drag that differs between x and y."""
+    """Require equally spaced rotors with alternating spins, equal drag along body x and y, and no ground or battery.
+
+    Raises:
+        NotCovered: the vehicle differs; the message names the part.
+    """
     vehicle: Vehicle = plant.low.vehicle
     if vehicle.rotor:
         raise NotCovered(
@@ -171,38 +194,40 @@ def require_geometry(plant: Ends) -> None:
         raise NotCovered("plant.vehicle.structure_drag differs between body x and y")
 
 
-def interval_of(ends: "list[float] | tuple[float, ...]") -> Interval:
-    """The interval of a number's ends."""
-    return float(min(ends)), float(max(ends))
+def interval_of(values: Sequence[Scalar]) -> Interval:
+    """The smallest interval that holds some values."""
+    return float(min(values)), float(max(values))
 
 
-def with_rounding_room(interval: Interval, exact: Interval) -> Interval:
-    """An interval a little wider than its rounded ends, unless it is a number that rounding has not changed."""
-    if interval == exact:
+def with_rounding_room(interval: Interval) -> Interval:
+    """An interval widened by the rounding errors of its ends; the number 1, which is exact here, stays as it is."""
+    if interval == ONE:
         return interval
     low, high = interval
     return low - 4.0 * math.ulp(low), high + 4.0 * math.ulp(high)
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """The interval of a/b of positive numbers; 1 for a number over itself."""
+    """The interval of a/b for positive a and b in intervals; 1 for a number over itself."""
     if a == b and a[0] == a[1]:
-        return 1.0, 1.0
-    return with_rounding_room((a[0] / b[1], a[1] / b[0]), (1.0, 1.0))
+        return ONE
+    return with_rounding_room((a[0] / b[1], a[1] / b[0]))
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """The interval of a b of positive numbers."""
-    if a == (1.0, 1.0) or b == (1.0, 1.0):
-        return b if a == (1.0, 1.0) else a
-    return with_rounding_room((a[0] * b[0], a[1] * b[1]), (1.0, 1.0))
+    """The interval of a b for positive a and b in intervals; a factor of 1 changes nothing, not even by rounding."""
+    if a == ONE:
+        return b
+    if b == ONE:
+        return a
+    return with_rounding_room((a[0] * b[0], a[1] * b[1]))
 
 
 def delay_of(study: Study, ends: Ends) -> float:
-    """The delay of the commands [samples], which all channels share.
+    """Delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
     Raises:
-        NotCovered: the unmodelled dynamics are none or no known, common delay.
+        NotCovered: the unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
     """
     models: tuple[Unmodelled, ...] = study.loop.unmodelled
     if all(model is NO_DYNAMICS for model in models):
@@ -219,7 +244,7 @@ def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
     """Bounds of the horizontal and of the vertical wind [m/s].
 
     Raises:
-        NotCovered: they are not known.
+        NotCovered: the kind of wind states no bounds.
     """
     wind = study.loop.wind
     if wind.bounds is None:
@@ -229,7 +254,7 @@ def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
 
 
 def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
-    """The controllers, and bounds of where the channels start.
+    """Controller and start of each channel of the problem; the channel x stands for y, too.
 
     Raises:
         NotCovered: a controller is outside of the theorem, or x and y differ.
@@ -242,10 +267,16 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
 
 
 def channel_of(study: Study, place: int, gains: object, initial: tuple[float, float]) -> ChannelProblem:
-    """The controller of a channel.
+    """The controller of a channel, and bounds of its start.
+
+    Args:
+        study: The study.
+        place: Place of the channel in the loop.
+        gains: Gains of its controller.
+        initial: Bounds of |e| and |e'| at t = 0.
 
     Raises:
-        NotCovered: it is outside of the theorem.
+        NotCovered: the controller is outside of the theorem.
     """
     name = study.loop.channels[place]
     member = study.loop.controller[place]
@@ -258,21 +289,18 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
         raise NotCovered(f"the sign of {name} is smoothed")
     if isinstance(gains.functions, Vgsta) or not gains.functions.finite_slope:
         raise NotCovered(f"phi_1 of {name} depends on e, or has no finite slope at sigma = 0")
-    kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
-    constants = {key: float(value) for key, value in gains.functions._asdict().items() if value is not None}
-    nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
     return ChannelProblem(
         l0=float(gains.l0),
-        functions={"kind": kind, **constants},
+        functions=functions_content(gains.functions),
         rho=float(gains.rho.rho),
-        nominal=nominal,
+        nominal=nominal_content(gains.nominal),
         start=gains.predictor_start.value,
         initial=initial,
     )
 
 
 def reference_of(study: Study) -> dict[str, Sine] | None:
-    """Amplitude, period [s] and phase [rad] of what each axis follows; None where the vehicle hovers."""
+    """Amplitude, period [s] and phase [rad] of the sine that each axis follows; None where the vehicle hovers."""
     if study.loop.reference is HOVER:
         return None
     return {
@@ -281,7 +309,7 @@ def reference_of(study: Study) -> dict[str, Sine] | None:
 
 
 def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
-    """Where the reference of each axis begins, and how fast it moves there, in float64."""
+    """Place [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
     if study.loop.reference is HOVER:
         hover = ends.low.reference
         return [(float(value), 0.0) for value in (*hover.position, hover.yaw)]
@@ -313,5 +341,5 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
 
 
 def largest_of(values: Sequence[Scalar]) -> float:
-    """The largest magnitude."""
+    """The largest magnitude of some values."""
     return max(abs(float(value)) for value in values)

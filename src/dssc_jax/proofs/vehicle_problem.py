@@ -3,9 +3,8 @@
 import math
 from dataclasses import asdict, dataclass
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.problem import Interval
+from dssc_jax.proofs.problem import Interval, delay_weights
 
 CHANNELS = ("x", "z", "psi")
 """Channels with a controller of their own; that of y is that of x."""
@@ -123,31 +122,5 @@ class VehicleProblem:
 
     @property
     def delay_weights(self) -> tuple[float, ...]:
-        """Weights of the commands of ages 0, 1, ... samples in what acts; their sum is 1."""
-        fraction = self.delay - math.floor(self.delay)
-        weights = (*(0.0 for _ in range(math.floor(self.delay))), 1.0 - fraction)
-        return (*weights, fraction) if fraction > 0.0 else weights
-
-
-def channel_from(content: JsonObject) -> ChannelProblem:
-    """A channel from JSON's types."""
-    nominal = content["nominal"] and tuple(content["nominal"])
-    return ChannelProblem(**{**content, "nominal": nominal, "initial": tuple(content["initial"])})
-
-
-def vehicle_problem_from(content: JsonObject) -> VehicleProblem:
-    """A problem from JSON's types.
-
-    Raises:
-        ConfigError: a field is missing or unknown.
-    """
-    names = ("mass", "thrust", "turn", "believed_inertia", "structure_drag", "wind")
-    reference = content.get("reference")
-    try:
-        pairs = {name: tuple(content[name]) for name in names}
-        inertia = tuple(map(tuple, content["inertia"]))
-        channels = {name: channel_from(channel) for name, channel in content["channels"].items()}
-        sines = reference and {axis: tuple(sine) for axis, sine in reference.items()}
-        return VehicleProblem(**{**content, **pairs, "inertia": inertia, "channels": channels, "reference": sines})
-    except (KeyError, TypeError) as error:
-        raise ConfigError("problem", f"is not that of a vehicle's certificate: {error}") from None
+        """Weights of the commands of ages 0, 1, ... samples in the command that acts."""
+        return delay_weights(self.delay)

@@ -5,55 +5,56 @@ from typing import TypeAlias
 
 import htpy as h
 
-from dssc_jax.report.elements import Section, count_text, facts, figure, number, table
-from dssc_jax.report.study_sections import listing
+from dssc_jax.report.elements import Section, count_text, facts, figure, number, number_with_meaning, table
+from dssc_jax.report.study_sections import study_file
 from dssc_jax.report.subject import AnalysisSubject
-from dssc_jax.report.vector import inline
+from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.fields import FieldMeaning, field_meanings
 
-LONGEST_LIST = 3  # numbers that one cell holds; a longer list is in the dataset
+LONGEST_LIST = 3
+"""Largest number of values in a cell; longer lists are in the dataset only."""
 Meanings: TypeAlias = Mapping[str, FieldMeaning]
-"""Unit and meaning of an answer's numbers by key, see :class:`FieldMeaning`."""
+"""Unit and meaning of the numbers of an answer, by :attr:`FieldMeaning.key`."""
 
 
 def answer(subject: AnalysisSubject) -> Section:
-    """The answer in one line, and its figure."""
+    """Section with the figure of an analysis, and the answer in one line as its caption."""
     analysis = subject.result
-    picture = inline(analysis.figure, f"{analysis.title}: {analysis.headline}.", "answer")
+    picture = inline_svg(analysis.figure, f"{analysis.title}: {analysis.headline}.", "answer")
     return Section("answer", "The answer", figure(picture, f"{analysis.headline}."))
 
 
 def numbers(subject: AnalysisSubject) -> Section:
-    """The summary as tables, with the unit and the meaning of each number."""
+    """Section with the summary of an analysis as tables, with unit and meaning of each number."""
     analysis = subject.result
     meanings = {field.key: field for field in field_meanings(type(analysis).answer_type())}
     return Section("numbers", "In numbers", list(tables(analysis.title, subject.summary, meanings)))
 
 
 def tables(caption: str, content: Mapping[str, object], meanings: Meanings, place: str = "") -> Iterator[h.Element]:
-    """Tables of nested plain data: one for single values, and one for each group of similar rows.
+    """Make tables of nested plain data: one of the single values, and one for each group of similar rows.
 
     Args:
-        caption: The first table's caption; those of the others start with it.
-        content: The data.
-        meanings: Unit and meaning of the summary's numbers by key.
-        place: The key of ``content`` in the summary; empty for the summary itself.
+        caption: Caption of the first table; the captions of the others start with it.
+        content: The data, a summary or a part of one.
+        meanings: Unit and meaning of the numbers of the summary.
+        place: Key of ``content`` in the summary; empty for the summary itself.
     """
-    single = []
+    single_values = []
     for name, value in content.items():
         text = cell(value)
         if text is not None:
-            single.append((number_label(meanings, entry_key(meanings, place, name), name), text))
-    if single:
-        yield table(caption, ("number", "value"), single, words=2)
+            single_values.append((number_label(meanings, entry_key(meanings, place, name), name), text))
+    if single_values:
+        yield table(caption, ("number", "value"), single_values, words=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
         label = f"{caption}: {name.replace('_', ' ')}"
-        group = f"{key}[]" if isinstance(value, list) else f"{key}.NAME"
+        group_key = f"{key}[]" if isinstance(value, list) else f"{key}.NAME"
         rows = summary_rows(value)
         columns = columns_of(rows)
         if columns:
-            head = [number_label(meanings, entry_key(meanings, group, column), column) for column in columns]
+            head = [number_label(meanings, entry_key(meanings, group_key, column), column) for column in columns]
             cells = []
             for row_name, row in rows.items():
                 cells.append((row_name, *(cell(row.get(column)) or "" for column in columns)))
@@ -63,10 +64,15 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
-    """The key by which an entry's meaning is found. The entry stands in a summary at ``place``.
+    """The key by which the meaning of an entry is looked up.
 
-    Entries of a mapping of numbers share a key. An entry without a meaning has the key of the part that it belongs to;
-    outside of any part it has its own name.
+    All entries of a mapping from names to numbers share the key ``PLACE.NAME``. An entry without a meaning has the key
+    of the part of the summary that contains it, or its own name in the summary itself.
+
+    Args:
+        meanings: Unit and meaning of the numbers of the summary.
+        place: Key of the part of the summary that contains the entry; empty for the summary itself.
+        name: Name of the entry.
     """
     for entry in (f"{place}.{name}".removeprefix("."), f"{place}.NAME".removeprefix(".")):
         if any(key == entry or key.startswith((f"{entry}.", f"{entry}[")) for key in meanings):
@@ -75,17 +81,14 @@ def entry_key(meanings: Meanings, place: str, name: str) -> str:
 
 
 def number_label(meanings: Meanings, key: str, name: str) -> h.Node:
-    """The name of a number, and below it its meaning and unit, if it has them."""
+    """The name of a number; below it meaning and unit, if the number has them."""
     label = name.replace("_", " ")
     field = meanings.get(key)
-    if field is None:
-        return label
-    unit = "" if field.unit in ("", "1") else f" [{field.unit}]"
-    return [label, h.span(".meaning")[f"{field.meaning}{unit}"]]
+    return label if field is None else number_with_meaning(label, field.meaning, field.unit)
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
-    """The rows of a group: a mapping of mappings, or a list of them; empty if it is neither."""
+    """The rows of a group by name: of a mapping of mappings, or of a list of them; empty if it is neither."""
     rows = {}
     if isinstance(value, list):
         rows = {str(rank): row for rank, row in enumerate(value, start=1)}
@@ -95,16 +98,16 @@ def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
 
 
 def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """The columns with a value that fits a cell in at least one row."""
-    columns: dict[str, bool] = {}
+    """The names of the entries that fit into a cell in at least one row."""
+    fits: dict[str, bool] = {}
     for row in rows.values():
         for name, value in row.items():
-            columns[name] = columns.get(name, False) or cell(value) is not None
-    return [name for name, has_cell in columns.items() if has_cell]
+            fits[name] = fits.get(name, False) or cell(value) is not None
+    return [name for name, fits_in_a_row in fits.items() if fits_in_a_row]
 
 
 def cell(value: object) -> str | None:
-    """The text of a cell; None if the value is missing or not a single one."""
+    """The text of a single value or of a short list; None if the value does not fit into a cell."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -118,7 +121,7 @@ def cell(value: object) -> str | None:
 
 
 def dataset(subject: AnalysisSubject) -> Section:
-    """The dataset's content, for further use."""
+    """Section that lists the variables of the dataset."""
     rows = []
     for name, variable in subject.result.dataset.variables.items():
         meaning = variable.attrs.get("long_name", "")
@@ -130,7 +133,7 @@ def dataset(subject: AnalysisSubject) -> Section:
 
 
 def analysis_provenance(subject: AnalysisSubject) -> Section:
-    """The provenance of the numbers, and how to reproduce them."""
+    """Section on the provenance of an analysis, with the study file to reproduce it."""
     analysis = subject.result
     study = analysis.study
     config = study.config
@@ -142,4 +145,4 @@ def analysis_provenance(subject: AnalysisSubject) -> Section:
         ("arithmetic", f"float{config.loop.precision}, {config.loop.integrator}"),
     ]
     usage = ["Save it as a file and give it to ", h.code[f"dssc-jax {analysis.kind}"], "."]
-    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), listing(study, usage)])
+    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), study_file(study, usage)])

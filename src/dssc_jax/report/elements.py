@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import htpy as h
 
+from dssc_jax.results.schema import name_with_unit
 from dssc_jax.statistics import CONFIDENCE, rounded_probability
 
 MINUS = "\N{MINUS SIGN}"
@@ -16,8 +17,8 @@ class Section(NamedTuple):
     """A part of the page with a heading.
 
     Args:
-        key: Its anchor.
-        heading: The heading, also used in the contents list.
+        key: Identifier of the heading, for links.
+        heading: The heading, which also stands in the contents list.
         body: Anything that htpy can render.
     """
 
@@ -27,24 +28,29 @@ class Section(NamedTuple):
 
 
 def number(value: float | None) -> str:
-    """Format with four significant digits; a value missing from a draw is infinite."""
+    """Format a number with four significant digits; None, the value of a draw that ended early, is infinite."""
     if value is None or math.isinf(value):
         return "∞" if value is None or value > 0 else f"{MINUS}∞"
     return "none" if math.isnan(value) else f"{value:.4g}".replace("-", MINUS)
 
 
 def with_unit(value: float, unit: str) -> str:
-    """A number with its unit, if it has one."""
+    """Format a number followed by its unit, if it has one."""
     return number(value) if unit in ("", "1") else f"{number(value)} {unit}"
 
 
+def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
+    """The name of a number, and below it its meaning and unit."""
+    return [name, h.span(".meaning")[name_with_unit(meaning, unit)]]
+
+
 def probability_text(share: float, bounds: Sequence[float]) -> str:
-    """A probability as text for a cell: its upper bound if no draw failed, never 0."""
+    """Format a probability; if no draw failed, its upper bound is given, never 0."""
     return number(share) if share else f"≤ {bounds[1]:.3g}"
 
 
 def interval(bounds: Sequence[float]) -> str:
-    """The interval of a probability as text."""
+    """Format the interval of a probability."""
     low, high = map(rounded_probability, bounds)
     return f"{low} to {high}"
 
@@ -55,30 +61,25 @@ def count_text(count: int, noun: str) -> str:
 
 
 def table(caption: str, head: Sequence[h.Node], rows: Sequence[Sequence[h.Node]], words: int = 1) -> h.Element:
-    """A table with its caption and headers; the first cell of a row is the row's header.
+    """A table with caption and headers; the first cell of a row is the header of the row.
 
     Args:
         caption: The caption.
-        head: The columns' headers.
-        rows: The cells.
+        head: Headers of the columns.
+        rows: The cells, one sequence for each row.
         words: Number of leading columns with words; the others contain numbers and are aligned to the right.
     """
-    look = ["words" if i < words else None for i in range(len(head))]
-    grid = h.table[
-        h.caption[caption],
-        h.thead[h.tr[(h.th(scope="col", class_=c)[text] for text, c in zip(head, look, strict=True))]],
-        h.tbody[(row_of(row, look) for row in rows)],
-    ]
-    return scrolled(caption, grid)
+    classes = ["words" if index < words else None for index in range(len(head))]
+    headers = [h.th(scope="col", class_=class_)[text] for text, class_ in zip(head, classes, strict=True)]
+    body = [table_row(row, classes) for row in rows]
+    return scrollable(caption, h.table[h.caption[caption], h.thead[h.tr[headers]], h.tbody[body]])
 
 
-def row_of(row: Sequence[h.Node], look: Sequence[str | None]) -> h.Element:
-    """One row, with its header."""
+def table_row(row: Sequence[h.Node], classes: Sequence[str | None]) -> h.Element:
+    """A row of a table, with the CSS class of each column; its first cell is a header."""
     name, *values = row
-    return h.tr[
-        h.th(scope="row", class_=look[0])[name],
-        (h.td(class_=c)[cell] for cell, c in zip(values, look[1:], strict=True)),
-    ]
+    cells = [h.td(class_=class_)[value] for value, class_ in zip(values, classes[1:], strict=True)]
+    return h.tr[h.th(scope="row", class_=classes[0])[name], cells]
 
 
 def figure(picture: h.Node, caption: h.Node) -> h.Element:
@@ -86,9 +87,9 @@ def figure(picture: h.Node, caption: h.Node) -> h.Element:
     return h.figure[picture, h.figcaption[caption]]
 
 
-def scrolled(name: str, wide: h.Node) -> h.Element:
-    """Wrap content that may be wider than a screen: it scrolls separately, also by keyboard."""
-    return h.div(".scroll", role="region", tabindex="0", aria_label=name)[wide]
+def scrollable(name: str, content: h.Node) -> h.Element:
+    """Wrap content that may be wider than a screen, so that it scrolls separately, also by keyboard."""
+    return h.div(".scroll", role="region", tabindex="0", aria_label=name)[content]
 
 
 def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Element:
@@ -96,6 +97,6 @@ def facts(pairs: Sequence[tuple[str, h.Node]], class_: str = "facts") -> h.Eleme
     return h.dl(class_=class_)[(h.div[h.dt[name], h.dd[value]] for name, value in pairs)]
 
 
-def folded(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
-    """Content that can be expanded; on paper it is open or omitted."""
+def collapsible(summary: str, body: h.Node, on_paper: bool = False) -> h.Element:
+    """Content that is hidden behind its summary until a reader expands it; with ``on_paper`` it is printed."""
     return h.details(class_="printed" if on_paper else None)[h.summary[summary], body]

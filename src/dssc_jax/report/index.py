@@ -10,20 +10,33 @@ import htpy as h
 
 from dssc_jax.analyses.loading import KINDS, description, load
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.report.elements import count_text, interval, probability_text, table
-from dssc_jax.report.page import REPORT, is_current, page, write, write_page
-from dssc_jax.report.study_sections import moment
+from dssc_jax.report.elements import Section, count_text, interval, probability_text, table
+from dssc_jax.report.page import REPORT, is_current, page, section_element, write, write_page
+from dssc_jax.report.study_sections import time_text
 from dssc_jax.results import store
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.summary import SummaryRow, extreme_points
 
 INDEX = "index.html"
-MARKS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
-"""Files that identify a folder's content."""
+DESCRIPTIONS = {store.MANIFEST, *(f"{kind}.json" for kind in KINDS)}
+"""Names of the files that describe a result or an analysis; one of them is in each folder of these."""
 
 
 class IndexRow(NamedTuple):
-    """The folder of a result or an analysis; ``trouble`` gives the reason if its numbers cannot be shown."""
+    """The folder of a result or an analysis, as a row of the index.
+
+    Args:
+        folder: The folder.
+        kind: Title of the analysis; empty for a result.
+        answer: Answer of the analysis in one line.
+        study: Name of the study.
+        started: Time at which a run began, in ISO format.
+        size: Numbers of draws and points of a result, in words.
+        probability: Failure probability; of a sweep those of its best and its worst point.
+        interval: Interval of the failure probability of a run.
+        worst: Failure probability of the worst point, by which the index is sorted.
+        trouble: Reason why the folder cannot be shown; empty if it can.
+    """
 
     folder: Path
     kind: str = ""
@@ -38,22 +51,27 @@ class IndexRow(NamedTuple):
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """Every folder of a result or an analysis below ``root``, and the folders directly in it that contain none."""
+    """All folders of results and analyses below a folder, and those of its direct subfolders that contain none."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
-        places = []
         if child.is_symlink():
             yield child
             continue
-        for place, inner, files in os.walk(child):
-            has_result = not MARKS.isdisjoint(files)
-            if has_result:
-                places.append(Path(place))
-            inner[:] = [] if has_result else sorted(set(inner) - {store.DATA})
-        yield from places or [child]
+        result_folders = []
+        for place, subfolders, file_names in os.walk(child):
+            if not DESCRIPTIONS.isdisjoint(file_names):
+                result_folders.append(Path(place))
+                subfolders.clear()
+            subfolders[:] = sorted(set(subfolders) - {store.DATA})  # os.walk visits these
+        yield from result_folders or [child]
 
 
 def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
-    """The index row of a folder; its report is written first unless it is whole and shows what the folder holds."""
+    """Make the row of a folder; a report that is missing, damaged or out of date is written first.
+
+    Args:
+        folder: The folder.
+        on_report: Called with each report that was written.
+    """
     row = IndexRow(folder)
     if folder.is_symlink():
         return row._replace(trouble="is a symbolic link, which the index does not follow")
@@ -66,17 +84,22 @@ def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
             on_report(write(result, page))
         if isinstance(result, Analysis):
             return row._replace(kind=result.title, answer=result.headline)
-        return point_numbers(row, result.summary()["points"])
+        return with_probability(row, result.summary()["points"])
     except ConfigError as error:
         return row._replace(trouble=error.rule)
     except OSError as error:
         return row._replace(trouble=f"{REPORT} cannot be written ({error.strerror})")
-    except Exception as error:  # one report that cannot be made must not take the index with it
+    except Exception as error:  # a report that cannot be made must not prevent the index
         return row._replace(trouble=f"its report cannot be made: {type(error).__name__}: {error}")
 
 
-def point_numbers(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
-    """The row with size, probability and interval; for a sweep, those of its best and its worst point."""
+def with_probability(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
+    """Add size, failure probability and interval to the row of a result.
+
+    Args:
+        row: The row.
+        points: Summaries of the result's points.
+    """
     best, worst = extreme_points(points)
     extremes = [best] if len(points) == 1 else [best, worst]
     size = count_text(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
@@ -89,14 +112,14 @@ def point_numbers(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
 
 
 def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: None) -> tuple[Path, list[IndexRow]]:
-    """Write ``index.html`` for the results below ``root``; reports that are missing or out of date are written first.
+    """Write ``index.html`` for the results below a folder; reports that are missing or out of date are written first.
 
     Args:
         root: A folder that contains folders of results and analyses.
         made: Called with each report that was written.
 
     Returns:
-        The file, and the row of each folder.
+        Path of the index, and the row of each folder.
 
     Raises:
         ConfigError: ``root`` is not a folder.
@@ -111,38 +134,55 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
 
 
 def index_html(root: Path, rows: list[IndexRow]) -> str:
-    """The index as a page, sorted by study, then date (newest first), then probability."""
-    good = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
-    good = sorted(sorted(good, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
-    bad = [row for row in rows if row.trouble]
-    runs = [row for row in good if not row.kind]
-    analyses = [row for row in good if row.kind]
+    """The index as a page, sorted by study, then by date with the newest first, then by probability."""
+    usable = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
+    usable = sorted(sorted(usable, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
+    unusable = [row for row in rows if row.trouble]
+    runs = [row for row in usable if not row.kind]
+    analyses = [row for row in usable if row.kind]
     body: list[h.Node] = []
-
-    def link(row: IndexRow) -> h.Element:
-        return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
-
+    counts = []
     if runs:
-        cells = []
-        for row in runs:
-            folder = h.code[str(row.folder.relative_to(root))]
-            cells.append((link(row), moment(row.started), folder, row.size, row.probability, row.interval))
-        head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
-        body.append(section("runs", "Runs", table("A sweep shows its best and its worst point", head, cells, words=4)))
+        body.append(section_element(Section("runs", "Runs", run_table(root, runs))))
+        counts.append(count_text(len(runs), "run"))
     if analyses:
-        cells = [(link(row), row.kind, h.code[str(row.folder.relative_to(root))], row.answer) for row in analyses]
-        head = ("study", "analysis", "folder", "answer")
-        body.append(section("analyses", "Analyses", table("Each analysis with its answer", head, cells, words=4)))
-    if bad:
-        troubled_rows = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
-        caption = "Folders without a result that can be shown"
-        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled_rows, words=3)))
-    counts = [f"{len(runs):,} {'run' if len(runs) == 1 else 'runs'}"] if runs else []
-    counts += [f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}"] if analyses else []
+        body.append(section_element(Section("analyses", "Analyses", analysis_table(root, analyses))))
+        counts.append(f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}")
+    if unusable:
+        body.append(section_element(Section("damaged", "Not shown", trouble_table(root, unusable))))
     lead = f"{' and '.join(counts) or 'No result'} in {root.resolve().name}"
     return page(f"Results in {root.resolve().name}", [h.h1["Results"], h.p(".lead")[lead]], body, [])
 
 
-def section(key: str, heading: str, body: h.Node) -> h.Element:
-    """A part of the page."""
-    return h.section(aria_labelledby=key)[h.h2(id=key)[heading], body]
+def run_table(root: Path, rows: list[IndexRow]) -> h.Element:
+    """The table of runs and sweeps, with links to their reports."""
+    cells = []
+    for row in rows:
+        link = report_link(root, row)
+        folder = folder_code(root, row)
+        cells.append((link, time_text(row.started), folder, row.size, row.probability, row.interval))
+    head = ("study", "started", "folder", "size", "failure probability", "95 % interval")
+    return table("A sweep shows its best and its worst point", head, cells, words=4)
+
+
+def analysis_table(root: Path, rows: list[IndexRow]) -> h.Element:
+    """The table of analyses, with links to their reports."""
+    cells = [(report_link(root, row), row.kind, folder_code(root, row), row.answer) for row in rows]
+    head = ("study", "analysis", "folder", "answer")
+    return table("Each analysis with its answer", head, cells, words=4)
+
+
+def trouble_table(root: Path, rows: list[IndexRow]) -> h.Element:
+    """The table of folders that cannot be shown, with the reasons."""
+    cells = [(folder_code(root, row), row.study, row.trouble) for row in rows]
+    return table("Folders without a result that can be shown", ("folder", "study", "why"), cells, words=3)
+
+
+def report_link(root: Path, row: IndexRow) -> h.Element:
+    """The study's name as a link to the report, relative to the index."""
+    return h.a(href=quote(os.fsencode((row.folder / REPORT).relative_to(root))))[row.study]
+
+
+def folder_code(root: Path, row: IndexRow) -> h.Element:
+    """The path of a folder relative to the index, set as code."""
+    return h.code[str(row.folder.relative_to(root))]

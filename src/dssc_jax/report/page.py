@@ -20,7 +20,8 @@ from dssc_jax.study import Study, hash_of
 
 REPORT = "report.html"
 STYLE_SHEET = Path(__file__).with_name("style.css")
-NOTHING_OUTSIDE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+CONTENT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""Content security policy of the page: it loads nothing from elsewhere."""
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     study_sections.question,
     study_sections.loop,
@@ -35,7 +36,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     result_sections.chattering_section,
     study_sections.provenance,
 )
-"""The sections as functions of the subject, which return None if they have no content."""
+"""Functions that make the sections of a result's report; they return None if they have no content."""
 
 
 ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
@@ -47,14 +48,14 @@ ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
     analysis_sections.dataset,
     analysis_sections.analysis_provenance,
 )
-"""The sections of an analysis."""
+"""Functions that make the sections of an analysis' report."""
 
 
 def html(result: Result | Analysis, worst: int = WORST_DRAWS) -> str:
-    """The report of a result, or of an analysis.
+    """The report of a result or an analysis as an HTML page.
 
     Args:
-        result: A loaded or new one.
+        result: A loaded or new result, or analysis.
         worst: Number of a result's worst draws that are simulated again and shown; 0 needs no simulator.
     """
     if isinstance(result, Analysis):
@@ -67,7 +68,7 @@ def html(result: Result | Analysis, worst: int = WORST_DRAWS) -> str:
 
 
 def html_of_analysis(analysis: Analysis) -> str:
-    """The report of an analysis."""
+    """The report of an analysis as an HTML page."""
     subject = AnalysisSubject(analysis)
     sections = [make(subject) for make in ANALYSIS_SECTIONS]
     return report(analysis.study, analysis.title, h.p(".lead")[analysis.headline], sections)
@@ -77,12 +78,11 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
     """A report as one HTML page.
 
     Args:
-        study: The study that it is on.
-        kind: Kind of the report, which stands above the study's name.
-        verdict: What it finds, below the name.
-        sections: Its sections in order; those that are None are omitted.
+        study: The study of the report.
+        kind: Kind of the report, which stands above the name of the study.
+        verdict: The main finding, which stands below the name.
+        sections: The sections in order; None is omitted.
     """
-    present_sections = [section for section in sections if section is not None]
     head = [
         h.p(".kind")[kind],
         h.h1[study.name],
@@ -91,22 +91,33 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
     ]
     body = []
     contents = []
-    for section in present_sections:
-        heading = h.h2(id=section.key)[section.heading]
-        body.append(h.section(aria_labelledby=section.key)[heading, section.body])
+    for section in filter(None, sections):
+        body.append(section_element(section))
         contents.append((section.key, section.heading))
     return page(f"{study.name}: {kind.lower()}", head, body, contents)
 
 
+def section_element(section: Section) -> h.Element:
+    """A section with its heading."""
+    return h.section(aria_labelledby=section.key)[h.h2(id=section.key)[section.heading], section.body]
+
+
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:
-    """A self-contained page: the style is included, and nothing is loaded from elsewhere."""
+    """A self-contained HTML page, which includes its style and loads nothing from elsewhere.
+
+    Args:
+        title: Title of the page.
+        head: Content of the header.
+        body: Content below the header.
+        contents: Key and heading of each section, for the list of contents.
+    """
     links = h.ul[(h.li[h.a(href=f"#{key}")[text]] for key, text in contents)]
     credit = f"Made by dssc_jax {version('dssc_jax')} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
     return str(
         h.html(lang="en")[
             h.head[
                 h.meta(charset="utf-8"),
-                h.meta(http_equiv="Content-Security-Policy", content=NOTHING_OUTSIDE),
+                h.meta(http_equiv="Content-Security-Policy", content=CONTENT_POLICY),
                 h.meta(name="viewport", content="width=device-width, initial-scale=1"),
                 h.meta(name="color-scheme", content="light dark"),
                 h.title[title],
@@ -124,12 +135,12 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
 
 
 def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS) -> Path:
-    """Write the report of a result, or of an analysis.
+    """Write the report of a result or an analysis, and return the path of the file.
 
     Args:
-        result: A loaded or new one.
+        result: A loaded or new result, or analysis.
         path: The file.
-        worst: See :func:`html`.
+        worst: Number of a result's worst draws that are shown, see :func:`html`.
     """
     target = Path(path)
     write_page(html(result, worst), target, result)
@@ -137,38 +148,38 @@ def write(result: Result | Analysis, path: str | Path, worst: int = WORST_DRAWS)
 
 
 def write_page(text: str, path: Path, result: Result | Analysis | None = None) -> None:
-    """Write a page; invalid characters (lone surrogates of damaged names) are replaced.
+    """Write a page; characters that UTF-8 does not have, lone surrogates of damaged names, are replaced.
 
     Args:
         text: The page.
         path: The file.
-        result: The result or analysis that the page shows. The last line names it, with a digest of the page; None: the
-            page has no such line.
+        result: The result or analysis that the page shows, which a comment at its end identifies for
+            :func:`is_current`; None: no comment.
     """
     content = text.encode("utf-8", "replace")
     if result is not None:
-        content += mark_of(content, result)
+        content += last_line(content, result)
     files.write_bytes(path, content)
 
 
-def mark_of(content: bytes, result: Result | Analysis) -> bytes:
-    """The last line of a page: the digest of the page, which a truncated page lacks, and that of its result."""
+def last_line(content: bytes, result: Result | Analysis) -> bytes:
+    """The comment at the end of a report: a digest of the page, by which truncation is found, and one of its result."""
     digest = hashlib.sha256(content).hexdigest()
-    return f"\n<!-- dssc_jax: page {digest} of result {identity_of(result)} -->\n".encode()
+    return f"\n<!-- dssc_jax: page {digest} of result {result_digest(result)} -->\n".encode()
 
 
-def identity_of(result: Result | Analysis) -> str:
-    """A digest of what a report shows."""
+def result_digest(result: Result | Analysis) -> str:
+    """A digest of the content that a report shows."""
     if isinstance(result, Analysis):
         return hash_of({"kind": result.kind, "study": result.study.hash, "summary": result.summary()})
     return hash_of({"manifest": hash_of(result.manifest), "certificate": result.certificate})
 
 
 def is_current(path: Path, result: Result | Analysis) -> bool:
-    """Whether a file is the complete report of this result, as :func:`write_page` wrote it; its last line tells."""
+    """Whether a file is the complete report of a result in its present state, by the comment at the file's end."""
     try:
         content = files.read_bytes(path)
     except OSError:
         return False
     text, _, _ = content.rpartition(b"\n<!-- dssc_jax: page ")
-    return content == text + mark_of(text, result)
+    return content == text + last_line(text, result)

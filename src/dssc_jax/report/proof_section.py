@@ -1,13 +1,13 @@
-"""Section on proofs: what is proved at each point of a sweep, beside what its draws do."""
+"""Section on the proofs of a sweep's points, beside the failures of their draws."""
 
 import htpy as h
 import numpy as np
 
 import dssc_jax.plotting as plotting
 from dssc_jax.plotting.standings import standing_of, standing_words
-from dssc_jax.report.elements import Section, count_text, figure, folded, number, table
+from dssc_jax.report.elements import Section, collapsible, count_text, figure, number, table
 from dssc_jax.report.subject import Subject
-from dssc_jax.report.vector import inline
+from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.proofs import BOUNDS, SweepProofs
 from dssc_jax.results.result import Result
 
@@ -18,7 +18,7 @@ CLAIM = (
 
 
 def proofs(subject: Subject) -> Section | None:
-    """How the points stand, and the proved bounds; None without proofs."""
+    """Section on the standing of the points and on the proved bounds; None without proofs."""
     result = subject.result
     if result.point_proofs is None or "proved" not in result.dataset:
         return None
@@ -34,23 +34,24 @@ def proofs(subject: Subject) -> Section | None:
     ]
     if sum(size > 1 for size in proved.shape) == 2:
         text = f"{np.count_nonzero(proved)} of {proved.size} points are proved."
-        body.append(figure(inline(lambda: plotting.standing(result), text, "standing"), text))
+        body.append(figure(inline_svg(lambda: plotting.standing(result), text, "standing"), text))
     if proved.any():
-        body += [largest_statement(result, result.point_proofs), proved_points(result, result.point_proofs)]
+        body += [largest_error_statement(result, result.point_proofs), bound_table(result, result.point_proofs)]
     return Section("proofs", "What is proved", body)
 
 
-def largest_statement(result: Result, proofs: SweepProofs) -> h.Node:
-    """The proved statement, at the proved point with the largest bound of the error."""
+def largest_error_statement(result: Result, proofs: SweepProofs) -> h.Node:
+    """The statement that is proved at the point with the largest proved bound of the error."""
     largest = int(np.nanargmax(proofs.error))
-    place = np.unravel_index(largest, proofs.proved.shape)
-    pairs = zip(result.study.axes.items(), place, strict=True)
-    at = ", ".join(f"{name} = {number(values[i])}" for (name, values), i in pairs)
-    return h.p[f"The largest bound is proved at {at}: ", proofs.statements[largest]]
+    index = np.unravel_index(largest, proofs.proved.shape)
+    values = []
+    for (name, axis), i in zip(result.study.axes.items(), index, strict=True):
+        values.append(f"{name} = {number(axis[i])}")
+    return h.p[f"The largest bound is proved at {', '.join(values)}: ", proofs.statements[largest]]
 
 
-def proved_points(result: Result, proofs: SweepProofs) -> h.Node:
-    """The proved bounds of every proved point: of a vehicle all that it never exceeds, else of |e| once settled."""
+def bound_table(result: Result, proofs: SweepProofs) -> h.Node:
+    """Table of the proved points: the bounds that a vehicle never exceeds, or the bound of |e| once settled."""
     axes = result.study.axes
     columns = proofs.bounds
     units = {bound.label: bound.unit for bound in BOUNDS}
@@ -61,9 +62,9 @@ def proved_points(result: Result, proofs: SweepProofs) -> h.Node:
         columns = {label: proofs.error}
         heads = [f"{label} [{error.attrs['units']}]"]
     rows = []
-    for at in np.argwhere(proofs.proved):
-        place = tuple(at)
-        values = [number(axis[i]) for axis, i in zip(axes.values(), place, strict=True)]
-        rows.append((*values, *(number(float(column[place])) for column in columns.values())))
+    for index in map(tuple, np.argwhere(proofs.proved)):
+        row = [number(axis[i]) for axis, i in zip(axes.values(), index, strict=True)]
+        row += [number(float(column[index])) for column in columns.values()]
+        rows.append(row)
     caption = "Proved points: never exceeded" if proofs.bounds else "Proved points"
-    return folded(f"All {count_text(len(rows), 'proved point')}", table(caption, (*axes, *heads), rows))
+    return collapsible(f"All {count_text(len(rows), 'proved point')}", table(caption, (*axes, *heads), rows))

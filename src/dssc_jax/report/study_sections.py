@@ -1,4 +1,4 @@
-"""Sections on the question: the study, the loop, the laws; and the provenance of the answer."""
+"""Sections on a study: its question, its loop, its laws and expressions, and the provenance of a result."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -9,26 +9,40 @@ import tomli_w
 
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.report.diagram import diagram
-from dssc_jax.report.elements import Section, count_text, facts, figure, folded, number, scrolled, table, with_unit
-from dssc_jax.report.subject import StudySubject, Subject
+from dssc_jax.report.elements import (
+    Section,
+    collapsible,
+    count_text,
+    facts,
+    figure,
+    number,
+    number_with_meaning,
+    scrollable,
+    table,
+    with_unit,
+)
+from dssc_jax.report.subject import AnySubject, Subject
 from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
 from dssc_jax.study.laws import RangedLaw
 
-BINS = 36  # bins of a density's sketch
+BINS = 36
+"""Number of bins of a plotted density."""
 BIN_LEVELS = 60
-SKETCH = (132, 34)
+"""Average number of quantiles in a bin."""
+DENSITY_SIZE = (132, 34)
+"""Width and height of a plotted density [px]."""
 
 
 def question(subject: Subject) -> Section:
-    """The study's question, in sentences."""
+    """Section with the study's question in sentences: draws, duration, requirements and sweep."""
     study = subject.result.study
     clock = study.config.loop
-    swept = [
-        f"{name} over {count_text(len(values), 'value')} from {number(min(values))} to "
-        f"{with_unit(max(values), study.quantities[name].unit)}"
-        for name, values in study.axes.items()
-    ]
+    axes = []
+    for name, values in study.axes.items():
+        low = number(min(values))
+        high = with_unit(max(values), study.quantities[name].unit)
+        axes.append(f"{name} over {count_text(len(values), 'value')} from {low} to {high}")
     body = [
         h.p[
             f"Does the loop meet what is required of it, over {count_text(study.config.draws, 'draw')} of "
@@ -36,15 +50,17 @@ def question(subject: Subject) -> Section:
             f"{clock.duration:g} s, sampled every {1e3 * clock.sample_time:g} ms."
         ],
         h.p["Required of each draw:"],
-        h.ul[(h.li[sentence(requirement)] for requirement in study.requirements), h.li["the state stays finite"]],
+        h.ul[
+            (h.li[requirement_text(requirement)] for requirement in study.requirements), h.li["the state stays finite"]
+        ],
     ]
-    if swept:
-        body += [h.p["The same draws are simulated at every point of the sweep:"], h.ul[(h.li[text] for text in swept)]]
+    if axes:
+        body += [h.p["The same draws are simulated at every point of the sweep:"], h.ul[(h.li[text] for text in axes)]]
     return Section("question", "The question", body)
 
 
-def sentence(requirement: Requirement) -> h.Node:
-    """A requirement in words."""
+def requirement_text(requirement: Requirement) -> h.Node:
+    """A requirement in words, or its formula."""
     if requirement.formula:
         return [f"{requirement.label}: ", h.code[requirement.formula]]
     side = "at most" if requirement.maximum is not None else "at least"
@@ -53,15 +69,19 @@ def sentence(requirement: Requirement) -> h.Node:
     return [f"{requirement.measure.meaning}{channel}{requirement.measure.window_text}: {side} ", h.strong[bound]]
 
 
-def loop(subject: StudySubject) -> Section:
-    """The block diagram."""
+def loop(subject: AnySubject) -> Section:
+    """Section with the block diagram of the loop."""
     study = subject.result.study
     caption = "The loop that is simulated. ~ marks numbers that a law gives, ⇄ numbers that are swept."
-    return Section("loop", "The loop", figure(scrolled("Block diagram", diagram(study)), caption))
+    return Section("loop", "The loop", figure(scrollable("Block diagram", diagram(study)), caption))
 
 
-def laws(subject: StudySubject) -> Section | None:
-    """Every uncertain number with its law; of a ranged law, the middle one and the widest 5 to 95 % of its corners."""
+def laws(subject: AnySubject) -> Section | None:
+    """Section with the law of each uncertain number, its density and quantiles; None without laws.
+
+    Of a law whose arguments are ranges, the density is that of the law in the middle, and the quantiles are the lowest
+    and the highest at the corners of the ranges.
+    """
     study = subject.result.study
     if not study.written_laws:
         return None
@@ -71,10 +91,9 @@ def laws(subject: StudySubject) -> Section | None:
         low = min(float(member.quantile(np.asarray(0.05))) for member in members)
         high = max(float(member.quantile(np.asarray(0.95))) for member in members)
         quantity = study.quantities[name]
-        unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
-        label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
+        label = number_with_meaning(h.code[name], quantity.meaning, quantity.unit)
         density = [
-            sketch(law.middle if isinstance(law, RangedLaw) else law),
+            density_plot(law.middle if isinstance(law, RangedLaw) else law),
             law.logarithmic and h.span(".meaning")["logarithmic axis"],
         ]
         rows.append((label, str(law), density, number(law.median), f"{number(low)} to {number(high)}"))
@@ -83,18 +102,16 @@ def laws(subject: StudySubject) -> Section | None:
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
 
 
-def expressions(subject: StudySubject) -> Section | None:
-    """Every number that follows from parameters."""
+def expressions(subject: AnySubject) -> Section | None:
+    """Section with the numbers that follow from parameters by an expression; None without any."""
     rows = []
     for name, record in subject.result.study.numbers.items():
         if record.expression is None:
             continue
-        quantity = record.quantity
-        unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
         low, high = record.expression.support
-        ends = f"{number(low)} to {number(high)}" if low < high else "the same in every draw"
-        label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
-        rows.append((label, h.code[record.expression.text], number(record.expression.median), ends))
+        support = f"{number(low)} to {number(high)}" if low < high else "the same in every draw"
+        label = number_with_meaning(h.code[name], record.quantity.meaning, record.quantity.unit)
+        rows.append((label, h.code[record.expression.text], number(record.expression.median), support))
     if not rows:
         return None
     head = ("number", "expression", "at the medians", "all values")
@@ -103,19 +120,19 @@ def expressions(subject: StudySubject) -> Section | None:
 
 
 def dependence(study: Study) -> str:
-    """Which uncertain numbers depend on each other, as the end of a phrase."""
+    """Tell which uncertain numbers are correlated, as the end of a phrase."""
     pairs = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]
     return f"with rank correlations ({'; '.join(pairs)}), otherwise independent" if pairs else "independent"
 
 
-def sketch(law: Law) -> h.Element:
+def density_plot(law: Law) -> h.Element:
     """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
     values = law.quantile((np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS))
     low = float(values.min())
     high = float(values.max())
     positions = np.log(values) if law.logarithmic else values
     counts, _ = np.histogram(positions, bins=BINS)
-    width, height = SKETCH
+    width, height = DENSITY_SIZE
     step = width / BINS
     tops = height - 1.0 - (height - 4.0) * counts / counts.max()
     outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)
@@ -127,11 +144,11 @@ def sketch(law: Law) -> h.Element:
 
 
 def provenance(subject: Subject) -> Section:
-    """The provenance of the numbers, and how to reproduce them."""
+    """Section on the provenance of a result, with the study file to reproduce it."""
     manifest = subject.result.manifest
     study = subject.result.study
-    device = part(manifest, "device")
-    versions = "  ".join(f"{name} {version}" for name, version in part(manifest, "versions").items())
+    device = manifest_table(manifest, "device")
+    versions = "  ".join(f"{name} {version}" for name, version in manifest_table(manifest, "versions").items())
     sizes = [len(values) for values in study.axes.values()]
     pairs: list[tuple[str, h.Node]] = [
         ("study", f"{study.name}, from {manifest.get('source', study.source)}"),
@@ -139,29 +156,29 @@ def provenance(subject: Subject) -> Section:
         ("seed", f"{study.config.seed}, {study.config.sampling} sampling"),
         ("size", f"{count_text(study.config.draws, 'draw')} at {count_text(int(np.prod(sizes)), 'point')}"),
         ("arithmetic", f"float{study.config.loop.precision}, {study.config.loop.integrator}"),
-        ("started", moment(str(manifest.get("started", "")))),
-        ("time", duration_text(part(manifest, "times"))),
+        ("started", time_text(str(manifest.get("started", "")))),
+        ("time", duration_text(manifest_table(manifest, "times"))),
         ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
         ("versions", versions),
     ]
     usage = ["Save it as a file and give it to ", h.code["dssc-jax run"], " or ", h.code["dssc-jax sweep"], "."]
-    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), listing(study, usage)])
+    return Section("provenance", "Provenance", [facts(pairs, "facts wide"), study_file(study, usage)])
 
 
-def listing(study: Study, usage: h.Node) -> h.Element:
-    """The study file, and how to use it."""
+def study_file(study: Study, usage: h.Node) -> h.Element:
+    """The study file as collapsible text, with a remark on its usage."""
     text = tomli_w.dumps(without_none(study.table))
-    return folded("The study file", [h.p[usage], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
+    return collapsible("The study file", [h.p[usage], h.pre(tabindex="0")[h.code[text]]], on_paper=True)
 
 
-def part(manifest: Manifest, name: str) -> Manifest:
-    """A table of the manifest; empty if it is damaged, which affects only the entries shown from it."""
+def manifest_table(manifest: Manifest, name: str) -> Manifest:
+    """A table of the manifest; empty if it is damaged, since the report is then still of use."""
     table = manifest.get(name)
     return table if isinstance(table, dict) else {}
 
 
 def duration_text(times: Manifest) -> str:
-    """Time and throughput of the run."""
+    """Time and throughput of a run, from the times in its manifest."""
     try:
         rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""
         return f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling{rate}"
@@ -169,8 +186,8 @@ def duration_text(times: Manifest) -> str:
         return "not recorded"
 
 
-def moment(text: str) -> str:
-    """A time stamp in readable form."""
+def time_text(text: str) -> str:
+    """Format a time stamp in ISO format for people; other text is left as it is."""
     try:
         return f"{datetime.fromisoformat(text):%Y-%m-%d %H:%M UTC}"
     except ValueError:
@@ -178,12 +195,12 @@ def moment(text: str) -> str:
 
 
 def without_none(table: Mapping[str, object]) -> dict[str, object]:
-    """A table without its None values, since TOML has no null; an absent name means the same."""
+    """A table without its None values, since TOML has no null, and an absent name means the same."""
     return {name: value_without_none(value) for name, value in table.items() if value is not None}
 
 
 def value_without_none(value: object) -> object:
-    """A value of a table; the tables in it have no None values."""
+    """A value of a table, without None values in the tables that it contains."""
     if isinstance(value, dict):
         return without_none(value)
     if isinstance(value, list | tuple):

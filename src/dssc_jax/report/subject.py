@@ -1,45 +1,23 @@
-"""The subject of a report: a result, its point shown in detail, and its worst draws."""
+"""The subject of a report: an analysis, or a result with its point shown in detail and its worst draws."""
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
 
 from dssc_jax.analyses.defaults import WORST_DRAWS
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.result import Result, headline
+from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.results.summary import JsonObject, Summary, SummaryRow
 from dssc_jax.runs.trajectory import agreement_of, recorder
-from dssc_jax.study import Described, Study
-
-
-class Studied(Protocol):
-    """A result or an analysis; both have a study."""
-
-    @property
-    def study(self) -> Study:
-        """The study."""
-        ...
-
-
-class StudySubject(Protocol):
-    """The subject of a report of any kind."""
-
-    @property
-    def result(self) -> Studied:
-        """The result, or the analysis."""
-        ...
+from dssc_jax.study import Described
 
 
 @dataclass(frozen=True)
 class AnalysisSubject:
-    """An analysis with the data that several sections need.
-
-    Args:
-        result: The analysis.
-    """
+    """An analysis as the subject of a report."""
 
     result: Analysis
 
@@ -51,11 +29,11 @@ class AnalysisSubject:
 
 @dataclass(frozen=True)
 class Subject:
-    """A result with the data that several sections need.
+    """A result as the subject of a report, with the data that several sections need.
 
     Args:
         result: The result.
-        worst: Number of its worst draws that are simulated again.
+        worst: Number of worst draws that are simulated again.
     """
 
     result: Result
@@ -63,20 +41,20 @@ class Subject:
 
     @cached_property
     def summary(self) -> Summary:
-        """Every point's failures, interval and quantiles."""
+        """Failures, intervals and quantiles of all points."""
         return self.result.summary()
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """The point shown in detail: for a sweep, the one with the failure probability nearest to one half."""
+        """Indices, by axis, of the point shown in detail: that with the failure probability nearest to one half."""
         axes = list(self.result.study.axes)
         share = self.result.failed.mean("draw").transpose(*axes).values
-        half = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
-        return dict(zip(axes, map(int, half), strict=True))
+        index = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
+        return dict(zip(axes, map(int, index), strict=True))
 
     @property
     def point(self) -> dict[str, float]:
-        """The swept parameters' values at the point shown in detail."""
+        """Values of the swept parameters at the point shown in detail."""
         return {name: self.result.study.axes[name][i] for name, i in self.index.items()}
 
     @cached_property
@@ -93,15 +71,14 @@ class Subject:
     @property
     def point_phrase(self) -> str:
         """The values at the point shown in detail, as the end of a phrase; empty for a run."""
-        at = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
-        return f" at {at}, the point where nearest to half of the draws fail" if at else ""
+        values = " and ".join(f"{name} = {value:.4g}" for name, value in self.point.items())
+        return f" at {values}, the point where nearest to half of the draws fail" if values else ""
 
     @cached_property
     def trajectories(self) -> list[xr.Dataset]:
-        """The worst draws of the point shown in detail, simulated again.
+        """Trajectories of the worst draws at the point shown in detail; none for a study whose code is not loaded.
 
-        The attributes ``agreement`` and ``deviation`` compare them with the stored ones.
-        Empty for a study whose code is not loaded.
+        The attributes ``agreement`` and ``deviation`` compare them with the stored draws.
         """
         if not self.worst or isinstance(self.result.study, Described):
             return []
@@ -116,17 +93,26 @@ class Subject:
         return flights
 
 
-def worst_draws(result: Result, count: int) -> list[int]:
-    """Draws of one point, sorted by the smallest slack relative to its bound; early ends are sorted by their time.
+AnySubject: TypeAlias = Subject | AnalysisSubject
+"""The subject of a report of any kind."""
 
-    Without requirements, they are sorted by the largest value of the headline metric.
+
+def worst_draws(result: Result, count: int) -> list[int]:
+    """Indices of the worst draws at one point, the worst first.
+
+    Draws are sorted by their smallest slack relative to the scale of its bound; without requirements, by the value of
+    the headline metric. Among equals, those that ended earlier come first.
+
+    Args:
+        result: A run, or one point of a sweep.
+        count: Number of draws.
     """
-    required = result.study.requirements
-    if required:
-        slack = np.min([result.dataset[r.name].values / r.scale for r in required], axis=0)
+    requirements = result.study.requirements
+    if requirements:
+        slack = np.min([result.dataset[rule.name].values / rule.scale for rule in requirements], axis=0)
     else:
-        value = result.dataset[headline(result).name].values
+        value = result.dataset[headline_measure(result.study).name].values
         slack = -np.where(np.isnan(value), np.inf, value)
-    ended = result.dataset["failed_at"].values
-    order = np.lexsort((np.where(np.isnan(ended), np.inf, ended), slack))
+    end = result.dataset["failed_at"].values
+    order = np.lexsort((np.where(np.isnan(end), np.inf, end), slack))
     return [int(draw) for draw in order[:count]]

@@ -1,4 +1,4 @@
-"""Figures as SVG inside the page, in the page's own colours, so that they suit light mode, dark mode and paper."""
+"""Figures as SVG elements in the colours of the page, for light mode, dark mode and paper."""
 
 import io
 import re
@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED, STYLE
 
-INK = "#010203"  # placeholder for the text's colour until the page sets it
+INK = "#010203"
+"""Placeholder for the colour of the page's text."""
 SVG_COLOURS = {
     INK: "currentColor",
     BLUE: "var(--blue)",
@@ -19,28 +20,31 @@ SVG_COLOURS = {
     RED: "var(--red)",
     GREY: "var(--grey)",
 }
-INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
-CLEAR = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
-DIGITS = re.compile(r"(\.\d\d)\d+")  # a hundredth of a point is less than a screen or a printer shows
+TEXT_COLOURS = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+"""Matplotlib's settings of colours that are those of the page's text."""
+BACKGROUNDS = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
+"""Matplotlib's settings of backgrounds, which are transparent on the page."""
+MANY_DIGITS = re.compile(r"(\.\d\d)\d+")
+"""Digits of a coordinate below a hundredth of a point, which no screen or printer shows."""
 
 
-def inline(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
-    """A figure as an ``<svg>`` element.
+def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
+    """Draw a figure as an ``<svg>`` element.
 
     Args:
         draw: Makes the figure.
         text: Alternative text that describes the figure.
-        prefix: Prefix of its identifiers, unique on the page.
+        prefix: Prefix of the identifiers in the element, unique on the page.
     """
-    look = {**STYLE, **dict.fromkeys(INKED, INK), **dict.fromkeys(CLEAR, "none")}
+    colours = {**dict.fromkeys(TEXT_COLOURS, INK), **dict.fromkeys(BACKGROUNDS, "none")}
     buffer = io.StringIO()
-    with rc_context({**look, "svg.hashsalt": prefix}):
+    with rc_context({**STYLE, **colours, "svg.hashsalt": prefix}):
         draw().savefig(buffer, format="svg")
     source = buffer.getvalue()
     box = re.search(r'viewBox="([\d. -]+)"', source)
     inside = source[source.index(">", source.index("<svg")) + 1 :]
     inside = re.sub(r"<metadata>.*?</metadata>", "", inside, flags=re.DOTALL)
-    inside = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path[0]), inside)
+    inside = re.sub(r' d="[^"]*"', lambda path: MANY_DIGITS.sub(r"\1", path[0]), inside)
     inside = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}-", inside)
     for colour, name in SVG_COLOURS.items():
         inside = re.sub(colour, name, inside, flags=re.IGNORECASE)

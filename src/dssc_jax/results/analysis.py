@@ -1,4 +1,4 @@
-"""Base class of all analyses: a study, a dataset, a summary and a figure, saved in a folder."""
+"""Base class of all analyses."""
 
 import json
 from abc import ABC, abstractmethod
@@ -27,14 +27,13 @@ APART = {STORED_APART: True}
 class Analysis(ABC):
     """The result of an analysis of a study.
 
-    A kind of analysis is a dataclass with further fields, which are saved by their types, and :attr:`answer`, a frozen
-    dataclass whose fields have units and meanings. Its JSON, its report and its page in the documentation follow from
-    these.
+    A kind of analysis is a dataclass with further fields, which are saved by their types, and with :attr:`answer`, a
+    frozen dataclass whose fields have units and meanings. JSON, report and documentation follow from these.
 
     Args:
         study: The study that was analysed.
-        dataset: Its numbers; variables and coordinates have units and meanings as attributes.
-        path: Its folder, if it has been saved.
+        dataset: The numbers of the analysis; variables and coordinates have units and meanings as attributes.
+        path: Folder of the analysis, if it has been saved.
         integration: The error of integration between the samples
             (:meth:`dssc_jax.engine.integration.IntegrationError.to_dict`), if it was checked.
     """
@@ -44,7 +43,7 @@ class Analysis(ABC):
     title: ClassVar[str]
     """Title of the analysis in a report."""
     table: ClassVar[tuple[str, ...]]
-    """The dataset's dimensions over which it is one table, with one row for each element."""
+    """Dimensions of the dataset along which its exported table has one row for each element."""
 
     study: Study = field(metadata=APART)
     dataset: xr.Dataset = field(repr=False, metadata=APART)
@@ -86,7 +85,7 @@ class Analysis(ABC):
         Raises:
             ConfigError: the folder contains something else.
         """
-        content = settings(self) | {"integration": self.integration}
+        content = stored_fields(self) | {"integration": self.integration}
         self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), content)
         return self.path
 
@@ -104,8 +103,8 @@ class Analysis(ABC):
         folder_content = read_analysis(Path(folder), cls.kind, trust_code)
         integration = folder_content.settings.pop("integration", None)
         try:
-            analysis = restored(cls, folder_content.study, folder_content.dataset, folder_content.settings)
-            _ = analysis.answer  # what is damaged shows here, not where the answer is used
+            analysis = restored_analysis(cls, folder_content.study, folder_content.dataset, folder_content.settings)
+            _ = analysis.answer  # damage raises here, not where the answer is used
         except ConfigError as error:
             rule = f"{cls.kind}.json is damaged, or of another version: {error}"
             raise ConfigError(str(folder), rule) from error
@@ -130,15 +129,16 @@ class Analysis(ABC):
 Kind = TypeVar("Kind", bound=Analysis)
 
 
-def settings(analysis: Analysis) -> JsonObject:
-    """The fields of an analysis besides study and dataset, as JSON has them."""
-    return stored_fields(analysis)
+def restored_analysis(kind: type[Kind], study: Study, dataset: xr.Dataset, settings: JsonObject) -> Kind:
+    """Make an analysis again from its study, its dataset and its stored fields.
 
-
-def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored_settings: JsonObject) -> Kind:
-    """The analysis with these :func:`settings`.
+    Args:
+        kind: Class of the analysis.
+        study: The study.
+        dataset: The dataset.
+        settings: The other fields, as :func:`dssc_jax.results.fields.stored_fields` returned them.
 
     Raises:
-        ConfigError: a setting is missing or has a value of another type; the message names it.
+        ConfigError: A field is missing or has a value of another type; the message names it.
     """
-    return kind(study, dataset, **restored_fields(kind, stored_settings))
+    return kind(study, dataset, **restored_fields(kind, settings))

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,19 +18,20 @@ from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entr
 from dssc_jax.study import Study, hash_of, stored_study
 from dssc_jax.study.tables import require_shallow
 
-NEEDED = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
-"""The description's entries besides the dataset, and their types."""
+REQUIRED_ENTRIES = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
+"""Entries of a description, and their types."""
 
 FLAGS = ("flag_values", "flag_meanings")
+"""Attributes with the texts that codes stand for, following the CF conventions."""
 
 
-class Stored(NamedTuple):
+class StoredAnalysis(NamedTuple):
     """An analysis as read from its folder.
 
     Args:
         study: The study that was analysed.
-        dataset: Its numbers.
-        settings: The settings given to :func:`save`.
+        dataset: The numbers of the analysis.
+        settings: The settings that were passed to :func:`save`.
     """
 
     study: Study
@@ -38,11 +39,11 @@ class Stored(NamedTuple):
     settings: JsonObject
 
 
-def require_free(folder: Path, kind: str, study: Study) -> None:
+def require_free_folder(folder: Path, kind: str, study: Study) -> None:
     """Require that a folder is absent, empty, or contains an analysis of this kind and study.
 
     Raises:
-        ConfigError: it contains something else, such as a symbolic link, or what cannot be read.
+        ConfigError: The folder contains something else, such as a symbolic link, or cannot be read.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
@@ -70,11 +71,11 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     Raises:
         ConfigError: the folder contains something else, or what is read back is not what was written.
     """
-    require_free(folder, kind, study)
+    require_free_folder(folder, kind, study)
     files.make_folder(folder)
-    coded_dataset, labels = with_codes(dataset)
+    coded_dataset, labels = with_text_codes(dataset)
     plain = with_uniform_nan(coded_dataset)
-    sums = sums_of(plain)
+    sums = digests_of(plain)
     description = {
         "study": study.table,
         "hash": study.hash,
@@ -88,13 +89,13 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     write_sealed(folder / f"{kind}.json", description)
     plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
-    if read_description(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
+    if read_description(folder, kind)["sums"] != sums or digests_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
     return folder
 
 
 def stored_dataset(folder: Path) -> xr.Dataset:
-    """The dataset in the folder of an analysis, with codes in place of text."""
+    """Read the dataset in the folder of an analysis, with codes in place of text."""
     array_files = ArrayFiles(folder / DATA, read_only=True)
     return xr.open_zarr(array_files, consolidated=False, zarr_format=3, chunks=None).load()
 
@@ -102,29 +103,35 @@ def stored_dataset(folder: Path) -> xr.Dataset:
 def with_uniform_nan(dataset: xr.Dataset) -> xr.Dataset:
     """The dataset with the same bits in every NaN.
 
-    Zarr leaves out a chunk of NaN alone and reads its own NaN there, whose digest has to be the same.
+    Zarr does not store a chunk that holds only NaN, and reads a NaN of its own there. Its digest must be the same.
     """
-    changed_variables = {}
+    float_variables = {}
     for name, variable in dataset.data_vars.items():
         if variable.dtype.kind == "f":
-            changed_variables[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
-    return dataset.assign(changed_variables)
+            float_variables[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
+    return dataset.assign(float_variables)
 
 
-def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
-    """Replace text coordinates of a dataset by numbers, since Zarr has no stable text type; also return the text."""
-    labels = {
-        str(name): variable.values.tolist() for name, variable in dataset.coords.items() if variable.dtype.kind in "UO"
-    }
+def with_text_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
+    """Replace text coordinates of a dataset by numbers, since Zarr has no stable type for text.
+
+    Returns:
+        The dataset with numbers, and the texts of each coordinate.
+    """
+    labels = {}
     codes = {}
-    for name, texts in labels.items():
+    for name, variable in dataset.coords.items():
+        if variable.dtype.kind not in "UO":
+            continue
+        texts = variable.values.tolist()
         flags = (list(range(len(texts))), " ".join(text.replace(" ", "_") for text in texts))
-        codes[name] = (name, np.arange(len(texts)), dataset[name].attrs | dict(zip(FLAGS, flags, strict=True)))
+        labels[str(name)] = texts
+        codes[str(name)] = (name, np.arange(len(texts)), variable.attrs | dict(zip(FLAGS, flags, strict=True)))
     return dataset.assign_coords(codes), labels
 
 
-def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
-    """Reverse :func:`with_codes`."""
+def with_texts(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Dataset:
+    """Put the texts back that :func:`with_text_codes` replaced by numbers."""
     texts = {}
     for name, values in labels.items():
         attributes = {key: value for key, value in dataset[name].attrs.items() if key not in FLAGS}
@@ -132,9 +139,8 @@ def with_labels(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Data
     return dataset.assign_coords(texts)
 
 
-def sums_of(dataset: xr.Dataset) -> dict[str, str]:
-    """A digest of each variable and coordinate, including dimensions and attributes; ``""`` is the dataset's own."""
-
+def digests_of(dataset: xr.Dataset) -> dict[str, str]:
+    """Digests of each variable and coordinate with dimensions and attributes; ``""`` is that of the dataset's own."""
     sums = {}
     for name, variable in dataset.variables.items():
         context = f"{variable.dims} {attributes_text(variable.attrs)}"
@@ -144,7 +150,7 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
 
 
 def attributes_text(attributes: Mapping[Hashable, object]) -> str:
-    """Attributes as text of a fixed order, for a digest."""
+    """Attributes as JSON with sorted keys, for a digest."""
     return json.dumps(attributes, sort_keys=True, default=np.ndarray.tolist)
 
 
@@ -163,7 +169,10 @@ def read_description(folder: Path, kind: str) -> Manifest:
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     description = unseal(path, description)
-    invalid_entries = [name for name, entry_type in NEEDED.items() if not isinstance(description.get(name), entry_type)]
+    invalid_entries = []
+    for name, entry_type in REQUIRED_ENTRIES.items():
+        if not isinstance(description.get(name), entry_type):
+            invalid_entries.append(name)
     if invalid_entries:
         raise ConfigError(str(path), f"is damaged: it has no {', '.join(invalid_entries)}")
     try:
@@ -175,7 +184,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
     return description
 
 
-def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
+def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> StoredAnalysis:
     """Read an analysis written by :func:`save`.
 
     Args:
@@ -189,10 +198,24 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     description = read_description(folder, kind)
     try:
         dataset = stored_dataset(folder)
-        is_intact = sums_of(dataset) == description["sums"]
-        dataset = with_labels(dataset, description.get("labels", {}))
+        is_intact = digests_of(dataset) == description["sums"]
+        dataset = with_texts(dataset, description.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
-    return Stored(stored_study(description, description["source"], trust_code), dataset, description["settings"])
+    dataset = with_order(dataset, description["sums"])
+    return StoredAnalysis(
+        stored_study(description, description["source"], trust_code), dataset, description["settings"]
+    )
+
+
+def with_order(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
+    """The dataset with its variables and coordinates in the order of names.
+
+    Zarr lists arrays in the order in which the file system has them, which differs from one machine to the next.
+    """
+    variables = {name: dataset.variables[name] for name in names if name in dataset.variables}
+    coordinates = {name: variable for name, variable in variables.items() if name in dataset.coords}
+    data = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
+    return xr.Dataset(data, coordinates, dataset.attrs)

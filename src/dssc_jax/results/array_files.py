@@ -1,4 +1,4 @@
-"""Zarr's files of a results folder, read and written by ``core.files`` as all other files are."""
+"""A store for Zarr that reads and writes its files by :mod:`dssc_jax.core.files`, as all other files are."""
 
 import asyncio
 from collections.abc import Iterable
@@ -15,12 +15,12 @@ from dssc_jax.core import files
 class ArrayFiles(LocalStore):
     """A Zarr store in a folder.
 
-    Each chunk is a regular file, written whole or not at all. Neither the folder nor what is below it may be a symbolic
-    link where it is written, and the folder above it must exist: a results folder that vanishes is not created anew.
+    Each chunk is a regular file, which is written completely or not at all. A store that is written must not be or
+    contain a symbolic link, and the folder above it must exist: a results folder that vanishes is not created anew.
 
     Args:
-        root: The store's folder.
-        read_only: Whether it is only read.
+        root: Folder of the store.
+        read_only: Whether the store is only read.
     """
 
     def __init__(self, root: Path | str, *, read_only: bool = False) -> None:
@@ -78,7 +78,7 @@ class ArrayFiles(LocalStore):
         await asyncio.to_thread(self.set_sync, key, value)
 
     async def set_if_not_exists(self, key: str, value: Buffer) -> None:
-        """Write a file unless there is one; two writers of one file are excluded by the folder's lock."""
+        """Write a file unless it exists. The lock of the results folder excludes a second writer."""
         if not await self.exists(key):
             await self.set(key, value)
 
@@ -108,7 +108,7 @@ class ArrayFiles(LocalStore):
 
 
 def part_of(content: bytes, part: ByteRequest | None) -> bytes:
-    """The part of a file that Zarr asks for."""
+    """The range of bytes of a file's content that Zarr requests; None: all bytes."""
     match part:
         case RangeByteRequest():
             return content[part.start : part.end]

@@ -1,4 +1,4 @@
-"""The Zarr arrays of a results folder: creation for a study, checks against the study, extension."""
+"""The Zarr arrays of a results folder: creation, extension, and checks that they are those of the study."""
 
 import json
 from collections.abc import Mapping
@@ -26,14 +26,15 @@ from dssc_jax.results.schema import (
 )
 from dssc_jax.study import Study
 
-MEND = "`resume` recomputes corrupted blocks"
-EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
+RESUME_HINT = "`resume` recomputes corrupted blocks"
+EVERY_CHUNK = {"array.write_empty_chunks": True}
+"""Zarr's setting to write chunks of NaN, too: the presence of a chunk means that it was computed."""
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
 
-def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
-    """Create every array of the store, and return those of the variables, which are empty."""
+def create_arrays(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
+    """Create all arrays of a store, fill the coordinates, and return the empty arrays of the variables by name."""
     array_files = ArrayFiles(folder / DATA)
     group = zarr.open_group(array_files, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     values = coordinate_values(study)
@@ -53,8 +54,18 @@ def array_extent(variable: Variable, layout: Layout) -> Extent:
     return (layout.shape[-1:], layout.block[-1:]) if has_draws_alone else (layout.shape, layout.block)
 
 
-def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False) -> zarr.Array:
-    """Create one array with its dimensions and attributes, and a checksum in every chunk."""
+def create_array(
+    group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False
+) -> zarr.Array:
+    """Create the array of a variable, with a checksum in every chunk.
+
+    Args:
+        group: The group of the store.
+        name: Name of the array.
+        variable: Dimensions, type and attributes.
+        extent: Shape and chunks.
+        overwrite: Whether an existing array is replaced.
+    """
     shape, chunks = extent
     return group.create_array(
         name,
@@ -71,10 +82,10 @@ def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, ove
 
 
 def open_group(folder: Path, mode: str) -> zarr.Group:
-    """The folder's Zarr group. Version 3 only: version 2 has a codec that unpickles.
+    """Open the Zarr group of a results folder, of version 3 only, since version 2 has a codec that unpickles.
 
     Raises:
-        ConfigError: it is absent or damaged.
+        ConfigError: The group is absent or damaged.
     """
     try:
         array_files = ArrayFiles(folder / DATA, read_only=mode == "r")
@@ -84,14 +95,14 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
 
 
 @cache
-def blank(dtype: str) -> dict[str, Any]:
-    """Default metadata, in the installed version of Zarr, of an array created by :func:`create` with a type."""
+def default_metadata(dtype: str) -> dict[str, Any]:
+    """Metadata that the installed version of Zarr gives an array of a type that :func:`create_array` creates."""
     group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3)
-    return create(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
+    return create_array(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
 
 
 def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
-    """All metadata of a variable's array when created."""
+    """All metadata of the array of a variable, as they are at its creation."""
     shape, chunks = extent
     variable_metadata = {
         "shape": shape,
@@ -99,11 +110,11 @@ def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
         "attributes": dict(variable.attributes),
         "dimension_names": variable.dims,
     }
-    return blank(variable.dtype) | variable_metadata
+    return default_metadata(variable.dtype) | variable_metadata
 
 
-def as_json(content: Mapping[str, object]) -> str:
-    """Metadata as JSON text, for comparison."""
+def json_text(content: Mapping[str, object]) -> str:
+    """Metadata as JSON with sorted keys, for comparison."""
     return json.dumps(content, sort_keys=True, default=str)
 
 
@@ -114,27 +125,27 @@ def checked_array(
     extent: Extent,
     any_draw_count: bool = False,
 ) -> zarr.Array:
-    """Open one array and require that all its metadata are those of its creation.
+    """Open an array and require that its metadata are those of its creation.
 
     Args:
-        group: The group.
+        group: The group of the store.
         place: Path of the array.
-        variable: The variable it contains.
-        extent: Its shape and chunks.
-        any_draw_count: Whether it may have another number of draws than its extent.
+        variable: The variable of the array.
+        extent: Shape and chunks of the array.
+        any_draw_count: Whether the array may have another number of draws than the extent.
 
     Raises:
-        ConfigError: It is absent or different.
+        ConfigError: The array is absent or different.
     """
     shape, chunks = extent
     try:
         with zarr.config.set(EVERY_CHUNK):
             array: Any = group[place.name]
-        actual = as_json(array.metadata.to_dict())
+        actual = json_text(array.metadata.to_dict())
         shape = (*shape[:-1], array.shape[-1]) if any_draw_count else shape
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
-    if actual != as_json(metadata(variable, (shape, chunks))):
+    if actual != json_text(metadata(variable, (shape, chunks))):
         raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
     return array
 
@@ -142,21 +153,24 @@ def checked_array(
 def checked_arrays(
     folder: Path, study: Study, layout: Layout, mode: str = "r", any_draw_count: bool = False
 ) -> dict[str, zarr.Array]:
-    """Every variable's array.
+    """Open the arrays of all variables of a study, and require that the store holds these and no others.
 
     Args:
         folder: The results folder.
         study: The study as run.
-        layout: Its blocks.
+        layout: Blocks of the run.
         mode: ``r`` to read, ``r+`` to write.
         any_draw_count: Whether arrays may have another number of draws than the layout.
 
+    Returns:
+        The arrays by name.
+
     Raises:
-        ConfigError: One is absent or differs from its creation, or there is an additional one.
+        ConfigError: An array is absent or differs from its creation, or there is an additional one.
     """
     group = open_group(folder, mode)
     blank_group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
-    if as_json(group.metadata.to_dict()) != as_json(blank_group.metadata.to_dict()):
+    if json_text(group.metadata.to_dict()) != json_text(blank_group.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
     actual = {
         name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), any_draw_count)
@@ -170,19 +184,19 @@ def checked_arrays(
 
 
 def require_coordinates(folder: Path, study: Study) -> None:
-    """Require that the store's coordinates, which other programs read, are those of the study.
+    """Require that the coordinates of a store, which other programs read, are those of the study.
 
     Raises:
-        ConfigError: one is not.
+        ConfigError: A coordinate is not.
     """
     group = open_group(folder, "r")
     for name, values in coordinate_values(study).items():
-        if not is_coordinate(group, folder / DATA / name, coordinates(study)[name], values):
-            raise ConfigError(str(folder / DATA / name), f"is damaged: it is not the study's coordinate; {MEND}")
+        if not holds_coordinate(group, folder / DATA / name, coordinates(study)[name], values):
+            raise ConfigError(str(folder / DATA / name), f"is damaged: it is not the study's coordinate; {RESUME_HINT}")
 
 
-def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
-    """Whether a coordinate can be read and has these values."""
+def holds_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
+    """Whether a coordinate of a store can be read and has these values, shape (n,)."""
     try:
         array = checked_array(group, place, variable, (values.shape, values.shape))
         return np.array_equal(np.asarray(array), values)
@@ -190,11 +204,11 @@ def is_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np
         return False
 
 
-def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
-    """Whether an earlier run, of any number of draws, has created the whole store.
+def has_all_arrays(folder: Path, study: Study, layout: Layout) -> bool:
+    """Whether an earlier run, with any number of draws, has created all arrays.
 
     Raises:
-        ConfigError: It has, but the store is damaged.
+        ConfigError: The store is damaged, and already holds draws.
     """
     try:
         checked_arrays(folder, study, layout, any_draw_count=True)
@@ -205,8 +219,8 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
     return True
 
 
-def reshape(folder: Path, study: Study, layout: Layout) -> None:
-    """Extend every array to the study's number of draws, and set the coordinates; existing values are kept."""
+def extend_arrays(folder: Path, study: Study, layout: Layout) -> None:
+    """Extend all arrays to the study's number of draws, and set the coordinates; stored draws remain."""
     for name, array in checked_arrays(folder, study, layout, "r+", any_draw_count=True).items():
         shape, _ = array_extent(variables(study)[name], layout)
         if array.shape != shape:
@@ -214,10 +228,10 @@ def reshape(folder: Path, study: Study, layout: Layout) -> None:
     group = open_group(folder, mode="r+")
     for name, values in coordinate_values(study).items():
         variable = coordinates(study)[name]
-        if not is_coordinate(group, folder / DATA / name, variable, values):
-            create(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
+        if not holds_coordinate(group, folder / DATA / name, variable, values):
+            create_array(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
 
 
 def one_line(error: BaseException) -> str:
-    """An exception's message without its line breaks."""
+    """The message of an exception in one line, or its type if it has no message."""
     return " ".join(str(error).split()) or type(error).__name__

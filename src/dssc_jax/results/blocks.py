@@ -1,7 +1,7 @@
-"""Block-wise reading and writing of a results folder; each block is one chunk of every variable.
+"""Reading and writing of a results folder block by block; each block is one chunk of every variable.
 
-A chunk is written to a temporary file and moved to its final name; the block's digests follow. A block is complete if
-the values of its chunks match its digests.
+Each chunk is written to a temporary file and moved to its final name. The digests of the block are written last. A
+block is complete if the values of its chunks match the digests.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,22 +16,22 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import HeldFolder
 from dssc_jax.engine.batching import Block, Layout, lanes_in
 from dssc_jax.engine.sampling import Arrays
-from dssc_jax.results.arrays import MEND, checked_arrays, one_line
-from dssc_jax.results.digests import DIGESTS, DrawRange, add_range, digest_of, over_all, ranges_of
+from dssc_jax.results.arrays import RESUME_HINT, checked_arrays, one_line
+from dssc_jax.results.digests import DIGESTS, DrawRange, add_range, digest_of, digest_of_all, stored_ranges
 from dssc_jax.results.manifest import DATA
 from dssc_jax.study import Study
 
 
 @contextmanager
-def writing(folder: Path, held_folder: HeldFolder | None = None) -> Iterator[None]:
-    """Report a full disk, or any other error that prevents writing, in one line.
+def report_write_errors(folder: Path, held_folder: HeldFolder | None = None) -> Iterator[None]:
+    """Turn a full disk, or another error of writing within the context, into a message of one line.
 
     Args:
         folder: The results folder, for messages.
-        held_folder: The folder as it was when the writer began; None: it is not compared.
+        held_folder: The folder in which the writer began; None: the folder is not compared with it.
 
     Raises:
-        ConfigError: the folder cannot be written, or it is no longer the one in which the writer began.
+        ConfigError: The folder cannot be written, or another folder has taken its place.
     """
     if held_folder is not None:
         held_folder.require_in_place()
@@ -47,16 +47,16 @@ def writing(folder: Path, held_folder: HeldFolder | None = None) -> Iterator[Non
 
 
 class Chunks:
-    """The arrays of a results folder, block by block. Any number of processes may write, each to its own blocks.
+    """The arrays of a results folder, block by block. Several processes may write, each to blocks of its own.
 
     Args:
-        folder: The results folder with its arrays.
+        folder: The results folder.
         study: The study as run.
-        layout: Its blocks.
+        layout: Blocks of the run.
         mode: ``r`` to read, ``r+`` to write.
         any_draw_count: Whether arrays may have another number of draws than the layout.
         arrays: The arrays, if they have just been created; None: they are opened.
-        held_folder: The folder as it was when its writer began; None: it is not compared when a block is written.
+        held_folder: The folder in which the writer began, which is compared before each write; None: no comparison.
 
     Raises:
         ConfigError: An array is absent or differs from its creation.
@@ -79,10 +79,16 @@ class Chunks:
         self.held_folder = held_folder
 
     def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
-        """Write a block, or the new end of an extended one, and then its digests."""
+        """Write a block, or the added draws at its end, and then the digests.
+
+        Args:
+            block: The block.
+            results: Metrics, slacks and outcomes of the block, by name.
+            law_values: Drawn numbers of the block's draws, by name.
+        """
         values = results | law_values
         digests = {}
-        with writing(self.folder, self.held_folder):
+        with report_write_errors(self.folder, self.held_folder):
             for name in self._variables_of(block):
                 array = self.arrays[name]
                 stored_values = np.asarray(values[name], dtype=array.dtype)
@@ -92,13 +98,13 @@ class Chunks:
             add_range(self.folder, self.layout.index(block), DrawRange(draws, digests))
 
     def pending(self) -> tuple[list[Block], list[Path]]:
-        """The work that remains: whole blocks, or the missing draws at the end of a block.
+        """Find the remaining work: blocks without intact values, or the missing draws at the end of a block.
 
         Returns:
-            The blocks, and the files of blocks that are not kept.
+            The remaining blocks, and the files of blocks that must be computed again as a whole.
 
         Raises:
-            ConfigError: There is a folder in place of a chunk or its digests.
+            ConfigError: There is a folder in the place of a chunk or its digests.
         """
         blocks: list[Block] = []
         obsolete_files: list[Path] = []
@@ -110,7 +116,7 @@ class Chunks:
             ranges = self._ranges(block)
             if ranges and self._altered(block, ranges, self.arrays):
                 ranges = []
-            remaining = uncovered(block, ranges)
+            remaining = missing_part(block, ranges)
             if lanes_in(remaining) > 0:
                 blocks.append(remaining)
             if not ranges:
@@ -127,54 +133,60 @@ class Chunks:
             try:
                 dataset[name].values[...] = array[...]
             except Exception as error:  # zarr and its codecs raise errors of many kinds
-                raise ConfigError(str(self.folder / DATA / name), f"is damaged: {one_line(error)}; {MEND}") from error
+                raise ConfigError(
+                    str(self.folder / DATA / name), f"is damaged: {one_line(error)}; {RESUME_HINT}"
+                ) from error
 
     def require_all(self) -> None:
-        """Require every block's digests.
+        """Require the digests of all blocks.
 
         Raises:
-            ConfigError: Some are absent, because the run did not finish.
+            ConfigError: Digests are missing, since the run did not finish.
         """
         blocks = self.layout.blocks()
-        missing = sum(lanes_in(uncovered(block, self._ranges(block))) for block in blocks)
+        missing = sum(lanes_in(missing_part(block, self._ranges(block))) for block in blocks)
         if missing:
-            raise incomplete(self.folder, missing, sum(map(lanes_in, blocks)))
+            raise incomplete_error(self.folder, missing, sum(map(lanes_in, blocks)))
 
     def require_written(self, dataset: xr.Dataset, seal: str | None) -> None:
-        """Require that a dataset equals the written data.
+        """Require that a dataset that was read holds the values that were written, by their digests.
 
         Args:
-            dataset: The dataset that was read.
-            seal: The digest over all blocks; None for an unfinished run.
+            dataset: The dataset.
+            seal: The digest over all blocks in the manifest; None for an unfinished run.
 
         Raises:
-            ConfigError: It does not.
+            ConfigError: A value differs, or the digests are not those of the run.
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
             altered_variable = self._altered(block, self._ranges(block), values)
             if altered_variable:
-                rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {MEND}"
+                rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {RESUME_HINT}"
                 raise ConfigError(str(self.folder / DATA / altered_variable), rule)
-        if seal is not None and seal != over_all(self.folder, self.layout):
-            raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
+        if seal is not None and seal != digest_of_all(self.folder, self.layout):
+            raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {RESUME_HINT}")
 
     def _ranges(self, block: Block) -> list[DrawRange]:
-        """A block's digests, if they cover its draws from the first without a gap; else none."""
-        ranges = ranges_of(self.folder, self.layout.index(block))
-        ends = [block[-1].start, *(draw_range.draws[1] for draw_range in ranges)]
-        sound = [draw_range.draws[0] for draw_range in ranges] == ends[:-1] and ends == sorted({*ends})
-        return ranges if sound and ends[-1] <= block[-1].stop else []
+        """The digests of a block, if they cover its draws from the first on without a gap; else none."""
+        ranges = stored_ranges(self.folder, self.layout.index(block))
+        end = block[-1].start
+        for draw_range in ranges:
+            start, stop = draw_range.draws
+            if start != end or stop <= start:
+                return []
+            end = stop
+        return ranges if end <= block[-1].stop else []
 
     def _altered(
         self, block: Block, ranges: list[DrawRange], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
     ) -> str:
-        """The first variable that differs from the written data; empty if there is none.
+        """The first variable of a block whose values do not match the digests; empty if all match.
 
         Args:
             block: The block.
-            ranges: Its digests.
-            values: Each variable as an object that can be indexed by the block.
+            ranges: Digests of the block.
+            values: Variables by name, which can be indexed by the block.
         """
         for draw_range in ranges:
             part = (*block[:-1], slice(*draw_range.draws))
@@ -188,7 +200,10 @@ class Chunks:
         return ""
 
     def _variables_of(self, block: Block) -> list[str]:
-        """Names of the variables that a block holds; drawn numbers belong to the first block of their draws."""
+        """Names of the variables that are stored with a block.
+
+        Drawn numbers are the same at all points of a sweep, and are stored with the first block of their draws.
+        """
         first = all(part.start == 0 for part in block[:-1])
         return [name for name in self.arrays if first or name not in self.law_names]
 
@@ -200,11 +215,12 @@ class Chunks:
         return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.law_names else index))
 
 
-def uncovered(block: Block, ranges: list[DrawRange]) -> Block:
-    """The part of a block that its digests do not cover."""
-    return (*block[:-1], slice(ranges[-1].draws[1] if ranges else block[-1].start, block[-1].stop))
+def missing_part(block: Block, ranges: list[DrawRange]) -> Block:
+    """The part of a block whose draws are not covered by its digests."""
+    start = ranges[-1].draws[1] if ranges else block[-1].start
+    return (*block[:-1], slice(start, block[-1].stop))
 
 
-def incomplete(folder: Path, missing: int, total: int) -> ConfigError:
-    """The error for a run that did not finish."""
+def incomplete_error(folder: Path, missing: int, total: int) -> ConfigError:
+    """The error of a run that did not finish, with the numbers of missing lanes and of all lanes."""
     return ConfigError(str(folder), f"is not complete: {missing} of {total} lanes are missing; finish with `resume`")

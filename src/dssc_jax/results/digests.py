@@ -1,8 +1,8 @@
 """Digests of the blocks of a results folder, which detect altered and misplaced data.
 
-Each block has a small JSON file with the block's position and the SHA-256 digest of every variable's values. It is
-written after the block's chunks and therefore marks the block as complete. Any number of processes may write, each
-for its own blocks. The manifest of a finished run contains a digest over all blocks.
+Each block has a small JSON file with its position and the SHA-256 digest of each variable's values. The file is written
+after the chunks, and so marks the block as complete. Several processes may write, each for blocks of its own. The
+manifest of a finished run contains a digest over all blocks.
 """
 
 import hashlib
@@ -23,11 +23,11 @@ Index = tuple[int, ...]
 
 
 class DrawRange(NamedTuple):
-    """The digests of a range of a block's draws; a block that was extended has several such ranges.
+    """The digests of a range of draws in a block; a block to which draws were added has several ranges.
 
     Args:
         draws: The first draw, and the last draw plus one.
-        digests: Digest of each variable's values.
+        digests: Digest of each variable's values, by name.
     """
 
     draws: tuple[int, int]
@@ -35,19 +35,19 @@ class DrawRange(NamedTuple):
 
 
 def digest_of(values: np.ndarray, context: str = "") -> str:
-    """Digest of an array's shape, type and values, independent of the machine's byte order.
+    """SHA-256 digest of the shape, type and values of an array, independent of the machine's byte order.
 
     Args:
         values: The array.
-        context: Further text to include in the digest.
+        context: Further text that the digest covers.
     """
-    plain = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
-    head = f"{values.shape} {plain.dtype.str} {context}\n"
-    return hashlib.sha256(head.encode() + plain.tobytes()).hexdigest()
+    little_endian = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    head = f"{values.shape} {little_endian.dtype.str} {context}\n"
+    return hashlib.sha256(head.encode() + little_endian.tobytes()).hexdigest()
 
 
-def file_of(folder: Path, index: Index) -> Path:
-    """The file of a block's digests.
+def digest_file(folder: Path, index: Index) -> Path:
+    """Path of the file with the digests of a block.
 
     Raises:
         ConfigError: There is a folder in its place.
@@ -58,17 +58,17 @@ def file_of(folder: Path, index: Index) -> Path:
     return file
 
 
-def content_of(folder: Path, index: Index) -> Any:
-    """The content of that file; None if it is absent or not JSON."""
+def digest_content(folder: Path, index: Index) -> Any:
+    """Content of the file with the digests of a block; None if it is absent or not JSON."""
     try:
-        return json.loads(files.read_text(file_of(folder, index)))
+        return json.loads(files.read_text(digest_file(folder, index)))
     except (OSError, ValueError, RecursionError):
         return None
 
 
-def ranges_of(folder: Path, index: Index) -> list[DrawRange]:
-    """A block's digests; none if they are absent, damaged, or those of another block."""
-    content = content_of(folder, index)
+def stored_ranges(folder: Path, index: Index) -> list[DrawRange]:
+    """The digests of a block; none if they are absent, damaged, or those of another block."""
+    content = digest_content(folder, index)
     try:
         if content["block"] != list(index):
             return []
@@ -80,12 +80,16 @@ def ranges_of(folder: Path, index: Index) -> list[DrawRange]:
 
 
 def add_range(folder: Path, index: Index, addition: DrawRange) -> None:
-    """Write a block's digests: the previous ones, and those of one more range."""
-    earlier = [draw_range for draw_range in ranges_of(folder, index) if draw_range.draws[1] <= addition.draws[0]]
+    """Add the digests of a range of draws to those of a block, and write them."""
+    earlier_ranges = []
+    for draw_range in stored_ranges(folder, index):
+        if draw_range.draws[1] <= addition.draws[0]:
+            earlier_ranges.append(draw_range)
     files.make_folder(folder / DIGESTS, folder)
-    write_json(file_of(folder, index), {"block": index, "pieces": [*earlier, addition]}, folder, durable=False)
+    content = {"block": index, "pieces": [*earlier_ranges, addition]}
+    write_json(digest_file(folder, index), content, folder, durable=False)
 
 
-def over_all(folder: Path, layout: Layout) -> str:
+def digest_of_all(folder: Path, layout: Layout) -> str:
     """The digest over the digests of all blocks."""
-    return hash_of({"blocks": [content_of(folder, layout.index(block)) for block in layout.blocks()]})
+    return hash_of({"blocks": [digest_content(folder, layout.index(block)) for block in layout.blocks()]})

@@ -22,7 +22,8 @@ from dssc_jax.results.schema import OUTCOME, coordinates, outcome_codes, variabl
 if TYPE_CHECKING:
     import pandas as pd
 
-TABLE_ROWS = 2**17  # rows of the table that are written at a time
+TABLE_ROWS = 2**17
+"""Number of rows that are written at a time."""
 MEANING = "outcome_meaning"
 CSVW = "http://www.w3.org/ns/csvw"
 
@@ -38,18 +39,18 @@ class Format(StrEnum):
 
 FILE_NAMES = dict(zip(Format, ("draws.csv", "draws.parquet", "result.nc", "result.mat"), strict=True))
 ANALYSIS_FILES = dict(zip(Format, ("table.csv", "table.parquet", "dataset.nc", "dataset.mat"), strict=True))
-NEEDS = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py"), Format.MAT: ()}
+REQUIRED_PACKAGES = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py"), Format.MAT: ()}
 DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O": "string", "f": "double"}
 """Datatypes of "CSV on the Web" by NumPy's kinds."""
 
 
-class Rows(NamedTuple):
-    """A table ready to be written.
+class ExportTable(NamedTuple):
+    """A table for export.
 
     Args:
-        columns: Attributes of the columns, in order.
-        datatypes: Data type of each column.
-        pieces: The rows, a part at a time.
+        columns: Attributes of each column by name, in the order of the columns.
+        datatypes: Datatype of each column, as "CSV on the Web" names it.
+        pieces: The rows, in several parts.
     """
 
     columns: dict[str, dict[str, Any]]
@@ -60,27 +61,27 @@ class Rows(NamedTuple):
 def export(result: Result | Analysis, to: Format | str, out: str | Path | None = None) -> list[Path]:
     """Write a result or an analysis for other programs.
 
-    ``csv`` and ``parquet`` are a table, of a result with one row a lane: swept values, draw, drawn numbers, metrics,
-    slacks and how it ended; of an analysis with a row for each index of its own dimensions. Units and long names stand
-    in Parquet's column metadata; for a CSV in ``<file>-metadata.json``, which follows the W3C's "CSV on the Web".
-    ``netcdf`` is the dataset itself, with CF attributes, and ``mat`` for MATLAB, with one struct for each variable.
+    ``csv`` and ``parquet`` are tables. That of a result has a row for each lane: swept values, draw, drawn numbers,
+    metrics, slacks and outcome. That of an analysis has a row for each index of its own dimensions. Units and meanings
+    are in the column metadata of Parquet, and beside a CSV in ``<file>-metadata.json``, as the W3C's "CSV on the Web"
+    defines it. ``netcdf`` is the dataset itself with CF attributes, and ``mat`` has a MATLAB struct for each variable.
 
     Args:
-        result: A loaded or fresh one.
+        result: A loaded or new result, or analysis.
         to: One of :class:`Format`.
-        out: The file; None: in its folder.
+        out: The file; None: in the folder of the result.
 
     Returns:
         The files written.
 
     Raises:
-        ConfigError: the format is unknown, a package is missing, or the file cannot be written.
+        ConfigError: The format is unknown, a package is missing, or the file cannot be written.
     """
     if to not in list(Format):
         raise ConfigError("to", f"must be one of {', '.join(Format)}, got {to!r}")
     form = Format(to)
-    for package in NEEDS[form]:
-        require(package, form)
+    for package in REQUIRED_PACKAGES[form]:
+        require_package(package, form)
     if out is None and result.path is None:
         raise ConfigError("out", "is needed for a result that has no folder")
     names = ANALYSIS_FILES
@@ -89,15 +90,15 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         result = result.with_theorem()
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
-    exported_files = [into_place(path, lambda file: writers[form](result, file))]
+    exported_files = [write_whole_file(path, lambda file: writers[form](result, file))]
     if form is Format.CSV:
         metadata_file = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
-        exported_files.append(into_place(metadata_file, lambda file: file.write(content.encode())))
+        exported_files.append(write_whole_file(metadata_file, lambda file: file.write(content.encode())))
     return exported_files
 
 
-def require(package: str, form: Format) -> None:
+def require_package(package: str, form: Format) -> None:
     """Require an optional package.
 
     Raises:
@@ -109,7 +110,7 @@ def require(package: str, form: Format) -> None:
         raise ConfigError("to", f"{form} needs {package}: pip install 'dssc_jax[export]'") from None
 
 
-def into_place(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
+def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
     """Write a file completely or not at all.
 
     Raises:
@@ -123,13 +124,13 @@ def into_place(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
     return path
 
 
-def table_of(result: Result | Analysis) -> Rows:
+def table_of(result: Result | Analysis) -> ExportTable:
     """The table of a result, or of an analysis."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
-def table_of_analysis(analysis: Analysis) -> Rows:
-    """A row for each index of the analysis' own dimensions."""
+def table_of_analysis(analysis: Analysis) -> ExportTable:
+    """The table of an analysis, with a row for each index of its own dimensions."""
     data = analysis.dataset
     dimensions = set(analysis.table)
     part = data[[name for name, variable in data.items() if set(variable.dims) <= dimensions]]
@@ -139,21 +140,26 @@ def table_of_analysis(analysis: Analysis) -> Rows:
         name: dict(data[name].attrs) if name in data.variables else {"long_name": f"index of the {name}"}
         for name in names
     }
-    return Rows(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
+    return ExportTable(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
 
 
-def table_of_lanes(result: Result) -> Rows:
-    """One row for each lane."""
+def table_of_lanes(result: Result) -> ExportTable:
+    """The table of a result, with a row for each lane."""
     variables_by_name = {**coordinates(result.study), **variables(result.study)}
     columns = {name: dict(variable.attributes) for name, variable in variables_by_name.items()} | {
         MEANING: {"long_name": OUTCOME}
     }
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
-    return Rows(columns, datatypes, pieces(result, list(columns)))
+    return ExportTable(columns, datatypes, pieces(result, list(columns)))
 
 
 def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
-    """The table of lanes, in pieces."""
+    """The rows of a result's table, :data:`TABLE_ROWS` at a time.
+
+    Args:
+        result: The result.
+        names: Names of the columns, in order.
+    """
     import pandas as pd
 
     study = result.study
@@ -171,13 +177,18 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 
 def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
-    """Write each number with enough digits to restore it exactly; leave a missing value empty."""
+    """Write a table as CSV: numbers with all their digits, missing values as empty cells."""
     for number, piece in enumerate(table_of(result).pieces):
         piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
 
 
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
-    """The table's description, as "CSV on the Web" defines it."""
+    """Metadata of a CSV file, as "CSV on the Web" defines them.
+
+    Args:
+        result: The result or analysis.
+        name: Name of the CSV file.
+    """
     table = table_of(result)
     column_metadata = []
     for column, attributes in table.columns.items():
@@ -196,7 +207,7 @@ def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
 
 
 def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
-    """Write one row group for each piece; attributes become column metadata, the study file metadata."""
+    """Write a table as Parquet, with the attributes of each column and the study as metadata."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -216,7 +227,7 @@ def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
-    """The dataset, compressed. It is made in memory: HDF5 ends the process where a disk is full."""
+    """Write the dataset as compressed netCDF. It is made in memory, since HDF5 ends the process if a disk is full."""
     data = result.dataset.copy().assign_attrs(file_provenance(result))
     for variable in data.variables.values():
         if "flag_values" in variable.attrs and variable.dtype.kind in "iu":
@@ -229,9 +240,9 @@ def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
-    """A MATLAB file of version 5: a struct for each variable, with ``values``, ``dimensions``, ``units`` and meaning.
+    """Write a MATLAB file of version 5, with a struct of values, dimensions, unit and long name for each variable.
 
-    Names are those of the dataset with an underscore for each character that MATLAB does not allow, at most 63 long.
+    Characters that MATLAB does not allow in a name are replaced by underscores.
     """
     from scipy.io import savemat
 
@@ -248,7 +259,7 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
 
 
 def matlab_name(name: str, used_names: Iterable[str]) -> str:
-    """A valid and unused MATLAB name."""
+    """A valid MATLAB name of at most 63 characters that is not among the used names."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
     plain = plain if plain[:1].isalpha() else f"v{plain}"
     alike = sum(used_name == plain or used_name.startswith(f"{plain}_v") for used_name in used_names)
@@ -256,7 +267,7 @@ def matlab_name(name: str, used_names: Iterable[str]) -> str:
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
-    """The study as run and its hash, by which a file can be traced."""
+    """Attributes by which an exported file can be traced: the study, its hash, the version of dssc_jax and the time."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
     history = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
     history += [str(manifest["started"])] if "started" in manifest else []

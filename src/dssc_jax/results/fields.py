@@ -1,4 +1,4 @@
-"""The fields of an analysis as plain data: written to its folder by their types, and explained by their meanings."""
+"""The fields of an analysis as JSON, and the units and meanings of the numbers of its answer."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -13,19 +13,20 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MERGED = "merged"
-"""Key of a field's metadata: its entries, if it is not None, stand beside the other fields in the JSON."""
+"""Key of a field's metadata: in the JSON, the entries of this field stand beside the other fields."""
 
 STORED_APART = "stored apart"
 """Key of a field's metadata: the field has a file or an entry of its own in the folder."""
 
 
 class FieldMeaning(NamedTuple):
-    """A number of an answer.
+    """Unit and meaning of a number of an answer.
 
     Args:
-        key: Its place in the JSON, with a dot between the levels and ``NAME`` for each name that the study gives.
-        unit: Its unit; ``1`` for numbers without a unit, empty for text.
-        meaning: In words.
+        key: Place of the number in the JSON, with dots between the levels, ``NAME`` for a name from the study, and
+            ``[]`` after a list.
+        unit: Unit of the number; ``1`` for numbers without a unit, empty for text.
+        meaning: Meaning in words.
     """
 
     key: str
@@ -34,13 +35,17 @@ class FieldMeaning(NamedTuple):
 
 
 def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
-    """The fields of a dataclass as JSON has them, by name, without those that are stored apart."""
+    """The fields of an analysis in the types of JSON, by name, without those that are stored apart."""
     hints = field_types(type(analysis))
     return {name: TypeAdapter(hint).dump_python(getattr(analysis, name), mode="json") for name, hint in hints.items()}
 
 
 def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str, object]:
-    """The arguments of a dataclass that :func:`stored_fields` wrote.
+    """The fields of an analysis from the values that :func:`stored_fields` returned.
+
+    Args:
+        cls: Class of the analysis.
+        stored_values: The values by name.
 
     Raises:
         ConfigError: A field is missing, unknown, or has a value of another type; the message names it.
@@ -61,13 +66,18 @@ def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str,
 
 
 def field_types(cls: type) -> dict[str, Any]:
-    """The types of a dataclass's fields by name, without those that are stored apart."""
+    """The annotated types of a dataclass's fields by name, without fields that are stored apart."""
     hints = get_type_hints(cls, include_extras=True)
     return {field.name: hints[field.name] for field in fields(cls) if not field.metadata.get(STORED_APART)}
 
 
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
-    """The meaning of each number of an answer and its parts, from the annotations of its dataclass."""
+    """Unit and meaning of each number of an answer and its parts, from the annotations of its dataclass.
+
+    Args:
+        cls: Dataclass of the answer, or of a part.
+        prefix: Key of the part, with a final dot; empty for the answer itself.
+    """
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint = hints[field.name]
@@ -83,7 +93,11 @@ def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
 
 
 def answer_parts(hint: object) -> Iterator[tuple[type, str]]:
-    """The dataclasses within a type, each with its place in it: ``.NAME`` in a mapping, ``[]`` in a list."""
+    """The dataclasses in a type annotation, each with its place: ``.NAME`` in a mapping, ``[]`` in a list.
+
+    Example:
+        The parts of ``dict[str, list[Part]]`` are ``Part`` at ``.NAME[]``.
+    """
     if isinstance(hint, type) and is_dataclass(hint):
         yield hint, ""
         return

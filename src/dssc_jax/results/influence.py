@@ -3,38 +3,39 @@
 import numpy as np
 import xarray as xr
 
-from dssc_jax.results.result import Result, headline
+from dssc_jax.results.result import Result, headline_measure
 from dssc_jax.statistics.order import upper_quantiles
 
-IDLE = 0.01  # largest relative change of a metric's quantiles over an axis that counts as none
-SHOWN_QUANTILES = (0.05, 0.5, 0.95)
-BINS = 8  # at most
-FILLED = 5  # draws in a bin, at least
+IDLE_CHANGE = 0.01
+"""Largest relative change of a metric's quantiles over an axis that counts as no change."""
+QUANTILES = (0.05, 0.5, 0.95)
+MOST_BINS = 8
+LEAST_BIN_DRAWS = 5
 
 
 def idle_axes(result: Result) -> list[str]:
     """The swept parameters that affect no requirement.
 
-    Over such a number every draw keeps its verdict, and no quantile (5, 50, 95 %) of a required metric changes by more
-    than 1 %, while the other swept numbers stay where they are. Without requirements, the headline metric counts.
+    Along such an axis, with the other swept numbers fixed, no draw changes between pass and fail, and no quantile
+    (5, 50, 95 %) of a required metric changes by more than 1 %. Without requirements, the headline metric counts.
     """
     axes = [name for name in result.study.axes if result.dataset.sizes.get(name, 1) > 1]
     return [name for name in axes if is_idle(result, name)]
 
 
 def is_idle(result: Result, axis: str) -> bool:
-    """Whether an axis affects no requirement."""
+    """Whether a swept parameter affects no requirement, see :func:`idle_axes`."""
     failed = result.failed
     if bool((failed != failed.isel({axis: 0})).any()):
         return False
-    metric_names = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
-    return all(largest_change(result.dataset[name], axis) <= IDLE for name in metric_names)
+    metric_names = {rule.measure.name for rule in result.study.requirements} or {headline_measure(result.study).name}
+    return all(largest_change(result.dataset[name], axis) <= IDLE_CHANGE for name in metric_names)
 
 
 def largest_change(metric: xr.DataArray, axis: str) -> float:
     """Largest relative change of a metric's quantiles along an axis; infinite where a quantile ceases to be finite."""
     metric_values = metric.transpose(axis, ..., "draw").values
-    quantiles = upper_quantiles(metric_values, SHOWN_QUANTILES)
+    quantiles = upper_quantiles(metric_values, QUANTILES)
     finite = np.isfinite(quantiles)
     if (finite.any(axis=1) != finite.all(axis=1)).any():
         return float("inf")
@@ -45,32 +46,31 @@ def largest_change(metric: xr.DataArray, axis: str) -> float:
 
 
 def idle_text(result: Result) -> str:
-    """The idle axes in words; empty if every axis matters."""
+    """Name the axes of a sweep that affect no requirement; empty if all affect one."""
     return "; ".join(idle_axis_text(result, name) for name in idle_axes(result))
 
 
 def idle_axis_text(result: Result, axis: str) -> str:
-    """What an idle axis changes, if anything."""
+    """Tell that an axis affects no requirement, and which other metric changes most along it, if any."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
-    if max(changes.values()) <= IDLE:
-        return (
-            f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {100 * IDLE:g} %"
-        )
+    if max(changes.values()) <= IDLE_CHANGE:
+        limit = f"{100 * IDLE_CHANGE:g} %"
+        return f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {limit}"
     largest = max(changes, key=lambda name: changes[name])
     share = f"by {changes[largest]:.0%}" if np.isfinite(changes[largest]) else "in some draws from finite to infinite"
     return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {largest}, {share})"
 
 
-def groups_of(values: np.ndarray) -> list[np.ndarray]:
-    """Indices of draws in bins of equal count, by the values of one number."""
-    return np.array_split(np.argsort(values), max(1, min(BINS, values.size // FILLED)))
+def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
+    """Sort draws into bins of equal count by the values of one number, shape (draws,); returns indices of each bin."""
+    return np.array_split(np.argsort(values), max(1, min(MOST_BINS, values.size // LEAST_BIN_DRAWS)))
 
 
 def influence(result: Result, name: str) -> float:
-    """Share of the variance of failure that the bins of one uncertain number explain, in [0, 1].
+    """Share of the variance of failure that one uncertain number explains, in [0, 1].
 
-    Where no draw fails, or all do, it is that of the ranks of the headline metric. The share is the correlation ratio,
-    less the share that bins of equal count explain by chance.
+    The share is the correlation ratio over bins of the number, less the share that as many bins explain by chance. If
+    no draw fails, or all do, the variance is that of the ranks of the headline metric.
 
     Args:
         result: A run, or one point of a sweep (:meth:`Result.at`).
@@ -78,9 +78,9 @@ def influence(result: Result, name: str) -> float:
     """
     outcome = result.failed.values.astype(float)
     if outcome.min() == outcome.max():
-        metric = result.dataset[headline(result).name].values
+        metric = result.dataset[headline_measure(result.study).name].values
         outcome = np.argsort(np.argsort(np.where(np.isnan(metric), np.inf, metric), kind="stable")).astype(float)
-    groups = groups_of(result.dataset[name].values)
+    groups = equal_count_bins(result.dataset[name].values)
     total = float(np.sum((outcome - outcome.mean()) ** 2))
     if total == 0.0 or len(groups) < 2:
         return 0.0
@@ -89,6 +89,6 @@ def influence(result: Result, name: str) -> float:
     return float(max(0.0, explained_squares / total - chance))
 
 
-def by_influence(result: Result, names: list[str]) -> list[str]:
-    """Uncertain numbers, the most influential first; equal ones in the study's order."""
+def sorted_by_influence(result: Result, names: list[str]) -> list[str]:
+    """Sort uncertain numbers by their influence on failure, the most influential first."""
     return sorted(names, key=lambda name: -influence(result, name))

@@ -1,4 +1,4 @@
-"""A lock that allows one writer per results folder; the operating system releases it when the process ends."""
+"""The lock of a results folder, which admits one writer; the operating system releases it when the process ends."""
 
 import json
 import os
@@ -16,14 +16,14 @@ HOLDER = ".writer.json"
 
 
 def take(folder: Path) -> FileLock:
-    """Take a folder's lock, until ``release`` or the end of the process.
+    """Lock a folder until ``release`` is called or the process ends.
 
     Args:
         folder: An existing folder.
 
     Raises:
-        ConfigError: Another process holds it; the message says which.
-        OSError: It cannot be taken, or there is something other than a file in its place.
+        ConfigError: Another process holds the lock; the message says which.
+        OSError: The folder cannot be locked, or something other than a file is in the place of the lock.
     """
     files.require_replaceable(folder / LOCK)
     lock = FileLock(folder / LOCK)
@@ -47,7 +47,7 @@ def take(folder: Path) -> FileLock:
 
 
 def holder(folder: Path) -> str:
-    """Describe the process that last took the lock."""
+    """Describe the process that locked the folder last."""
     try:
         process = json.loads(files.read_text(folder / HOLDER))
         return f"process {process['process']} on {process['host']} since {process['since']}"

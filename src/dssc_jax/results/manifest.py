@@ -1,4 +1,4 @@
-"""The manifest of a run: writing, validation when read, and comparison with a resumed run."""
+"""The manifest of a run: writing, reading with validation, and comparison with a run that resumes it."""
 
 import json
 from pathlib import Path
@@ -19,24 +19,25 @@ from dssc_jax.study.laws import is_number
 from dssc_jax.study.tables import require_shallow
 
 Manifest: TypeAlias = JsonObject
-"""The content of a manifest.json, whose fields are checked when it is read."""
+"""Content of a manifest.json; its fields are checked when it is read."""
 
 SCHEMA = 3
-"""Version of a folder of a run or an analysis. No other is read."""
+"""Version of the folder of a run or an analysis; folders of other versions are refused."""
 
 REMEDY = "use the dssc_jax that wrote it, or run its study again into another `out`"
 SEAL = "digest"
+"""Entry of a JSON file with the digest of its other entries."""
 DATA = "data.zarr"
 MANIFEST = "manifest.json"
 SUMMARY = "summary.json"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
-TIMES = ("seconds", "compile_seconds", "rate")
-"""Timing fields of every finished run."""
+TIME_FIELDS = ("seconds", "compile_seconds", "rate")
+"""Times of a finished run."""
 
-STOPPED = ("rule", "most", "verdict", "looks", "stops")
-CLUSTER = ("workers", "lost")
-DESIGN = ("reason", "pilot", "asked", "asked_draws")
-COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
+STOPPING_FIELDS = ("rule", "most", "verdict", "looks", "stops")
+CLUSTER_FIELDS = ("workers", "lost")
+DESIGN_FIELDS = ("reason", "pilot", "asked", "asked_draws")
+NUMERICAL_PACKAGES = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
 
 EXTENSIBLE = ("random", "sobol")
@@ -54,11 +55,11 @@ def write_sealed(path: Path, content: dict[str, object]) -> None:
 
 
 def unseal(path: Path, content: object) -> JsonObject:
-    """The content that was passed to :func:`write_sealed`.
+    """Check the content of a file that :func:`write_sealed` wrote, and return it without its digest.
 
     Args:
         path: The file, for messages.
-        content: Its current content.
+        content: Content of the file.
 
     Raises:
         ConfigError: The content has another schema version, or it does not match its digest.
@@ -81,10 +82,10 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a results folder.
+    """Read and check the manifest of a results folder.
 
     Raises:
-        ConfigError: There is none, it is damaged, or it has another schema version.
+        ConfigError: There is no manifest, it is damaged, or it has another schema version.
     """
     path = folder / MANIFEST
     try:
@@ -102,7 +103,7 @@ def read_manifest(folder: Path) -> Manifest:
     for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
-    require_sound(path, manifest)
+    require_valid_fields(path, manifest)
     try:
         require_shallow(manifest["study"])
     except ConfigError as error:
@@ -112,17 +113,17 @@ def read_manifest(folder: Path) -> Manifest:
     return manifest
 
 
-def require_sound(path: Path, manifest: Manifest) -> None:
-    """Require valid fields, of the right types, for everything besides the study that a summary reads from a manifest.
+def require_valid_fields(path: Path, manifest: Manifest) -> None:
+    """Require that the fields that a summary reads from a manifest, besides the study, are present and of their types.
 
     Raises:
-        ConfigError: A field is invalid; the message gives it and the rule.
+        ConfigError: A field is invalid; the message names it and gives the rule.
     """
     for name, value in manifest["times"].items():
         if not is_number(value):
             raise ConfigError(str(path), f"is damaged: times.{name} must be a number, got {value!r}")
-    require_fields(path, "times", manifest["times"], TIMES if manifest.get("complete") else ())
-    for name, fields in (("stopping", STOPPED), ("cluster", CLUSTER), ("design", DESIGN)):
+    require_fields(path, "times", manifest["times"], TIME_FIELDS if manifest.get("complete") else ())
+    for name, fields in (("stopping", STOPPING_FIELDS), ("cluster", CLUSTER_FIELDS), ("design", DESIGN_FIELDS)):
         if manifest.get(name) is not None:
             require_fields(path, name, manifest[name], fields)
     code = manifest.get("code", {})
@@ -133,10 +134,15 @@ def require_sound(path: Path, manifest: Manifest) -> None:
 
 
 def require_looks(path: Path, looks: object, stops: object) -> None:
-    """Require the looks of a stopping rule, and their largest number.
+    """Require valid looks of a stopping rule.
+
+    Args:
+        path: The manifest, for messages.
+        looks: The looks that were taken, each with its draws, thresholds and failures.
+        stops: Largest number of looks.
 
     Raises:
-        ConfigError: One is not valid.
+        ConfigError: A look or their number is not valid.
     """
     if not isinstance(looks, list) or not looks or not isinstance(stops, int) or stops < len(looks):
         rule = f"is damaged: stopping must have one or more looks and at most `stops`, got {looks!r} and {stops!r}"
@@ -148,40 +154,58 @@ def require_looks(path: Path, looks: object, stops: object) -> None:
 
 
 def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]) -> None:
-    """Require a table with these fields.
+    """Require that an entry of a manifest is a table with certain fields.
+
+    Args:
+        path: The manifest, for messages.
+        name: Name of the entry.
+        table: The entry.
+        fields: Names of the fields.
 
     Raises:
-        ConfigError: It is not a table, or lacks a field.
+        ConfigError: The entry is not a table, or lacks a field.
     """
     if not isinstance(table, dict) or not table.keys() >= set(fields):
         raise ConfigError(str(path), f"is damaged: {name} must be a table with {', '.join(fields)}, got {table!r}")
 
 
 def stored_layout(folder: Path, study: Study, manifest: Manifest, draws: int | None = None) -> Layout:
-    """The study's grid with the blocks given in a manifest.
+    """The layout of a study's grid, with the blocks in a manifest.
 
     Args:
         folder: The results folder, for messages.
-        study: The study.
+        study: The study, which may have more draws than the manifest's.
         manifest: The manifest.
-        draws: Number of draws of the manifest's own study; None: that of the study.
+        draws: Number of draws in the manifest's study; None: that of the study.
 
     Raises:
-        ConfigError: The manifest's layout does not match its study.
+        ConfigError: The layout in the manifest does not match the manifest's study.
     """
     grid = Layout.of(study).shape
-    expected = [*grid[:-1], grid[-1] if draws is None else draws]
+    expected_shape = [*grid[:-1], grid[-1] if draws is None else draws]
     shape = manifest["layout"].get("shape")
     block = manifest["layout"].get("block")
-    sizes = [value for part in (shape, block) if isinstance(part, list) for value in part]
-    counts = all(isinstance(value, int) and not isinstance(value, bool) and value > 0 for value in sizes)
-    if not counts or shape != expected or not isinstance(block, list) or len(block) != len(expected):
+    is_valid = is_list_of_counts(shape) and is_list_of_counts(block)
+    if not is_valid or shape != expected_shape or len(block) != len(expected_shape):
         raise ConfigError(str(folder / MANIFEST), f"is damaged: the layout {manifest['layout']} does not fit the study")
     return Layout(grid, tuple(block))
 
 
+def is_list_of_counts(value: object) -> bool:
+    """Whether a value from a JSON file is a list of positive whole numbers."""
+    if not isinstance(value, list):
+        return False
+    return all(isinstance(count, int) and not isinstance(count, bool) and count > 0 for count in value)
+
+
 def differences(old: object, new: object, path: str = "") -> list[str]:
-    """Differences between two tables, one line each."""
+    """List the differences between two nested tables, one line for each value.
+
+    Args:
+        old: The stored table or value.
+        new: The present table or value.
+        path: Dotted name of both; empty for the outermost tables.
+    """
     if isinstance(old, dict) and isinstance(new, dict):
         lines = []
         for name in sorted(old.keys() | new.keys()):
@@ -191,37 +215,43 @@ def differences(old: object, new: object, path: str = "") -> list[str]:
 
 
 def listed(lines: list[str], limit: int = 3) -> str:
-    """The first differences in one line."""
+    """Join the first differences into one line, and count the others."""
     return "; ".join(lines[:limit]) + (f"; and {len(lines) - limit} more" if len(lines) > limit else "")
 
 
-def occupied(folder: Path) -> bool:
-    """Whether a folder holds anything beyond an aborted start's files.
+def is_occupied(folder: Path) -> bool:
+    """Whether a folder holds anything besides the files of a start that was aborted.
 
     Raises:
-        ConfigError: It is a file.
+        ConfigError: The path is that of a file.
     """
-    if folder.exists() and not folder.is_dir():
+    if not folder.exists():
+        return False
+    if not folder.is_dir():
         raise ConfigError(str(folder), "is a file, not a results folder; nothing was written")
-    return folder.exists() and any(
-        file.name not in (lock.LOCK, lock.HOLDER) and file.suffix != PARTIAL for file in folder.iterdir()
-    )
+    return any(file.name not in (lock.LOCK, lock.HOLDER) and file.suffix != PARTIAL for file in folder.iterdir())
 
 
 def require_startable(folder: Path, study: Study, resume: bool) -> None:
-    """Require that a study may be run into a folder, without touching it.
+    """Require that a study may be run into a folder; the folder is not changed.
 
     Raises:
-        ConfigError: It holds another study's results or something else, such as a symbolic link.
+        ConfigError: The folder holds results of another study or something else, such as a symbolic link.
     """
     if folder.is_dir():
         files.require_plain_tree(folder)
-    if occupied(folder):
+    if is_occupied(folder):
         require_same_study(folder, read_manifest(folder), study, resume)
 
 
 def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> None:
-    """Require that a folder's study is this one; a resumed run may ask for more draws.
+    """Require that a folder holds results of a study; a run that resumes it may ask for more draws.
+
+    Args:
+        folder: The folder, for messages.
+        manifest: Manifest of the folder.
+        study: The study to run.
+        resume: Whether the run resumes that of the folder.
 
     Raises:
         ConfigError: The study is different (the message gives the differences), or draws cannot be added.
@@ -254,7 +284,7 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
 
 
 def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
-    """Whether a study is that of a manifest but for a larger number of draws."""
+    """Whether a study differs from that of a manifest only by a larger number of draws."""
     if manifest["hash"] == study.hash:
         return False
     old = manifest["study"]
@@ -264,7 +294,7 @@ def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
 
 
 def code_entries(study: Study) -> Manifest:
-    """Manifest entries on the code that a study refers to: files, digests, and descriptions for readers."""
+    """Entries of a manifest on a study's own code: files, digests, and descriptions for readers without the code."""
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
     code = code_digests(study.table)
@@ -275,15 +305,18 @@ def code_entries(study: Study) -> Manifest:
 
 
 def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
-    """Differences between two manifests that affect a result's last digits: versions, device, compiler, user's code."""
+    """List the differences between two manifests that may change the last digits of a result.
+
+    These are the versions of numerical packages, device, compiler settings and the user's code.
+    """
     return differences(machinery(old), machinery(new))
 
 
 def machinery(manifest: Manifest) -> dict[str, object]:
-    """The entries of a manifest that affect a result's last digits."""
+    """The entries of a manifest that may change the last digits of a result."""
     versions = manifest.get("versions", {})
     return {
-        "versions": {name: versions.get(name) for name in COMPUTING},
+        "versions": {name: versions.get(name) for name in NUMERICAL_PACKAGES},
         "device": manifest.get("device", {}).get("kind"),
         "compiler": manifest.get("compiler"),
         "code": {name: module.get("sha256") for name, module in manifest.get("code", {}).items()},
@@ -291,10 +324,15 @@ def machinery(manifest: Manifest) -> dict[str, object]:
 
 
 def require_same_machinery(folder: Path, old: Manifest, new: Manifest) -> None:
-    """Require that versions, device and compiler settings are those with which a run began.
+    """Require that a run continues with the versions, device, compiler settings and code with which it began.
+
+    Args:
+        folder: The results folder, for messages.
+        old: Manifest of the run that began.
+        new: Manifest of the run that resumes it.
 
     Raises:
-        ConfigError: A version, device or compiler setting differs, which may change rounding.
+        ConfigError: One of them differs, which may change rounding.
     """
     lines = machinery_differences(old, new)
     if lines:

@@ -1,12 +1,13 @@
-"""The messages of a trajectory in an MCAP file; imported only where the extra ``mcap`` is installed.
+"""The messages of a trajectory in an MCAP file; this module needs the extra ``mcap``.
 
-Messages are Protocol Buffers. Poses, vectors and the log have the schemas of Foxglove; signals have schemas of their
-own, with one field for each. Time 0 of the trajectory is time 0 of the file. The frame ``world`` is the model's
-inertial one, z up; ``vehicle`` has the body's axes forward, left, up.
+Messages are Protocol Buffers. Poses, vectors and the log have the schemas of Foxglove. Each topic of signals has a
+schema with one field for each signal. Time 0 of the trajectory is time 0 of the file. The frame ``world`` is the
+inertial frame of the model, z up; ``vehicle`` has the axes forward, left, up of the body.
 
 Sources: MCAP format specification; Foxglove schemas (PoseInFrame, PosesInFrame, FrameTransform, Vector3, Log).
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import IO, Any, NamedTuple
 
@@ -26,8 +27,8 @@ from dssc_jax.closed_loop.requirements import VIOLATED_AT
 WORLD = "world"
 VEHICLE = "vehicle"
 NANOSECONDS = 1_000_000_000
-PLACE = ("x_y", "y_y", "z_y")
-DESIRED = ("x_y_ref", "y_y_ref", "z_y_ref")
+POSITION = ("x_y", "y_y", "z_y")
+DESIRED_POSITION = ("x_y_ref", "y_y_ref", "z_y_ref")
 ATTITUDE = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")
 VECTORS = {
     "/body_rates": ("rate_x", "rate_y", "rate_z"),
@@ -39,11 +40,11 @@ SIGNALS = "signals"
 MOST_PATH_POSES = 2000
 
 
-class Written(NamedTuple):
+class TimedMessage(NamedTuple):
     """A message with its topic and its time.
 
     Args:
-        topic: Such as ``/pose``.
+        topic: Topic, such as ``/pose``.
         time: Time of the trajectory [ns].
         content: The message.
     """
@@ -54,74 +55,89 @@ class Written(NamedTuple):
 
 
 def write_messages(trajectory: xr.Dataset, file: IO[bytes]) -> None:
-    """Write all messages of a trajectory to an opened file, in the order of their times."""
+    """Write all messages of a trajectory to a file that is open for writing, in the order of their times."""
     writer = Writer(file)
     for message in sorted(messages_of(trajectory), key=lambda message: message.time):
         writer.write_message(message.topic, message.content, message.time, message.time)
     writer.finish()
 
 
-def messages_of(trajectory: xr.Dataset) -> Iterator[Written]:
-    """All messages of a trajectory."""
+def messages_of(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
+    """Make all messages of a trajectory, topic by topic."""
     times = np.round(NANOSECONDS * trajectory["t"].values).astype(np.int64)
     columns = {str(name): trajectory[name].values.astype(float) for name in trajectory.data_vars}
-    if set(PLACE) | set(ATTITUDE) <= set(columns):
-        yield from poses(columns, times)
+    if set(POSITION) | set(ATTITUDE) <= set(columns):
+        yield from pose_messages(columns, times)
     for topic, names in VECTORS.items():
         if set(names) <= set(columns):
-            yield from vectors(topic, [columns[name] for name in names], times)
+            yield from vector_messages(topic, [columns[name] for name in names], times)
     for topic, names in signal_topics(list(columns)).items():
-        yield from signals(topic, {field: columns[name] for field, name in names.items()}, times)
-    yield from verdicts(trajectory)
+        yield from signal_messages(topic, {field: columns[name] for field, name in names.items()}, times)
+    yield from log_messages(trajectory)
 
 
-def poses(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Written]:
-    """The pose and the transform at each sample, the desired place, and the whole path at time 0."""
-    place = np.stack([columns[name] for name in PLACE], axis=1)
-    attitude = np.stack([columns[name] for name in ATTITUDE], axis=1)
-    path = PosesInFrame(frame_id=WORLD)
-    finite_samples = np.flatnonzero(np.isfinite(place).all(axis=1))
-    for row in finite_samples:
-        time = int(times[row])
+def pose_messages(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
+    """Messages on the flight of a vehicle: pose and transform at each sample, the whole path, and the desired poses.
+
+    Args:
+        columns: Signals of the trajectory by name, each of shape (samples,).
+        times: Times of the samples [ns], shape (samples,).
+    """
+    positions = np.stack([columns[name] for name in POSITION], axis=1)
+    attitudes = np.stack([columns[name] for name in ATTITUDE], axis=1)
+    finite_samples = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    for sample in finite_samples:
+        time = int(times[sample])
         pose = PoseInFrame(frame_id=WORLD)
         transform = FrameTransform(parent_frame_id=WORLD, child_frame_id=VEHICLE)
         for stamp in (pose.timestamp, transform.timestamp):
             stamp.FromNanoseconds(time)
         for vector in (pose.pose.position, transform.translation):
-            vector.x, vector.y, vector.z = map(float, place[row])
+            set_vector(vector, positions[sample])
         for quaternion in (pose.pose.orientation, transform.rotation):
-            quaternion.w, quaternion.x, quaternion.y, quaternion.z = map(float, attitude[row])
-        yield Written("/pose", time, pose)
-        yield Written("/tf", time, transform)
-    for row in finite_samples[:: max(1, -(-len(finite_samples) // MOST_PATH_POSES))]:
+            quaternion.w, quaternion.x, quaternion.y, quaternion.z = map(float, attitudes[sample])
+        yield TimedMessage("/pose", time, pose)
+        yield TimedMessage("/tf", time, transform)
+    path = PosesInFrame(frame_id=WORLD)
+    stride = max(1, math.ceil(len(finite_samples) / MOST_PATH_POSES))
+    for sample in finite_samples[::stride]:
         point = path.poses.add()
-        point.position.x, point.position.y, point.position.z = map(float, place[row])
+        set_vector(point.position, positions[sample])
         point.orientation.w = 1.0
-    yield Written("/path", int(times[0]), path)
-    if set(DESIRED) <= set(columns):
-        desired_places = np.stack([columns[name] for name in DESIRED], axis=1)
-        for row in np.flatnonzero(np.isfinite(desired_places).all(axis=1)):
-            desired_pose = PoseInFrame(frame_id=WORLD)
-            desired_pose.timestamp.FromNanoseconds(int(times[row]))
-            desired_pose.pose.position.x, desired_pose.pose.position.y, desired_pose.pose.position.z = map(
-                float, desired_places[row]
-            )
-            desired_pose.pose.orientation.w = 1.0
-            yield Written("/desired_pose", int(times[row]), desired_pose)
+    yield TimedMessage("/path", int(times[0]), path)
+    if set(DESIRED_POSITION) <= set(columns):
+        desired_positions = np.stack([columns[name] for name in DESIRED_POSITION], axis=1)
+        for sample in np.flatnonzero(np.isfinite(desired_positions).all(axis=1)):
+            pose = PoseInFrame(frame_id=WORLD)
+            pose.timestamp.FromNanoseconds(int(times[sample]))
+            set_vector(pose.pose.position, desired_positions[sample])
+            pose.pose.orientation.w = 1.0
+            yield TimedMessage("/desired_pose", int(times[sample]), pose)
 
 
-def vectors(topic: str, components: list[np.ndarray], times: np.ndarray) -> Iterator[Written]:
-    """A vector at each sample at which it is known."""
-    rows = np.stack(components, axis=1)
-    for row in np.flatnonzero(np.isfinite(rows).all(axis=1)):
-        x, y, z = map(float, rows[row])
-        yield Written(topic, int(times[row]), Vector3(x=x, y=y, z=z))
+def set_vector(vector: Any, values: np.ndarray) -> None:
+    """Set the fields x, y and z of a message to values of shape (3,)."""
+    vector.x, vector.y, vector.z = map(float, values)
+
+
+def vector_messages(topic: str, components: list[np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
+    """A vector at each sample at which all its components are finite.
+
+    Args:
+        topic: The topic.
+        components: x, y and z, each of shape (samples,).
+        times: Times of the samples [ns], shape (samples,).
+    """
+    vectors = np.stack(components, axis=1)
+    for sample in np.flatnonzero(np.isfinite(vectors).all(axis=1)):
+        x, y, z = map(float, vectors[sample])
+        yield TimedMessage(topic, int(times[sample]), Vector3(x=x, y=y, z=z))
 
 
 def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
-    """Topics of signals: for each, its fields with the trajectory's columns.
+    """Sort the signals of a trajectory by topic; of each topic, the names of its fields with those of the signals.
 
-    ``/x``, ``/y`` and so on have those of a channel, ``/rotors`` those of rotors, ``/signals`` all others.
+    Signals of a channel are on ``/x``, ``/y`` and so on, those of rotors on ``/rotors``, all others on ``/signals``.
 
     Example:
         >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])
@@ -140,17 +156,22 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
     return topics
 
 
-def signals(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Written]:
+def signal_messages(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
     """The signals of a topic at each sample; NaN once the draw has ended."""
-    of = signal_type(topic.strip("/"), list(columns))
+    message_type = signal_type(topic.strip("/"), list(columns))
     for time, *values in zip(times, *columns.values(), strict=True):
-        message = of(**dict(zip(columns, map(float, values), strict=True)))
+        message = message_type(**dict(zip(columns, map(float, values), strict=True)))
         message.timestamp.FromNanoseconds(int(time))
-        yield Written(topic, int(time), message)
+        yield TimedMessage(topic, int(time), message)
 
 
 def signal_type(name: str, fields: list[str]) -> type[Any]:
-    """The type of a message with a stamp and one number for each field."""
+    """The type of a message with a time stamp and a number for each field.
+
+    Args:
+        name: Name of the type.
+        fields: Names of the numbers.
+    """
     pool = descriptor_pool.DescriptorPool()
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     file = descriptor_pb2.FileDescriptorProto(name=f"dssc_jax/{name}.proto", package="dssc_jax", syntax="proto3")
@@ -170,8 +191,8 @@ def signal_type(name: str, fields: list[str]) -> type[Any]:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"dssc_jax.{name}"))
 
 
-def verdicts(trajectory: xr.Dataset) -> Iterator[Written]:
-    """The log: what the trajectory is, when a requirement was violated for certain, and how the draw ended."""
+def log_messages(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
+    """The log: study and draw, the times at which a violation of a requirement was certain, and how the draw ended."""
     attributes = trajectory.attrs
     end = float(trajectory["t"].values[-1])
     lines = [(0.0, Log.INFO, f"{attributes.get('study', '')}, draw {attributes.get('draw', '')}")]
@@ -188,4 +209,4 @@ def verdicts(trajectory: xr.Dataset) -> Iterator[Written]:
         message = Log(level=level, message=text, name="dssc_jax")
         stamp = round(NANOSECONDS * time)
         message.timestamp.FromNanoseconds(stamp)
-        yield Written("/log", stamp, message)
+        yield TimedMessage("/log", stamp, message)

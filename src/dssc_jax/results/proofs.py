@@ -1,4 +1,4 @@
-"""Proofs of a sweep's points: as a record, and as a file of a results folder."""
+"""Proofs of the points of a sweep, and their file in a results folder."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -17,12 +17,12 @@ PROOFS_FILE = "proofs.json"
 
 
 class Bound(NamedTuple):
-    """A bound among those that a vehicle's proof states.
+    """A bound that the proof of a vehicle states.
 
     Args:
-        label: What is bounded.
-        unit: Its unit.
-        entries: Where the bound stands in the summary's ``bounds``.
+        label: Name of the bounded quantity.
+        unit: Unit of the bound.
+        entries: Keys that lead to the bound in a summary's ``bounds``.
     """
 
     label: str
@@ -30,7 +30,7 @@ class Bound(NamedTuple):
     entries: tuple[str, ...]
 
     def of(self, content: JsonObject) -> float:
-        """The bound in a summary."""
+        """The value of the bound in the ``bounds`` of a summary."""
         *parents, leaf = self.entries
         for parent in parents:
             content = content[parent]
@@ -45,19 +45,19 @@ BOUNDS = (
     Bound("smallest thrust of a rotor", "N", ("rotor_min",)),
     Bound("largest thrust of a rotor", "N", ("rotor_max",)),
 )
-"""What is told of each proved point of a vehicle."""
+"""Bounds that are reported of each proved point of a vehicle."""
 
 
 @dataclass(frozen=True)
 class SweepProofs:
-    """What is proved at each point of a sweep.
+    """The proofs of the points of a sweep.
 
     Args:
         study_hash: Hash of the study.
         axes: Values of each swept parameter.
-        points: Summary of each point's proof; the last axis varies fastest.
+        points: Summary of the proof of each point; the last axis varies fastest.
         certificates: Certificate of each point.
-        seconds: Time spent.
+        seconds: Computing time [s].
     """
 
     study_hash: str
@@ -68,29 +68,29 @@ class SweepProofs:
 
     @property
     def proved(self) -> np.ndarray:
-        """Whether each point is proved for all its plants, by axes."""
+        """Whether each point is proved for all its plants, shape (axes...)."""
         return self._by_axes([point["proved"] for point in self.points])
 
     @property
     def error(self) -> np.ndarray:
-        """Proved upper bound of |e| [m] once settled, by axes; NaN where the point is not proved."""
+        """Proved upper bound of |e| [m] once settled, shape (axes...); NaN where the point is not proved."""
         return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
 
     @property
     def claim(self) -> Claim:
-        """What the proofs cover, in words."""
+        """What the proofs cover and bound, in words."""
         return claim_of(self.points[0]) if self.points else AXIS_CLAIM
 
     @property
     def statements(self) -> list[str]:
-        """What is proved at each point, in a few sentences; empty where nothing is."""
+        """The proved statement of each point in a few sentences; empty where the point is not proved."""
         return [str(point.get("statement", "")) if point["proved"] else "" for point in self.points]
 
     @property
     def bounds(self) -> dict[str, np.ndarray]:
-        """What a vehicle never exceeds, by axes, in the units of :data:`BOUNDS`; NaN where the point is not proved.
+        """The bounds that a vehicle never exceeds, by label, in the units of :data:`BOUNDS`, each of shape (axes...).
 
-        Empty for loops other than a vehicle's.
+        NaN where the point is not proved. Empty for loops other than that of a vehicle.
         """
         if not any(VEHICLE_BOUNDS in point for point in self.points):
             return {}
@@ -101,7 +101,7 @@ class SweepProofs:
         return arrays
 
     def require_complete(self) -> None:
-        """Require one point for each combination of the axes' values, each with its fields.
+        """Require that there is one point, with all its fields, for each combination of the axes' values.
 
         Raises:
             ValueError: There are more or fewer points.
@@ -121,12 +121,12 @@ class SweepProofs:
 
 
 def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
-    """The proofs in a results folder; None if there are none, or if they are another study's.
+    """Read the proofs in a results folder; None if there are none, or if they are those of another study.
 
-    The file is believed: no certificate is verified here. ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
+    No certificate is verified here; ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
 
     Raises:
-        ConfigError: the file is damaged.
+        ConfigError: The file is damaged.
     """
     path = folder / PROOFS_FILE
     if not path.exists():

@@ -1,4 +1,4 @@
-"""The result of a study: every draw's metrics and outcome, and their summary."""
+"""The result of a run or a sweep: metrics and outcome of all draws, and their summary."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -39,9 +39,10 @@ from dssc_jax.study import Study
 if TYPE_CHECKING:
     from dssc_jax.design.certification import Mark
 
-ERRORS = ("error_rms", "position_error_rms")  # metrics of a plant of one channel, and of a vehicle
-GIVEN = "without lag and sampling and with a rho that keeps sliding"
-"""What a certificate assumes besides the loop that it names."""
+ERROR_METRICS = ("error_rms", "position_error_rms")
+"""Metrics of the error of a plant with one channel, and of a vehicle."""
+ASSUMPTIONS = "without lag and sampling and with a rho that keeps sliding"
+"""Assumptions of a certificate by Theorem 1."""
 
 DESIGN_NAMES = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
@@ -55,8 +56,8 @@ class Result:
         dataset: One variable for each metric, slack and drawn number, and ``outcome`` and ``failed_at``; dimensions are
             the swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
-        path: The results folder, if it has been saved.
-        point_proofs: The proofs of the sweep's points, if there are any.
+        path: The results folder, if the result has been saved.
+        point_proofs: Proofs of the points of the sweep, if there are any.
     """
 
     study: Study
@@ -67,13 +68,13 @@ class Result:
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: Manifest, path: Path | None = None) -> "Result":
-        """Create a result, with the proofs that its folder holds."""
+        """Create a result with the proofs in its folder, if there are any."""
         result = cls(study, dataset, manifest, path)
         proofs = read_proofs(path, study) if path is not None else None
         return result if proofs is None else result.with_proofs(proofs)
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
-        """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error``."""
+        """The result with proofs, whose dataset has the coordinates ``proved`` and ``proved_error``."""
         claim = proofs.claim
         attributes = {"long_name": f"proved for {claim.covered}, with lag and sampling", "covered": claim.covered}
         bound = {
@@ -86,10 +87,10 @@ class Result:
         return replace(self, dataset=self.dataset.assign_coords(coordinates), point_proofs=proofs)
 
     def with_theorem(self) -> "Result":
-        """The result with Theorem 1's marks, where the theorem applies: the coordinate ``certified``.
+        """The result with the coordinate ``certified`` where Theorem 1 applies to the loop.
 
-        It is true at each point of the sweep where the theorem holds for the loop without unmodelled dynamics, sensors
-        and sampling, and with a rho that keeps sliding.
+        It is true at each point at which the theorem holds for the loop without unmodelled dynamics, sensors and
+        sampling, and with a rho that keeps sliding.
         """
         if "certified" in self.dataset or self._mark is None or self._mark.certified is None:
             return self
@@ -99,17 +100,17 @@ class Result:
 
     @cached_property
     def _mark(self) -> "Mark | None":
-        """Theorem 1's mark of every point, computed once."""
+        """Theorem 1's verdict on each point, computed once; None if the theorem does not concern the loop."""
         return theorem_mark(self.study)
 
     @property
     def certificate(self) -> str:
-        """The proofs of the loop and the result of Theorem 1, in one line."""
+        """The number of proved points and the result of Theorem 1, in one line."""
         return "; ".join(filter(None, (self.proofs, self.theorem)))
 
     @property
     def proofs(self) -> str:
-        """How many points are proved, with lag and sampling; empty if none was tried."""
+        """The number of points that are proved with lag and sampling, in words; empty if no proof was tried."""
         if "proved" not in self.dataset:
             return ""
         proved = self.dataset["proved"].values
@@ -118,9 +119,9 @@ class Result:
 
     @property
     def integration(self) -> str:
-        """The error of integration between the samples in words; empty if it was not checked."""
-        checked = self.manifest.get("integration") or {}
-        return checked.get("warning") or checked.get("text", "")
+        """The error of integration between the samples, in words; empty if it was not checked."""
+        entry = self.manifest.get("integration") or {}
+        return entry.get("warning") or entry.get("text", "")
 
     @property
     def theorem(self) -> str:
@@ -130,21 +131,25 @@ class Result:
             return f"Theorem 1 does not apply: {self._mark.reason}" if self._mark else ""
         certified = dataset["certified"].values
         if not certified.ndim:
-            return f"certified by Theorem 1, {GIVEN}" if certified else "not certified by Theorem 1"
-        return f"Theorem 1 certifies {np.count_nonzero(certified)} of {certified.size} points, {GIVEN}"
+            return f"certified by Theorem 1, {ASSUMPTIONS}" if certified else "not certified by Theorem 1"
+        return f"Theorem 1 certifies {np.count_nonzero(certified)} of {certified.size} points, {ASSUMPTIONS}"
 
     @property
     def failed(self) -> xr.DataArray:
-        """Whether each draw failed, in any way; a non-finite draw is a failure."""
+        """Whether each draw failed in any way; a draw that ended early did."""
         return self.dataset["outcome"] != Outcome.OK
 
     def at(self, index: Mapping[str, int]) -> "Result":
-        """The result at given indices of swept parameters; the others remain dimensions of the dataset."""
+        """The result at an index of some swept parameters; the others remain dimensions of the dataset.
+
+        Args:
+            index: Index of the value, by the name of the parameter.
+        """
         return Result(self.study, self.with_theorem().dataset.isel(index), self.manifest)
 
     @property
     def method(self) -> Method:
-        """The method of the intervals, from the design of the draws and their stopping rule."""
+        """The method of the intervals, which follows from the design of the draws and their stopping rule."""
         stopping = self.manifest.get("stopping")
         if not stopping:
             return interval_method(self.study)
@@ -152,12 +157,12 @@ class Result:
         return DataDriven(looks, stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:
-        """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.
+        """Failures with intervals of each point of the sweep and each requirement, and quantiles of the metrics.
 
         ``failures`` of a point counts the draws that fail in any way, that of a requirement all draws that violate it.
-        A draw that ended early violates every requirement. ``ended_early`` counts these draws, while ``alone`` and
-        ``overlaps`` count the others. A draw that ended early has no metric and counts as infinite there. Intervals of
-        quantiles are order statistics, so they hold for independent draws only.
+        A draw that ended early violates every requirement. ``ended_early`` counts these draws; ``alone`` and
+        ``overlaps`` count only the others. The metrics of a draw that ended early count as infinite. Intervals of
+        quantiles are order statistics, which hold for independent draws only.
 
         Args:
             confidence: Confidence of each single interval.
@@ -165,17 +170,17 @@ class Result:
         return self._content(list(self.points(confidence)), confidence)
 
     def points(self, confidence: float = CONFIDENCE) -> Iterator[SummaryRow]:
-        """The points of :meth:`summary`, one by one, so that few points of a large sweep are in memory at once."""
+        """The points of :meth:`summary` one by one, so that few points of a large sweep are in memory at a time."""
         amounts = self.stated
         for row in points(self.study, self.with_theorem().dataset, self.method, confidence):
             yield row | {STATED: jsonable(self.stated_errors(amounts, confidence))} if amounts else row
 
     @property
     def has_equal_draws(self) -> bool:
-        """Whether nothing differs between the draws of any point: a deterministic study, which no interval describes.
+        """Whether all draws are the same, since nothing in the study is random; then an interval has no meaning.
 
-        No number of such a study has a law, and the draws agree in their outcome and in all metrics, one of which is no
-        whole number: noise, turbulence or a random disturbance would change that one.
+        No number has a law, and all draws have the same outcome and metrics. At least one metric is not a whole number:
+        counts may agree by chance, but noise, turbulence or a random disturbance would change such a metric.
         """
         if self.study.laws or self.study.config.draws < 2:
             return False
@@ -187,25 +192,25 @@ class Result:
 
     @property
     def design_effect(self) -> DesignEffect | None:
-        """What the design saved beside independent draws; None: the draws are independent, or swept, or all agree."""
+        """The effect of the design beside independent draws; None if the draws are independent, swept, or all agree."""
         if self.method.independent or self.study.axes:
             return None
         return design_effect(self.failed.values, self.study.config.replicates)
 
     @property
     def design_reason(self) -> str:
-        """Why the tool chose this design of the draws; empty if the study names it."""
+        """Reason for which the design of the draws was chosen automatically; empty if the study names the design."""
         entry = self.manifest.get("design")
         return f"{entry['reason']}; the choice took {entry['pilot']} simulations" if entry else ""
 
     @property
     def stated(self) -> StatedAmounts | None:
-        """Amounts by which the laws may be wrong, as given to the run; None if none were."""
+        """Amounts by which the laws may be wrong, as stated for the run; None if none were stated."""
         entry = self.manifest.get(STATED)
         return None if entry is None else StatedAmounts.of(entry)
 
     def stated_errors(self, amounts: StatedAmounts, confidence: float = CONFIDENCE) -> list[StatedError]:
-        """Intervals of the failure probability if the laws are wrong by amounts.
+        """Intervals of the failure probability if the laws are wrong by stated amounts.
 
         Args:
             amounts: How wrong the laws may be.
@@ -220,7 +225,7 @@ class Result:
         return amounts.errors(draws, (low, high), confidence_of(self.method, confidence))
 
     def lines(self) -> Iterator[str]:
-        """:meth:`summary` as JSON, line by line, as written to ``summary.json``."""
+        """The :meth:`summary` as JSON, line by line, as in ``summary.json``."""
         return lines(self._content(self.points(), CONFIDENCE))
 
     def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
@@ -244,7 +249,7 @@ class Result:
         }
 
     def _design_summary(self) -> JsonObject | None:
-        """Why the design was chosen, and what it saved; None if the draws are independent and the study says so."""
+        """Reason and effect of the design for the summary; None if draws are independent and the study says so."""
         effect = self.design_effect
         if effect is None and not self.design_reason:
             return None
@@ -257,7 +262,7 @@ class Result:
             folder: Created if absent; overwritten if it contains the same study.
 
         Raises:
-            ConfigError: the folder contains something else.
+            ConfigError: The folder contains something else.
         """
         path = Path(folder)
         layout = Layout.of(self.study)
@@ -274,7 +279,7 @@ class Result:
 
 
 def interval_method(study: Study) -> Method:
-    """The method of intervals from all draws of a study, whose number is fixed."""
+    """The method of intervals for a fixed number of draws, which follows from the study's design of the draws."""
     config = study.config
     if config.independent:
         return FixedCount()
@@ -286,54 +291,51 @@ def load_result(folder: str | Path, trust_code: bool = False) -> Result:
 
     Args:
         folder: A folder written by ``run``, ``sweep`` or :meth:`Result.save`.
-        trust_code: Import the models that its study names as ``module:object``; only needed to simulate a draw
-            again.
+        trust_code: Whether to import the models that the study names as ``module:object``, which are only needed to
+            simulate a draw again.
 
     Raises:
-        ConfigError: it is not a results folder, it is damaged, or its run did not finish.
+        ConfigError: The folder is not a results folder, it is damaged, or its run did not finish.
     """
     return Result.of(*store.read_run(Path(folder), trust_code), Path(folder))
 
 
-def headline(result: Result) -> Measure:
-    """The headline metric of a result's study."""
-    return headline_measure(result.study)
-
-
 def headline_measure(study: Study) -> Measure:
-    """The headline metric of a study: the one it names, else that of its first requirement, else the error.
+    """The headline metric of a study: that which ``[plot]`` names, else that of the first requirement, else the error.
 
     For a study that measures no error it is the first metric.
     """
-    name = study.config.plot.metric
     by_name = {measure.name: measure for measure in study.measures}
-    if name:
-        return by_name[name]
+    if study.config.plot.metric:
+        return by_name[study.config.plot.metric]
     if study.requirements:
         return study.requirements[0].measure
-    return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
+    for name in ERROR_METRICS:
+        if name in by_name:
+            return by_name[name]
+    return study.measures[0]
 
 
 def most_violated(result: Result) -> Measure:
-    """The measure that the study's figures name, else that of the requirement which most draws violate.
+    """The metric that ``[plot]`` names, else that of the requirement which most draws violate.
 
-    Without a violation it is the headline metric.
+    Without requirements it is the headline metric.
     """
     requirements = result.study.requirements
     if result.study.config.plot.metric or not requirements:
-        return headline(result)
+        return headline_measure(result.study)
     counts = [int(np.count_nonzero(violated(result.dataset[rule.name].values))) for rule in requirements]
     return requirements[int(np.argmax(counts))].measure
 
 
 def measure_named(result: Result, metric: str | None) -> Measure:
-    """The measure with this name; None: the headline metric.
+    """The metric of a result with a name; None: the headline metric.
 
     Raises:
-        ConfigError: the result has no such metric.
+        ConfigError: The result has no such metric.
     """
     if metric is None:
-        return headline(result)
+        return headline_measure(result.study)
     by_name = {measure.name: measure for measure in result.study.measures}
     if metric not in by_name:
         raise ConfigError("metric", f"'{metric}' is none of the result's; {nearest(metric, by_name)}")

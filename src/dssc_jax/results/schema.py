@@ -1,4 +1,4 @@
-"""The schema of a result: its variables with dimensions, types, units and meanings, following CF conventions."""
+"""The schema of a result: its variables with dimensions, types, units and meanings, following the CF conventions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,15 +17,16 @@ ENDINGS = {
     Outcome.SINGULAR_ATTITUDE: "reaches a singular attitude",
     Outcome.INTO_GROUND: "flies into the ground",
 }
-"""Outcomes other than a violated requirement."""
+"""Meaning of each outcome other than a violated requirement."""
 OUTCOME = "how the draw ended; of violated requirements the first in the study's order"
-NOT_COMPUTED = -1  # outcome of a lane whose block is not done
+NOT_COMPUTED = -1
+"""Outcome of a lane that has not been computed."""
 
 
 def outcome_codes(study: Study) -> dict[int, str]:
-    """Every outcome code that the study's draws can have, with its meaning.
+    """All outcome codes that draws of a study can have, with the name of each.
 
-    A code gives only the first violated requirement, in the study's order; the slacks show all of them.
+    The code of a draw names only the first violated requirement, in the study's order; the slacks show all of them.
     """
     requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
     early_ends = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
@@ -35,7 +36,13 @@ def outcome_codes(study: Study) -> dict[int, str]:
 
 
 def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
-    """Describe how a draw ended, with every violated requirement if it completed."""
+    """Describe how a draw ended: its early end, or all requirements that it violates.
+
+    Args:
+        study: The study.
+        outcome: Outcome code of the draw.
+        slacks: Slack of each requirement, by :attr:`Requirement.name`.
+    """
     if outcome < Outcome.REQUIREMENT:
         return ENDINGS[Outcome(outcome)]
     violated_texts = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
@@ -44,7 +51,7 @@ def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of a result: its dimensions, type and attributes."""
+    """Dimensions, type and attributes of a variable of a result."""
 
     dims: tuple[str, ...]
     dtype: str
@@ -52,7 +59,7 @@ class Variable:
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """Every variable of the study's dataset. ``outcome`` is last: its presence marks a block as complete."""
+    """All variables of a study's dataset; ``outcome`` is the last."""
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
     by_name = {}
@@ -84,13 +91,18 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def units_of(study: Study) -> dict[str, str]:
-    """Unit of each number of a draw by name; those without a unit are left out."""
+    """Unit of each number of a draw by name; variables without a unit, such as the outcome, are left out."""
     by_name = variables(study) | coordinates(study)
     return {name: variable.attributes["units"] for name, variable in by_name.items() if "units" in variable.attributes}
 
 
+def name_with_unit(name: str, unit: str) -> str:
+    """A name followed by its unit in brackets; the name alone if the unit is ``1`` or empty."""
+    return name if unit in ("", "1") else f"{name} [{unit}]"
+
+
 def coordinates(study: Study) -> dict[str, Variable]:
-    """The dataset's coordinates: one per axis, and the draw index."""
+    """The coordinates of a study's dataset: one for each axis, and the index of the draw."""
     by_name = {}
     for name in study.axes:
         quantity = study.quantities[name]
@@ -100,21 +112,18 @@ def coordinates(study: Study) -> dict[str, Variable]:
 
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
-    """Values of :func:`coordinates`."""
+    """Values of the :func:`coordinates` of a study's dataset."""
     return {name: np.asarray(values) for name, values in study.axes.items()} | {"draw": np.arange(study.config.draws)}
 
 
 def dataset_attributes(study: Study) -> dict[str, str]:
-    """The dataset's own attributes, following the CF conventions."""
+    """Attributes of a study's dataset itself, following the CF conventions."""
     comment = {"comment": study.config.description} if study.config.description else {}
     return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **comment}
 
 
 def in_memory(study: Study) -> xr.Dataset:
-    """A dataset with every variable of the study's results, in full shape; no value is computed yet.
-
-    Numbers are NaN, and integers :data:`NOT_COMPUTED`.
-    """
+    """An empty dataset with all variables of a study's result: numbers are NaN, and outcomes :data:`NOT_COMPUTED`."""
     coords = coordinate_values(study)
     sizes = {name: len(values) for name, values in coords.items()}
     blank = {}
@@ -122,14 +131,10 @@ def in_memory(study: Study) -> xr.Dataset:
         shape = [sizes[dim] for dim in variable.dims]
         fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
         blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    coordinate_variables = coordinates(study)
-    return xr.Dataset(
-        blank,
-        coords={
-            name: ((name,), values, dict(coordinate_variables[name].attributes)) for name, values in coords.items()
-        },
-        attrs=dataset_attributes(study),
-    )
+    coords_with_attributes = {}
+    for name, variable in coordinates(study).items():
+        coords_with_attributes[name] = ((name,), coords[name], dict(variable.attributes))
+    return xr.Dataset(blank, coords=coords_with_attributes, attrs=dataset_attributes(study))
 
 
 def copy_block(
@@ -138,7 +143,14 @@ def copy_block(
     results: Mapping[str, np.ndarray],
     law_values: Mapping[str, np.ndarray],
 ) -> None:
-    """Copy a block of the grid, and the drawn values of its draws, into a dataset of :func:`in_memory`."""
+    """Copy a block of lanes into a dataset of :func:`in_memory`.
+
+    Args:
+        dataset: The dataset.
+        block: Place of the block in the grid of points and draws.
+        results: Metrics, slacks and outcomes of the block, by name.
+        law_values: Drawn numbers of the block's draws, by name.
+    """
     for name, array in results.items():
         dataset[name].values[block] = array
     for name, column in law_values.items():

@@ -1,4 +1,4 @@
-"""The draws of a study in the space of scores, where its laws are normal."""
+"""The draws of a study as standard normal scores, in which the laws are normal."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,18 +14,18 @@ from dssc_jax.study import Study
 
 
 def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
-    """The scores of draws, correlated as the study says, shape (n, laws)."""
+    """Scores of draws of shape (n,), correlated as the study declares, shape (n, laws)."""
     return special.ndtri(unit_points(study, indices)) @ mixing(study).T
 
 
 @dataclass(frozen=True)
 class ScoredDraws:
-    """The scores of all draws of a study without a sweep, and which of them failed.
+    """The scores of all draws of a study without a sweep, and which of the draws failed.
 
     Args:
         study: The study.
-        scores: Shape (n, laws).
-        failed: Shape (n,).
+        scores: Score of each draw in each law, shape (n, laws).
+        failed: Whether each draw failed, shape (n,).
     """
 
     study: Study
@@ -34,12 +34,12 @@ class ScoredDraws:
 
     @classmethod
     def of(cls, study: Study, failed: np.ndarray) -> "ScoredDraws":
-        """The draws of a study, of which some failed, shape (n,)."""
+        """The scored draws of a study, from whether each draw failed, shape (n,)."""
         return cls(study, scores_of(study, np.arange(len(failed))), failed)
 
     @property
     def names(self) -> list[str]:
-        """The numbers whose laws can be changed: those with a location and a width."""
+        """Names of the numbers whose laws can be shifted and widened."""
         return [name for name, law in self.study.laws.items() if law.movable]
 
     @cached_property
@@ -49,13 +49,18 @@ class ScoredDraws:
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:
-        """Whether each law has one of these names, shape (laws,)."""
+        """Whether each law has one of the names, and so may change, shape (laws,)."""
         return np.isin(list(self.study.laws), names)
 
     def weighted(self, family: type[Change], confidence: float) -> WeightedDraws:
-        """The draws with weights for changes of a family, of all laws that can be changed."""
+        """The draws with weights under changes of all laws that can be changed.
+
+        Args:
+            family: The family of changes, such as a shift of the means.
+            confidence: Confidence of statements from the weights.
+        """
         return WeightedDraws(family(self.precision), self.scores, self.failed, self.free(self.names), confidence)
 
     def bounds(self, interval: tuple[float, float]) -> AnyFailures:
-        """What holds whatever draws fail, from the interval of the failure probability."""
+        """Bounds of the failure probability that hold whatever draws fail, from its interval under the present laws."""
         return AnyFailures(self.precision, interval)

@@ -1,4 +1,4 @@
-"""The interval of the failure probability if the laws are wrong by a stated amount."""
+"""The failure probability if the laws are wrong by stated amounts."""
 
 import math
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ STATED = "stated"
 
 @dataclass(frozen=True)
 class StatedError:
-    """An amount by which the laws may be wrong, and what follows for the failure probability."""
+    """An amount by which the laws may be wrong, and the intervals of the failure probability that follow."""
 
     kind: Annotated[str, Quantity("", "total_variation, kl, chi_square, mean_shift or widening")]
     amount: Annotated[float, Quantity("that of the kind", "how wrong the laws may be")]
@@ -37,12 +37,12 @@ class StatedError:
 
     @property
     def text(self) -> str:
-        """Kind and amount in words."""
+        """Kind and amount, in words."""
         return f"{self.kind.replace('_', ' ')} up to {self.amount:g}"
 
     @property
     def weights_refused(self) -> str:
-        """Why the draws' weights give no interval."""
+        """Reason why the draws' weights give no interval; empty if they do, or are not needed."""
         if self.weighted_interval is not None or self.kind in BALLS:
             return ""
         return "the weights are too uneven, or too few draws fail"
@@ -81,12 +81,12 @@ class StatedAmounts:
 
     @property
     def entry(self) -> dict[str, object]:
-        """The amounts for the manifest, from which :meth:`of` restores them."""
+        """The amounts as an entry of the manifest, which :meth:`of` reads."""
         return {"within": dict(self.within), "shift": self.shift, "widening": self.widening}
 
     @classmethod
     def of(cls, entry: JsonObject) -> "StatedAmounts":
-        """The amounts of a manifest's entry.
+        """Read the amounts from an entry of the manifest.
 
         Raises:
             ConfigError: The entry is damaged.
@@ -99,10 +99,10 @@ class StatedAmounts:
         return cls(within, shift, widening)
 
     def require(self, study: Study) -> None:
-        """Require a study whose failure probability has an interval if its laws are wrong by these amounts.
+        """Require a study for which intervals under these amounts exist.
 
         Raises:
-            ConfigError: It has a sweep, its draws are not independent, or no law can be shifted or widened.
+            ConfigError: The study has a sweep, its draws are not independent, or no law can be shifted or widened.
         """
         if study.axes:
             rule = f"has a sweep over {', '.join(study.axes)}; how wrong its laws may be is a question about one point"
@@ -113,12 +113,12 @@ class StatedAmounts:
             raise ConfigError(study.source, NO_LAW)
 
     def errors(self, draws: ScoredDraws, interval: tuple[float, float], confidence: float) -> list[StatedError]:
-        """What follows from each amount.
+        """The intervals of the failure probability under each amount.
 
         Args:
             draws: The draws.
-            interval: Interval of the failure probability.
-            confidence: Confidence of the intervals by the weights.
+            interval: Interval of the failure probability under the present laws.
+            confidence: Confidence of the intervals by the draws' weights.
         """
         bounds = draws.bounds(interval)
         free = draws.free(draws.names)
@@ -139,5 +139,5 @@ class StatedAmounts:
 
 
 def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:
-    """The confidence of a single statement about independent draws, which a stopping rule increases."""
+    """Confidence that a single statement needs, which a stopping rule with several looks raises."""
     return confidence if isinstance(method, Replicated) else method.level(confidence)

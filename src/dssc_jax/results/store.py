@@ -1,4 +1,4 @@
-"""A results folder: a Zarr store of all draws, manifest.json and summary.json."""
+"""The folder of a run: a Zarr store of all draws, manifest.json and summary.json."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,9 +10,9 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Block, Layout, lanes_in
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results import lock
-from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
-from dssc_jax.results.blocks import Chunks, writing
-from dssc_jax.results.digests import DIGESTS, over_all
+from dssc_jax.results.arrays import create_arrays, extend_arrays, has_all_arrays, require_coordinates
+from dssc_jax.results.blocks import Chunks, report_write_errors
+from dssc_jax.results.digests import DIGESTS, digest_of_all
 from dssc_jax.results.manifest import (
     DATA,
     MANIFEST,
@@ -20,7 +20,7 @@ from dssc_jax.results.manifest import (
     SUMMARY,
     Manifest,
     asks_for_more_draws,
-    occupied,
+    is_occupied,
     read_manifest,
     require_same_machinery,
     require_same_study,
@@ -33,13 +33,13 @@ from dssc_jax.study import Study, hash_of, stored_study
 
 
 class Store:
-    """A results folder being filled by one run, which holds its lock.
+    """A results folder that a run writes; the run holds its lock.
 
     Args:
         folder: The folder; created if absent.
         study: The study as run.
         manifest: Content of manifest.json until the run is complete, including the layout.
-        resume: Keep the finished blocks of an earlier run of the same study; the study may have more draws.
+        resume: Whether to keep the finished blocks of an earlier run of the same study, which may have fewer draws.
 
     Raises:
         ConfigError: The folder contains another study's results or something else, another process is writing to it,
@@ -51,21 +51,21 @@ class Store:
         self.study = study
         self.values: xr.Dataset | None = None  # all blocks, where this process computes them
         require_startable(folder, study, resume)
-        with writing(folder):
+        with report_write_errors(folder):
             files.make_folder(folder)
             self.held_folder = files.HeldFolder(folder)
         try:
-            with writing(folder):
+            with report_write_errors(folder):
                 self._lock = lock.take(folder)
         except BaseException:
             self.held_folder.close()
             raise
         try:
-            old = read_manifest(folder) if occupied(folder) else None
+            old = read_manifest(folder) if is_occupied(folder) else None
             if old is not None:
                 require_same_study(folder, old, study, resume)
             adds_draws = old is not None and asks_for_more_draws(old, study)
-            with writing(folder):
+            with report_write_errors(folder):
                 if old is None or not resume or not self._resume(old, manifest, adds_draws):
                     self._begin(manifest)
         except BaseException:
@@ -103,21 +103,30 @@ class Store:
         layout = Layout.from_dict(manifest["layout"])
         self.manifest = manifest
         self.pending = layout.blocks()
-        arrays = lay_out(self.folder, self.study, layout)
+        arrays = create_arrays(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held_folder=self.held_folder)
 
     def _resume(self, old: Manifest, new: Manifest, adds_draws: bool) -> bool:
-        """Continue an earlier run, perhaps with more draws; False if that run stopped before it created its store."""
+        """Continue an earlier run, perhaps with more draws.
+
+        Args:
+            old: Manifest of the earlier run.
+            new: Content of the manifest of this run.
+            adds_draws: Whether this run has more draws.
+
+        Returns:
+            False if the earlier run stopped before it created its arrays, so that there is nothing to continue.
+        """
         draws = old["study"].get("draws", 1)
         layout = stored_layout(self.folder, self.study, old, draws)
-        if not laid_out(self.folder, self.study, layout):
+        if not has_all_arrays(self.folder, self.study, layout):
             return False
         if adds_draws:
             self._extend(old, new, layout)
         else:
             files.delete_partials(self.folder)
             self.manifest = old
-        reshape(self.folder, self.study, layout)
+        extend_arrays(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, "r+", held_folder=self.held_folder)
         self.pending, obsolete_files = self.chunks.pending()
         if self.pending:
@@ -129,12 +138,12 @@ class Store:
         return True
 
     def _extend(self, old: Manifest, new: Manifest, layout: Layout) -> None:
-        """Check what an earlier run with fewer draws wrote, and record the new number of draws.
+        """Check the draws of an earlier run, and record the larger number of draws in the manifest.
 
         Args:
-            old: The manifest of the earlier run.
+            old: Manifest of the earlier run.
             new: Content of the manifest from now on.
-            layout: The blocks, with the new number of draws.
+            layout: Layout with the new number of draws.
         """
         require_same_machinery(self.folder, old, new)
         draws = old["study"].get("draws", 1)
@@ -145,12 +154,12 @@ class Store:
         files.delete(self.folder / SUMMARY)
 
     def _require_sealed(self, manifest: Manifest, layout: Layout) -> None:
-        """Require that a finished run still has its final digests."""
-        if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
+        """Require that the digests of a finished run are those recorded in its manifest."""
+        if manifest.get(DIGESTS, digest_of_all(self.folder, layout)) != digest_of_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
 
     def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
-        """Write a pending block; where none was finished before, also keep it, so that the folder need not be read."""
+        """Write a pending block, and keep it in memory if this process computes all blocks."""
         self.chunks.write(block, results, law_values)
         if self.values is None and self.pending == self.layout.blocks():
             self.values = in_memory(self.study)
@@ -168,12 +177,12 @@ class Store:
         """
         self._require_sealed(self.manifest, self.layout)  # recomputed blocks equal the original ones
         self.require_kept()
-        self.manifest = self.manifest | entries | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
-        with writing(self.folder, self.held_folder):
+        self.manifest = self.manifest | entries | {DIGESTS: digest_of_all(self.folder, self.layout), "complete": True}
+        with report_write_errors(self.folder, self.held_folder):
             write_manifest(self.folder, self.manifest)
 
     def require_kept(self) -> None:
-        """Require that the folder, read again, holds every block as it was written.
+        """Read the folder again, and require that it holds all blocks as they were written.
 
         Raises:
             ConfigError: It does not; the message says what is lost and where.
@@ -202,7 +211,7 @@ class Store:
         Raises:
             ConfigError: The folder cannot be written, or it no longer holds the manifest of the finished run.
         """
-        with writing(self.folder, self.held_folder):
+        with report_write_errors(self.folder, self.held_folder):
             files.write_text(self.folder / SUMMARY, lines)
         self.held_folder.require_in_place()
         if hash_of(read_manifest(self.folder)) != hash_of(self.manifest):
@@ -210,10 +219,10 @@ class Store:
 
 
 def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, Manifest]:
-    """Study, dataset and manifest of a results folder.
+    """Read study, dataset and manifest of a results folder.
 
     Raises:
-        ConfigError: It is not a results folder, it is damaged, or its run did not finish.
+        ConfigError: The folder is not a results folder, it is damaged, or its run did not finish.
     """
     manifest = read_manifest(folder)
     study = stored_study(manifest, str(folder / MANIFEST), trust_code)
@@ -221,10 +230,10 @@ def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset,
 
 
 def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
-    """The dataset of a results folder, whose study and manifest are known.
+    """Read the dataset of a results folder with a study and a manifest, and check all digests.
 
     Raises:
-        ConfigError: It is damaged, or its run did not finish.
+        ConfigError: The folder is damaged, or its run did not finish.
     """
     layout = stored_layout(folder, study, manifest)
     chunks = Chunks(folder, study, layout, any_draw_count=not manifest.get("complete"))

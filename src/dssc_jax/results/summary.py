@@ -1,9 +1,10 @@
-"""Summary of every point of a sweep: failures, each requirement separately, quantiles of the metrics."""
+"""Summary of the points of a sweep: failures, violations of each requirement, quantiles of the metrics."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import combinations
+from operator import itemgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,39 +20,44 @@ from dssc_jax.statistics.order import at_rank, quantile_ranks, sorted_draws, upp
 from dssc_jax.study import Study
 
 QUANTILES = (0.05, 0.5, 0.95)
-BATCH_LANES = 2**20  # summarised at once
+BATCH_LANES = 2**20
+"""Largest number of lanes that are summarised at a time."""
 BATCH_POINTS = 4096
-FEW_PAIRS = 3  # pairs of requirements: shown even where no draw violates both
+"""Largest number of points that are summarised at a time."""
+FEW_PAIRS = 3
+"""Up to this number of pairs of requirements, pairs that no draw violates are shown, too."""
 SummaryRow: TypeAlias = JsonObject
-"""Statements about one point, or about one requirement at a point."""
+"""Summary of one point, or of one requirement at a point, for JSON."""
 
 Summary: TypeAlias = JsonObject
-"""A result's summary for JSON; its ``points`` are rows."""
+"""Summary of a result for JSON; its ``points`` are a list of :data:`SummaryRow`."""
 
 
 class Statements(NamedTuple):
-    """Method and confidence of statistical statements.
+    """Columns of statistical statements about many points, by one method and with one confidence.
 
     Args:
-        method: The interval for this kind of draws.
-        confidence: Confidence of each statement individually.
+        method: Method of the intervals for this design of the draws.
+        confidence: Confidence of each single interval.
     """
 
     method: Method
     confidence: float
 
     def failures(self, failed: np.ndarray) -> dict[str, list[object]]:
-        """Columns with the frequency of failure, from draws of shape (points, draws)."""
+        """Columns with number, share and interval of failures, from whether draws failed, shape (points, draws)."""
         return frequency(failed, self.method.failure_interval(failed, self.confidence))
 
     def shares(self, happened: np.ndarray) -> dict[str, list[object]]:
-        """Columns with the frequency of any event, from draws of shape (points, draws)."""
+        """Columns with number, share and interval of an event, from whether it happened, shape (points, draws)."""
         return frequency(happened, self.method.interval(happened, self.confidence))
 
     def quantiles(self, values: np.ndarray, missing: float) -> dict[str, list[object]]:
-        """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws).
+        """Columns with quantiles and their intervals; None where infinite.
 
-        A draw without a value counts as ``missing``.
+        Args:
+            values: Values of a metric, shape (points, draws).
+            missing: The value that stands for NaN, the value of a draw that has none.
         """
         sorted_values = sorted_draws(values, missing)
         columns = {}
@@ -61,11 +67,16 @@ class Statements(NamedTuple):
                 ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.level(self.confidence))
                 ends = [at_rank(sorted_values, rank) for rank in ranks]
                 columns[f"q{100 * level:g}_interval"] = np.stack(ends, axis=-1)
-        return {name: nullable(column) for name, column in columns.items()}
+        return {name: none_if_infinite(column) for name, column in columns.items()}
 
 
 def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[object]]:
-    """Columns with counts and shares of an event in draws of shape (points, draws), beside intervals (points, 2)."""
+    """Columns with number, share and interval of an event at each point.
+
+    Args:
+        happened: Whether the event happened in each draw, shape (points, draws).
+        intervals: Intervals of its probability, shape (points, 2).
+    """
     failures = np.count_nonzero(happened, axis=-1)
     return {
         "failures": failures.tolist(),
@@ -75,15 +86,15 @@ def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[obj
 
 
 def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
-    """Summarise every point of a study's sweep, the last axis varying fastest; a run has a single point.
+    """Summarise the points of a sweep one by one, the last axis varying fastest; a run has a single point.
 
-    Points are processed in batches: the cost depends on the number of lanes only, and few points are in memory.
+    Points are processed in batches, so that small points cost little, and few points are in memory at a time.
 
     Args:
         study: The study.
-        dataset: Its draws, as :class:`dssc_jax.results.result.Result` has them.
-        method: The method of the intervals.
-        confidence: Confidence of each interval individually.
+        dataset: Dataset of the result, see :class:`dssc_jax.results.result.Result`.
+        method: Method of the intervals.
+        confidence: Confidence of each single interval.
     """
     statements = Statements(method, confidence)
     draws = dataset.sizes["draw"]
@@ -114,9 +125,9 @@ def summary_of_batch(
 
     Args:
         study: The study.
-        lanes: Outcome, margins and metrics by name, shape (points, draws).
-        at: Swept values of each point.
-        certified: Whether the theorem certifies each point.
+        lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
+        at: Value of each swept parameter at each point.
+        certified: Whether Theorem 1 certifies each point; None if it does not apply.
         statements: Method and confidence of the statements.
     """
     outcome = lanes["outcome"]
@@ -124,32 +135,32 @@ def summary_of_batch(
     early = ended_early(outcome)
     violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
     pairs = overlaps(violations, early, statements)
-    shown_pairs = [
-        [pair for pair in point if pair["draws"] or len(pairs) <= FEW_PAIRS] for point in side_by_side(pairs, count)
-    ]
+    pairs_of_points = by_point(pairs, count)
+    if len(pairs) > FEW_PAIRS:
+        pairs_of_points = [[pair for pair in point if pair["draws"]] for point in pairs_of_points]
     outcomes = {}
     for code, meaning in outcome_codes(study).items():
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
     metrics = {}
     for measure in study.measures:
-        metrics[measure.name] = rows(statements.quantiles(lanes[measure.name], measure.metric.worst))
-    return rows(
+        metrics[measure.name] = rows_of_columns(statements.quantiles(lanes[measure.name], measure.metric.worst))
+    return rows_of_columns(
         {
             **at,
             "draws": [draws] * count,
             **statements.failures(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
-            "requirements": side_by_side(requirements(study, violations, lanes, statements), count),
-            "overlaps": shown_pairs,
-            "outcomes": rows(outcomes),
-            "metrics": rows(metrics),
+            "requirements": by_point(requirements(study, violations, lanes, statements), count),
+            "overlaps": pairs_of_points,
+            "outcomes": rows_of_columns(outcomes),
+            "metrics": rows_of_columns(metrics),
         }
     )
 
 
 def lines(summary: Summary) -> Iterator[str]:
-    """A summary as JSON, line by line: each entry and each point (points may be an iterator) has its own line."""
+    """A summary as JSON, with a line for each entry and each point, which are read one by one from an iterator."""
     start = "{"
     for name, value in summary.items():
         yield f"{start}{json.dumps(name)}: "
@@ -168,12 +179,21 @@ def lines(summary: Summary) -> Iterator[str]:
 def requirements(
     study: Study, violations: Mapping[str, np.ndarray], lanes: Mapping[str, np.ndarray], statements: Statements
 ) -> list[list[SummaryRow]]:
-    """Each requirement at every point, regardless of the others.
+    """Summarise the violations of each requirement at each point.
 
-    ``alone`` counts the completed draws that violate only this requirement, ``first`` the draws that violate it before
-    all others, and ``violated_at`` is the median over the draws that violate it of the time at which that was certain.
-    Of a margin, ``unstable`` and ``no_operating_point`` count the completed draws whose loop has none for that reason.
-    Of a metric that may have no value, ``undefined`` counts those without one, and ``defined_if`` is what it needs.
+    ``alone`` counts the completed draws that violate only this requirement, and ``first`` the draws that violate it
+    before all others. ``violated_at`` is the median of the times from which on the violation was certain. For a margin,
+    ``unstable`` and ``no_operating_point`` count the completed draws that have no margin for this reason. For a metric
+    that may have no value, ``undefined`` counts the completed draws without one, and ``defined_if`` is its condition.
+
+    Args:
+        study: The study.
+        violations: Whether each draw violates a requirement, by label, shape (points, draws).
+        lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
+        statements: Method and confidence of the statements.
+
+    Returns:
+        For each requirement, a row for each point.
     """
     early = ended_early(lanes["outcome"])
     first, _ = first_violation(study.requirements, lanes)
@@ -186,7 +206,7 @@ def requirements(
         columns = statements.shares(is_violated) | {
             "alone": alone_counts,
             "first": np.count_nonzero(first == number, axis=-1).tolist(),
-            "violated_at": nullable(median_of_some(lanes[requirement.violation_name])),
+            "violated_at": none_if_infinite(median_without_nan(lanes[requirement.violation_name])),
         }
         margin = requirement.measure.metric.margin
         if margin is not None and not np.isnan(margin.kind.neutral):
@@ -197,12 +217,12 @@ def requirements(
             values = lanes[requirement.measure.name]
             columns["undefined"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
             head["defined_if"] = requirement.measure.metric.defined_if
-        table.append([head | row for row in rows(columns)])
+        table.append([head | row for row in rows_of_columns(columns)])
     return table
 
 
-def values_missing(point: SummaryRow) -> list[str]:
-    """Sentences on the required margins and metrics of a point: how many draws have none, and why."""
+def missing_value_texts(point: SummaryRow) -> list[str]:
+    """Sentences on the draws of a point that have no value of a required margin or metric, with the reasons."""
     names_by_counts: dict[tuple[int, int], list[str]] = {}
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)
@@ -221,40 +241,48 @@ def values_missing(point: SummaryRow) -> list[str]:
     return sentences
 
 
-def median_of_some(values: np.ndarray) -> np.ndarray:
-    """The median of each row over the entries that are not NaN; NaN where there are none."""
+def median_without_nan(values: np.ndarray) -> np.ndarray:
+    """The median of each row of values over the entries that are not NaN, without a warning; NaN if all are NaN."""
     counts = np.count_nonzero(~np.isnan(values), axis=-1)
-    at = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=-1)
-    at = np.minimum(at, values.shape[-1] - 1)
-    return np.take_along_axis(np.sort(values, axis=-1), at, -1).mean(-1)
+    middle = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=-1)
+    middle = np.minimum(middle, values.shape[-1] - 1)
+    return np.take_along_axis(np.sort(values, axis=-1), middle, -1).mean(-1)
 
 
 def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements) -> list[list[SummaryRow]]:
-    """For every pair of requirements, how often both are violated at every point.
+    """Summarise the joint violations of each pair of requirements at each point.
 
-    ``draws`` counts the completed draws among them.
+    ``failures`` counts all draws that violate both, ``draws`` the completed draws among them.
+
+    Args:
+        violations: Whether each draw violates a requirement, by label, shape (points, draws).
+        early: Whether each draw ended early, shape (points, draws).
+        statements: Method and confidence of the statements.
+
+    Returns:
+        For each pair, a row for each point.
     """
     table = []
     for first, second in combinations(violations, 2):
         violates_both = violations[first] & violations[second]
         completed_counts = np.count_nonzero(violates_both & ~early, axis=-1).tolist()
         columns = {"draws": completed_counts} | statements.shares(violates_both)
-        table.append([{"names": [first, second]} | row for row in rows(columns)])
+        table.append([{"names": [first, second]} | row for row in rows_of_columns(columns)])
     return table
 
 
-def rows(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
-    """Convert columns of a table to rows."""
+def rows_of_columns(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
+    """Convert the columns of a table, by name, to rows."""
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def side_by_side(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
-    """Collect the entries of all parts for each point."""
+def by_point(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
+    """Transpose lists with an entry for each of ``count`` points to one list for each point."""
     return [[part[i] for part in parts] for i in range(count)]
 
 
-def nullable(values: np.ndarray) -> list[object]:
-    """Numbers for JSON, which has no infinity: None if a value is not finite."""
+def none_if_infinite(values: np.ndarray) -> list[object]:
+    """An array as nested lists for JSON, which has no infinity: None where a value is not finite."""
     objects = np.array(values, dtype=object)
     objects[~np.isfinite(values)] = None
     return objects.tolist()
@@ -262,26 +290,23 @@ def nullable(values: np.ndarray) -> list[object]:
 
 def extreme_points(points: Sequence[SummaryRow]) -> tuple[SummaryRow, SummaryRow]:
     """The points with the lowest and with the highest failure probability."""
-
-    def probability(point: SummaryRow) -> float:
-        return point["probability"]
-
+    probability = itemgetter("probability")
     return min(points, key=probability), max(points, key=probability)
 
 
 def most_violated(point: SummaryRow) -> str:
-    """The requirement violated by most draws of a point, as :func:`largest_count`."""
+    """The requirement which most draws of a point violate, with their number."""
     return largest_count({requirement["name"]: requirement["failures"] for requirement in point["requirements"]})
 
 
 def largest_count(counts: Mapping[str, int]) -> str:
-    """The name with the largest count, with it, such as ``error_max (12)``; ``-`` if none is above 0."""
+    """The name with the largest count, such as ``error_max (12)``; ``-`` if no count is above 0."""
     name = max(counts, key=lambda label: counts[label], default="")
     return f"{name} ({counts[name]})" if name and counts[name] else "-"
 
 
 def jsonable(content: object) -> Any:
-    """Plain data as JSON has it: dataclasses become objects, arrays lists, NaN and infinity None."""
+    """Convert data to the types of JSON: dataclasses become objects, arrays lists, NaN and infinity None."""
     if is_dataclass(content) and not isinstance(content, type):
         table: JsonObject = {}
         for field in fields(content):

@@ -1,4 +1,4 @@
-"""Theorem 1 applied to the study of a result, computed when the result is shown or summarised."""
+"""Theorem 1 applied to the study of a result."""
 
 from typing import TYPE_CHECKING
 
@@ -28,9 +28,9 @@ def has_table_1(study: Study) -> bool:
 
 
 def theorem_mark(study: Study) -> "Mark | None":
-    """Theorem 1's mark of every point of a study's sweep; None without the functions of Table 1."""
+    """Theorem 1's verdict on each point of a study's sweep; None if no controller has the functions of Table 1."""
     if not has_table_1(study):
         return None
-    from dssc_jax.design.certification import mark  # a result whose certificate nobody asks for does not load it
+    from dssc_jax.design.certification import mark  # not loaded for a result whose certificate is not shown
 
     return mark(study)

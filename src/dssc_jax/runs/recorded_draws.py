@@ -1,4 +1,4 @@
-"""Many draws at once, with their signals over time: one compiled program for any values of chosen numbers."""
+"""Many draws together with their signals over time, by one compiled program for any values of some numbers."""
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,11 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from dssc_jax.closed_loop.draw import simulate_recorded
-from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.engine.batching import Engine, Lane, evaluate, results_of
-from dssc_jax.engine.sampling import Arrays, draw, draw_key
-from dssc_jax.runs.trajectory import trajectory_columns
+from dssc_jax.engine.sampling import Arrays, draw
+from dssc_jax.runs.trajectory import recorded_lane, trajectory_columns
 from dssc_jax.study import Study
 
 
@@ -30,8 +28,8 @@ class RecordedDraws:
 
     Args:
         study: The study; its own sweep is ignored.
-        live: Numbers that every batch sets anew, with the lowest and the highest value. Both are checked like values of
-            a sweep. A number whose value is a law in the batch's own study is drawn from that law.
+        live: Lowest and highest value of each number that batches set. Both are checked like values of a sweep. A
+            number that has a law in a batch's study is drawn from that law.
         signals: Names of the signals to record.
         samples: Most samples to record of each signal.
         lanes: Most draws that run together.
@@ -60,15 +58,15 @@ class RecordedDraws:
         return np.arange(0, self.study.loop.steps, self.every) * self.study.loop.sample_time
 
     def compile(self) -> None:
-        """Compile the program now rather than with the first batch."""
+        """Compile the program now, instead of with the first batch."""
         self._engine.compiled()
 
     def batches(self, study: Study, indices: np.ndarray) -> Iterator[Arrays]:
-        """Simulate draws in batches, so that a caller may stop between two.
+        """Simulate draws in batches, so that a caller may stop between two of them.
 
         Args:
-            study: The study with its present values; it differs from the compiled one in live numbers and in the
-                arguments of laws only.
+            study: The study with the present values; only live numbers and arguments of laws may differ from those of
+                the compiled study.
             indices: Draw indices, shape (n,).
 
         Yields:
@@ -80,29 +78,28 @@ class RecordedDraws:
         for start in range(0, len(indices), self._engine.lanes):
             batch = slice(start, start + self._engine.lanes)
             count = len(indices[batch])
-            columns = {
-                name: values[name][batch] if name in values else np.full(count, fixed[name])
-                for name in self._engine.names
-            }
-            yield self._masked(evaluate(self._engine, columns, indices[batch]))
+            columns = {}
+            for name in self._engine.names:
+                columns[name] = values[name][batch] if name in values else np.full(count, fixed[name])
+            yield self._with_ends(evaluate(self._engine, columns, indices[batch]))
 
-    def _masked(self, results: Arrays) -> Arrays:
-        """Signals are NaN from the end of a draw on."""
-        ended = np.fmin(results["failed_at"], results.get("settled_at", np.inf))
-        has_ended = self.times >= ended[:, None]
-        return {
-            name: np.where(has_ended, np.nan, array) if isinstance(name, SignalKey) and has_ended.any() else array
-            for name, array in results.items()
-        }
+    def _with_ends(self, results: Arrays) -> Arrays:
+        """The results, with signals that are NaN from the end of a draw on."""
+        ends = np.fmin(results["failed_at"], results.get("settled_at", np.inf))
+        has_ended = self.times >= ends[:, None]
+        if not has_ended.any():
+            return results
+        masked = {}
+        for name, array in results.items():
+            masked[name] = np.where(has_ended, np.nan, array) if isinstance(name, SignalKey) else array
+        return masked
 
     def _program(self, study: Study) -> Lane:
-        """The program of a lane."""
+        """The program of a lane, whose results include the recorded signals."""
+        simulate = recorded_lane(study, self.every)
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[Any, Any]:
-            key = draw_key(study.config.seed, index)
-            margins = {name: values[name] for name in margins_of(study.measures)}
-            criteria = study.measures, study.requirements
-            run, recorded = simulate_recorded(study.loop, study.params(values), key, *criteria, self.every, margins)
+            run, recorded = simulate(values, index)
             columns = trajectory_columns(study, recorded)
             signals = {SignalKey(name): columns[name] for name in self.signals}
             # JAX would sort the keys of a plain dict, which are not comparable

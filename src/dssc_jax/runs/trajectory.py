@@ -2,21 +2,21 @@
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import jax
 import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
-from dssc_jax.closed_loop.margin_measures import margins_of
+from dssc_jax.closed_loop.loop import signal_name
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.named import quantity_of, signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, nominal, quantities_of
 from dssc_jax.engine import kernels
-from dssc_jax.engine.batching import values_of_draws
+from dssc_jax.engine.batching import lane_names, margins_in, values_of_draws
 from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -40,6 +40,10 @@ SIGNALS = {
     "u_total": Quantity("u", "total command u + u_n"),
 }
 """Signals of every channel; a controller and a plant declare those of their infos."""
+
+
+RecordedLane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Run, Recorded]]
+"""(numbers of the lane by name, draw index) -> the draw's result and its recorded samples."""
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
@@ -102,14 +106,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         rule = f"a trajectory keeps at most {MOST_KEPT} samples, got {sample_count}; raise every"
         raise ConfigError(study.source, rule)
 
-    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
-        key = draw_key(study.config.seed, index)
-        margins = {name: values[name] for name in margins_of(study.measures)}
-        criteria = study.measures, study.requirements
-        return simulate_recorded(study.loop, study.params(values), key, *criteria, every, margins)
-
-    names = [*study.axes, *study.laws, *margins_of(study.measures)]
-    program = cache(lambda: kernels.compiled_single(lane, names, plain))
+    program = cache(lambda: kernels.compiled_single(recorded_lane(study, every), lane_names(study), plain))
     margins_at = margin_values(study)
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
@@ -121,6 +118,18 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         return as_trajectory(study, draw, values, ended, recorded)
 
     return record
+
+
+def recorded_lane(study: Study, every: int) -> RecordedLane:
+    """The program of a lane that records every ``every``-th sample."""
+
+    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
+        key = draw_key(study.config.seed, index)
+        criteria = study.measures, study.requirements
+        margins = margins_in(study, values)
+        return simulate_recorded(study.loop, study.params(values), key, *criteria, every, margins)
+
+    return lane
 
 
 def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
@@ -180,7 +189,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
             "u_total": sample.u_total,
             **signals_in(sample.info),
         }
-        columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
+        columns |= {signal_name(channel, name): values for name, values in signals.items()}
     for signal, values in zip(study.loop.measures, instant.measured, strict=True):
         columns[f"measured_{signal.name}"] = values
     return columns | signals_in(instant.plant)

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from dssc_jax.core.chains import Element
-from dssc_jax.core.contracts import Plant, Preset, as_given
+from dssc_jax.core.contracts import Plant, Preset, unchanged_params
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity
@@ -168,7 +168,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         fields = {name: item for name, item in table.items() if name not in choices}
         params_type = getattr(model, "params", model)
         params, numbers = parse_params(fields, params_type, getattr(model, "defaults", None), choices)
-        prepare = getattr(model, "prepare", as_given)
+        prepare = getattr(model, "prepare", unchanged_params)
         return Component(kind, model, prepare(params), numbers)
 
 

@@ -9,9 +9,8 @@ from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope,
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
-from dssc_jax.closed_loop.spans import first_sample, samples_before_end
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
-from dssc_jax.closed_loop.window import Window
+from dssc_jax.closed_loop.window import Window, first_sample, samples_before_end
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.comparison import Tuning, tuned
-from dssc_jax.analyses.comparison.tuning import RUNOFF, candidate_points, ranges, untuned_reason
+from dssc_jax.analyses.comparison import Tuning, best_gains
+from dssc_jax.analyses.comparison.tuning import RUNOFF, candidate_points, gain_ranges, untuned_reason
 from dssc_jax.results.manifest import write_sealed
 from dssc_jax.statistics import compare_failures
 from tests.loops import LAGGED
@@ -94,9 +94,9 @@ def test_tuning_gives_every_controller_the_same(study, found):
 
 def test_the_best_candidate_is_the_best_by_hand(study):
     budget = Tuning(candidates=6, draws=10, seed=10)
-    best = tuned(study, budget, ranges(study, {}))
+    best = best_gains(study, budget, gain_ranges(study, {}))
     trial = study.override({"seed": 10, "draws": 10})
-    candidates = candidate_points(trial, ranges(study, {}), budget.candidates, budget.seed)
+    candidates = candidate_points(trial, gain_ranges(study, {}), budget.candidates, budget.seed)
     data = dj.run(trial.override({"sweep": {name: column.tolist() for name, column in candidates.items()}})).dataset
     each = (range(6), range(6))  # the sweep is a grid, of which the candidates are the diagonal
     margin = data["slack_error_max_after_2"].values[each]
@@ -115,12 +115,12 @@ def test_the_best_candidate_is_the_best_by_hand(study):
 
 
 def test_stated_ranges(study):
-    stated = ranges(study, {"functions.kappa1": [2.0, 3.0], "l0": [0.5, 2.0]})
-    best = tuned(study, Tuning(candidates=4, draws=4, seed=1), stated)
+    stated = gain_ranges(study, {"functions.kappa1": [2.0, 3.0], "l0": [0.5, 2.0]})
+    best = best_gains(study, Tuning(candidates=4, draws=4, seed=1), stated)
     assert 2.0 <= best["controller.functions.kappa1"] <= 3.0
     assert 0.5 <= best["controller.l0"] <= 2.0
     with pytest.raises(dj.ConfigError, match=r"tune.l0: must be \[lo, hi\]"):
-        ranges(study, {"l0": [2.0, 0.5]})
+        gain_ranges(study, {"l0": [2.0, 0.5]})
 
 
 def test_a_saved_comparison_is_the_same_again(found, tmp_path):
@@ -193,8 +193,8 @@ def test_a_state_feedback_of_signals_alone_tells_what_it_lacks():
     study = dj.Study.from_table({**TABLE, "plant": plant, "sensor": {"measures": "state"}, "controller": feedback})
     lacking = "of its usual gains k_1 = 0 is not positive, k_2 = 0 is not positive"
     assert untuned_reason(study, "sf") == f"{lacking}; [compare.sf.tune] may name others: k_i, signals.0, signals.1"
-    assert ranges(study, {}) == {}
-    named = ranges(study, {"k_i": [1.0, 2.0], "signals.0": [3.0, 5.0]})
-    assert tuned(study, Tuning(2, 4, 1), named).keys() == {"controller.k_i", "controller.signals.0"}
+    assert gain_ranges(study, {}) == {}
+    named = gain_ranges(study, {"k_i": [1.0, 2.0], "signals.0": [3.0, 5.0]})
+    assert best_gains(study, Tuning(2, 4, 1), named).keys() == {"controller.k_i", "controller.signals.0"}
     feeding = study.override({"controller.k_2": 0.5})
-    assert list(ranges(feeding, {})) == ["controller.k_2"]
+    assert list(gain_ranges(feeding, {})) == ["controller.k_2"]

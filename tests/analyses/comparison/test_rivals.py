@@ -5,7 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.analyses.comparison import controller_table, switching_kinds
-from dssc_jax.analyses.comparison.tuning import ranges
+from dssc_jax.analyses.comparison.tuning import gain_ranges
 from dssc_jax.core.registry import single
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.tables import merge_tables
@@ -161,9 +161,9 @@ def test_what_does_not_follow(changes, name, rule):
 
 def test_tunable_gains_stand_on_the_controller():
     study = study_with({"kind": "field", **FUNCTIONS["field"]})
-    assert list(ranges(study, {})) == ["controller.functions.kappa1", "controller.functions.kappa2"]
+    assert list(gain_ranges(study, {})) == ["controller.functions.kappa1", "controller.functions.kappa2"]
     study = study.override({"controller": controller_table(study, "sta")})
-    assert list(ranges(study, {})) == ["controller.kappa1", "controller.kappa2"]
+    assert list(gain_ranges(study, {})) == ["controller.kappa1", "controller.kappa2"]
 
 
 def test_switching_kinds_are_those_with_a_describing_function():
@@ -179,6 +179,6 @@ def test_a_controller_that_declares_nothing_is_refused_by_name(monkeypatch):
     with pytest.raises(dj.ConfigError, match=r"cannot be derived from 'dssc'; give \[compare.bare_law\]"):
         controller_table(study, "bare_law")
     own = study.override({"controller": {"kind": "bare_law", "l0": 1.0, "kappa1": 1.0, "kappa2": 1.0}})
-    assert ranges(own, {}) == {}
+    assert gain_ranges(own, {}) == {}
     with pytest.raises(dj.ConfigError, match="'bare_law' has no limit; these have one: sta, vgsta"):
         controller_table(own, "bare_law_limited")

@@ -9,8 +9,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.analyses.falsification.conditions import without_other_margins
-from dssc_jax.analyses.falsification.falsify import hunt
-from dssc_jax.analyses.falsification.hunt import Programs
+from dssc_jax.analyses.falsification.falsify import search_worst_draw
+from dssc_jax.analyses.falsification.search import SearchPrograms
 from dssc_jax.core.errors import ConfigError
 
 STUDIES = Path(__file__).parents[3] / "studies"
@@ -24,8 +24,8 @@ def study():
 
 def test_a_planted_failure(study):
     """Done-when: at least 9 of 10 seeds, with a hundredth of the 100,000 draws that random search would need."""
-    programs = Programs.of(study, 1000)
-    found = [hunt(programs, 1000, seed) for seed in range(10)]
+    programs = SearchPrograms.of(study, 1000)
+    found = [search_worst_draw(programs, 1000, seed) for seed in range(10)]
     assert all(each.simulations <= 1000 for each in found)
     assert sum(each.slack < 0.0 for each in found) >= 9
     rare = dj.run(study).summary()["points"][0]

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.falsification.hunt import Programs
+from dssc_jax.analyses.falsification.search import SearchPrograms
 from dssc_jax.analyses.falsification.search_sets import MOST_SIGMA, search_set
 from dssc_jax.cli.main import guarded
 from dssc_jax.closed_loop.requirements import worst_slack
@@ -70,7 +70,7 @@ def test_no_draw_of_a_dense_grid_is_worse(correlated, found):
         [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()]
     )
     values = {name: law.ppf(stats.norm.cdf(score)) for (name, law), score in zip(LAWS.items(), scores, strict=True)}
-    plain = Programs.of(correlated, 300).plain
+    plain = SearchPrograms.of(correlated, 300).plain
     slacks = worst_slack(plain.swept.requirements, plain(np.zeros(angle.size, dtype=int), values))
     assert found.slack <= slacks.min() + 0.002 * np.ptp(slacks)
     assert found.likelihood.distance == pytest.approx(2.0, rel=0.02)

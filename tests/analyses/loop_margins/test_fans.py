@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.loop_margins.fans import fan_of, joint_phase, pole_phase
+from dssc_jax.analyses.loop_margins.fans import fan_quantiles, joint_phase, pole_phase
 
 ANGLES = np.geomspace(1e-3, np.pi * (1.0 - 1e-9), 240)
 Z = np.exp(1j * ANGLES)
@@ -12,7 +12,7 @@ HALF_TURN = 180.0
 
 def band_of(loops, poles):
     """The widest band of 90 % of the draws, and the median at the last angle [deg]."""
-    fan = fan_of(-loops / (1.0 + loops), poles, ANGLES)["loop_phase"]
+    fan = fan_quantiles(-loops / (1.0 + loops), poles, ANGLES)["loop_phase"]
     low, middle, high = np.degrees(fan)
     return np.max(high - low), middle[-1]
 

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.loop_margins.multiloop import JointLoops, multiloop_margins, peak
+from dssc_jax.analyses.loop_margins.multiloop import JointLoops, multiloop_margins, peak_bound
 from dssc_jax.analyses.loop_margins.structured import lower_bounds, upper_bounds
 from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
@@ -92,7 +92,7 @@ def test_loops_oscillate_at_the_margin_and_are_stable_within_it(channels):
 def test_the_peak_is_that_of_a_dense_grid():
     loops = JointLoops(*random_loops(2))
     poles = np.linalg.eigvals(loops.a)
-    _, largest = peak(loops, grid_with_poles(loop_grids(poles), poles))
+    _, largest = peak_bound(loops, grid_with_poles(loop_grids(poles), poles))
     dense = loops.at(np.broadcast_to(np.linspace(1e-6, np.pi, 4000), (len(poles), 4000)))
     bounds = upper_bounds(dense.reshape(-1, 2, 2)).reshape(len(poles), -1)
     assert np.all(largest >= bounds.max(axis=1) * (1.0 - 1e-9))

@@ -10,7 +10,7 @@ from scipy.interpolate import RBFInterpolator
 import dssc_jax as dj
 from dssc_jax import ConfigError
 from dssc_jax.analyses.probability.strata import strata_edges, stratified_probability
-from dssc_jax.analyses.probability.surrogate import SMOOTHING, interpolation
+from dssc_jax.analyses.probability.surrogate import SMOOTHING, fit_interpolation
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 from tests.analyses.test_one_shape import TABLE
@@ -59,7 +59,7 @@ def test_the_interpolation_is_that_of_scipy():
     values = np.sin(4.0 * points[:, 0]) + points[:, 1] * points[:, 2]
     places = rng.random((50, 3))
     expected = RBFInterpolator(points, values, kernel="cubic", smoothing=SMOOTHING)(places)
-    np.testing.assert_allclose(interpolation(points, values)(places), expected, atol=1e-8)
+    np.testing.assert_allclose(fit_interpolation(points, values)(places), expected, atol=1e-8)
 
 
 def test_one_stratum_has_the_exact_interval():

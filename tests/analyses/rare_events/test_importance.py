@@ -12,7 +12,7 @@ from dssc_jax.analyses.rare_events.importance import (
     importance_sampling,
     systematic_sample,
 )
-from dssc_jax.analyses.rare_events.prediction import NOISY, predicted
+from dssc_jax.analyses.rare_events.prediction import NOISY, fit_prediction
 from tests.analyses.rare_events.test_rare import FOUR_BRANCH, four_branch, hidden
 from tests.runs.test_run_until import TABLE
 
@@ -108,26 +108,26 @@ def test_rare_noise_far_from_the_predicted_border_counts(seed):
     """The largest of ten noisy readings exceeds 6, with 3e-4 at 4; a normal law would expect less than 1e-7 there."""
     points = np.linspace(-6.0, 6.0, 200)[:, None]
     noise = np.random.default_rng(4 + seed).standard_normal((200, 10)).max(axis=1)
-    prediction = predicted(points, 6.0 - points[:, 0] - 0.5 * noise)
+    prediction = fit_prediction(points, 6.0 - points[:, 0] - 0.5 * noise)
     assert prediction.smoothing >= NOISY
     for place in (4.0, 4.4, 4.8):
         exact = -np.expm1(10.0 * stats.norm.logcdf((6.0 - place) / 0.5))
-        assert 0.03 < prediction.failing(np.array([[place]]))[0] / exact < 10.0
+        assert 0.03 < prediction.failure_probability(np.array([[place]]))[0] / exact < 10.0
 
 
 def test_the_prediction_is_that_of_a_plane_and_knows_its_error():
     rng = np.random.default_rng(5)
     points = rng.standard_normal((80, 2))
-    exact = predicted(points, 3.0 - points[:, 0])
+    exact = fit_prediction(points, 3.0 - points[:, 0])
     fresh = rng.standard_normal((50, 2))
-    values, slopes = exact.slope(fresh)
+    values, slopes = exact.slacks_and_slopes(fresh)
     np.testing.assert_array_equal(values < 0.0, fresh[:, 0] > 3.0)
     shift = np.array([0.0, 1e-6])
-    differences = (exact.slope(fresh + shift)[0] - exact.slope(fresh - shift)[0]) / 2e-6
+    differences = (exact.slacks_and_slopes(fresh + shift)[0] - exact.slacks_and_slopes(fresh - shift)[0]) / 2e-6
     np.testing.assert_allclose(slopes[:, 1], differences, atol=1e-6)
-    noisy = predicted(points, 0.3 * rng.standard_normal(80) - points[:, 0])
+    noisy = fit_prediction(points, 0.3 * rng.standard_normal(80) - points[:, 0])
     border = np.array([[0.0, 0.3], [0.3, 0.0], [-0.3, 0.0]])
-    middle, beyond, before = noisy.failing(border)
+    middle, beyond, before = noisy.failure_probability(border)
     assert middle == pytest.approx(0.5, abs=0.25)
     assert beyond == pytest.approx(special.ndtr(1.0), abs=0.2)
     assert before == pytest.approx(special.ndtr(-1.0), abs=0.2)
@@ -151,13 +151,13 @@ def test_design_points_and_their_approximations():
     def parabola(z, _):
         return 3.0 - z[:, 0] + 0.2 * z[:, 1] ** 2
 
-    def slope(z):
+    def parabola_slopes(z):
         return parabola(z, None), np.stack([-np.ones(len(z)), 0.4 * z[:, 1]], axis=1)
 
-    (found,) = find_design_points(slope, np.array([[1.0, 1.0], [0.5, -2.0]]))
+    (found,) = find_design_points(parabola_slopes, np.array([[1.0, 1.0], [0.5, -2.0]]))
     assert found.point == pytest.approx([3.0, 0.0], abs=0.05)
     assert found.first_order_probability == pytest.approx(special.ndtr(-3.0), rel=0.02)
-    curved_point = with_curvature(slope, found)
+    curved_point = with_curvature(parabola_slopes, found)
     assert curved_point.second_order == pytest.approx((1.0 + 2.0 * 3.0 * 0.2) ** -0.5, rel=0.02)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.estimate import Plain
+from dssc_jax.analyses.rare_events.estimate import PlainDraws
 from dssc_jax.analyses.rare_events.rare import RareEvent
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.closed_loop.requirements import worst_slack
@@ -177,7 +177,7 @@ def test_a_contradiction_without_a_failed_plain_draw_has_no_table_of_failures(ca
     study = dj.Study.from_table(TABLE).override({"plant.a_p": 1.0})
     settings = dj.Splitting(particles=60, killed=30, repeats=10)
     likely = split(lambda z, _: 1.0 - z[:, 0], 1, (0,), settings)
-    estimate = replace(likely, plain=Plain(4096, np.empty((0, 1))))
+    estimate = replace(likely, plain=PlainDraws(4096, np.empty((0, 1))))
     assert estimate.contradicted
     event = RareEvent.of(study, settings, estimate, False)
     assert event.answer.where["plant.k_p"].failing is None

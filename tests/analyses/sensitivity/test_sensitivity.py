@@ -7,7 +7,7 @@ import pytest
 from scipy import special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, refusal
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, refusal_reason
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.console.analyses import show_sensitivity
 from tests.runs.test_run_until import TABLE
@@ -96,14 +96,14 @@ def test_indices_of_too_few_failures_are_refused(p, rows, needed):
     """With the number of rows that do."""
     a, b = saltelli(rows, 3, (3,))
     function = half_space(p)
-    assert f"needs {needed:,} rows" in refusal(function(a), function(b))
+    assert f"needs {needed:,} rows" in refusal_reason(function(a), function(b))
     more_a, more_b = saltelli(needed, 3, (4,))
-    assert refusal(function(more_a), function(more_b)) is None
-    assert "needs" in refusal(1.0 - function(a), 1.0 - function(b))  # a rare success is a failure's mirror image
+    assert refusal_reason(function(more_a), function(more_b)) is None
+    assert "needs" in refusal_reason(1.0 - function(a), 1.0 - function(b))  # a rare success is a failure's mirror image
     constant = np.full(rows, 0.1)  # whose mean is not exactly 0.1
-    assert refusal(constant, constant) == "does not vary"
+    assert refusal_reason(constant, constant) == "does not vary"
     enormous = 1e200 * function(a)
-    assert refusal(enormous, 1e200 * function(b)) == refusal(function(a), function(b))
+    assert refusal_reason(enormous, 1e200 * function(b)) == refusal_reason(function(a), function(b))
 
 
 def test_a_study_with_a_rare_failure(capsys):

@@ -11,7 +11,7 @@ from scipy import special, stats
 import dssc_jax as dj
 from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, trajectories
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE
-from dssc_jax.analyses.sensitivity.shapley import chained_scores, orders, shapley_effects
+from dssc_jax.analyses.sensitivity.shapley import chained_scores, random_orders, shapley_effects
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.cli.main import guarded
 from tests.analyses.sensitivity.test_sensitivity import ishigami
@@ -20,7 +20,7 @@ from tests.runs.test_run_until import TABLE
 
 def effects_of(function, correlation, rows, seed):
     """Estimates with intervals for a function of correlated normal scores."""
-    order = orders(rows, len(correlation), (seed, 1))
+    order = random_orders(rows, len(correlation), (seed, 1))
     own, other = map(special.ndtri, saltelli(rows, len(correlation), (seed,)))
     return shapley_effects(function(chained_scores(correlation, own, other, order)), order)
 

@@ -27,7 +27,7 @@ def test_its_medians_are_the_tutorials(motor):
     found = transfer_function(RealisedSystem(tuple(map(tuple, expected)), (0.0, 1.0 / L), (1.0, 0.0)))
     np.testing.assert_allclose(found[0], signal.ss2tf(a, b, c, [[0.0]])[0][0][2:], rtol=1e-9)
     form = normal_form(numerator, denominator)
-    assert form.silence == ""
+    assert form.obstacle == ""
     numbers = [form.gain, form.damping, form.stiffness]
     assert numbers == pytest.approx([K / (J * L), DAMPING / J + R / L, (DAMPING * R + K * K) / (J * L)])
     assert numbers == pytest.approx([2.0, 12.0, 20.02])  # docs/motor.md

@@ -3,18 +3,18 @@
 from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
 from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins
 from dssc_jax.analyses.comparison.rivals import controller_table, switching_kinds, with_own_controllers
-from dssc_jax.analyses.comparison.tuning import Tuning, tuned
+from dssc_jax.analyses.comparison.tuning import Tuning, best_gains
 
 __all__ = [
     "Comparison",
     "Contest",
     "MarginContest",
     "Tuning",
+    "best_gains",
     "compare",
     "compare_margins",
     "controller_table",
     "switching_kinds",
-    "tuned",
     "with_controller",
     "with_own_controllers",
 ]

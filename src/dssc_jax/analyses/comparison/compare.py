@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, NamedTuple, Self
@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
-from dssc_jax.analyses.comparison.tuning import Tuning, ranges, tuned, untuned_reason, with_gains
+from dssc_jax.analyses.comparison.tuning import Tuning, best_gains, gain_ranges, untuned_reason, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
+from dssc_jax.analyses.margins.joined import name_axis
 from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
@@ -99,7 +100,8 @@ class Contest(NamedTuple):
 
     Args:
         tables: The ``[controller]`` table of each controller.
-        dataset: Dimensions ``controller`` and ``draw``: ``failed``, ``outcome``, and every metric common to all.
+        dataset: Along ``controller`` and ``draw`` it has ``failed``, ``outcome`` and every metric that all controllers
+            have; along ``draw`` the uncertain numbers.
     """
 
     tables: dict[str, ControllerTable]
@@ -107,30 +109,37 @@ class Contest(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, tables: dict[str, ControllerTable], progress: Callable[[], None]) -> "Contest":
-        """Run every controller."""
+        """Run the study with every controller.
+
+        Args:
+            study: The study without its sweep.
+            tables: The ``[controller]`` table of each controller.
+            progress: Called after each run.
+        """
         parts: list[xr.Dataset] = []
         for name, table in tables.items():
             parts.append(running.run(with_controller(study, name, table)).dataset)
             progress()
         first = parts[0]
-        uncertain, common = [], []
+        uncertain = []
+        common = []
         for name in first:
             if all("law" in part.get(name, part["outcome"]).attrs for part in parts):
                 uncertain.append(name)
             elif all(name in part for part in parts):
                 common.append(name)
-        axis = named_axis(list(tables))
+        axis = controller_axis(tables)
         dataset = xr.concat([part[common] for part in parts], dim=axis, join="exact").assign(first[uncertain])
         failed = dataset["outcome"] != Outcome.OK
         dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
         return cls(tables, dataset)
 
     def metrics(self, study: Study) -> list[str]:
-        """The study's metrics that all controllers have."""
+        """Names of the study's metrics that all controllers have."""
         return [measure.name for measure in study.measures if measure.name in self.dataset]
 
     def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[ControllerPair]:
-        """For every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
+        """Compare every two controllers a and b draw by draw, by their failures and by each metric that both have."""
         pairs = []
         for a, b in itertools.combinations(self.tables, 2):
             first = self.dataset.sel(controller=a)
@@ -144,7 +153,7 @@ class Contest(NamedTuple):
         return pairs
 
     def answer(self, study: Study, confidence: float = CONFIDENCE) -> ContestAnswer:
-        """Summarise each controller and each pair."""
+        """Failures, violations and median metrics of each controller, and the comparison of every pair."""
         controllers = {}
         for name, table in self.tables.items():
             data = self.dataset.sel(controller=name)
@@ -172,11 +181,11 @@ class Contest(NamedTuple):
 
 
 class ContestPart(NamedTuple):
-    """The tables and variable names of a contest; its data lie in the comparison's dataset.
+    """A contest without its data, which lie in the dataset of the comparison.
 
     Args:
         tables: The ``[controller]`` table of each controller.
-        variables: Its variables of the dataset.
+        variables: Names of the contest's variables in that dataset.
     """
 
     tables: dict[str, ControllerTable]
@@ -184,18 +193,22 @@ class ContestPart(NamedTuple):
 
     @classmethod
     def of(cls, contest: Contest) -> "ContestPart":
-        """The part of a contest."""
+        """The part that belongs to a contest."""
         return cls(contest.tables, tuple(map(str, contest.dataset)))
 
     def contest(self, dataset: xr.Dataset) -> Contest:
-        """The contest with these controllers' part of the dataset."""
-        labelled = dataset.assign_coords(controller=named_axis(list(self.tables)))
+        """The contest with its data.
+
+        Args:
+            dataset: The rows of the comparison's dataset that belong to these controllers, in their order.
+        """
+        labelled = dataset.assign_coords(controller=controller_axis(self.tables))
         return Contest(self.tables, labelled[list(self.variables)])
 
 
-def named_axis(names: list[str]) -> xr.DataArray:
-    """The coordinate of the controllers' names."""
-    return xr.DataArray(np.array(names), dims="controller", name="controller", attrs={"long_name": "controller"})
+def controller_axis(names: Iterable[str]) -> xr.DataArray:
+    """The coordinate ``controller`` of a dataset, from the controllers' names."""
+    return name_axis("controller", names, "controller")
 
 
 @dataclass(eq=False)
@@ -207,9 +220,9 @@ class Comparison(Analysis):
     Args:
         corresponding_part: Controllers with the gains that the study gives, or that follow from it.
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
-        budget: The budget; None if nothing was tuned.
-        seconds: Computing time.
-        untuned: For each controller that should have been tuned, but none of whose gains could be, why.
+        budget: The budget of the tuning; None if nothing was tuned.
+        seconds: Computing time [s].
+        untuned: The reason why a controller could not be tuned, by the name of the controller.
     """
 
     kind = "compare"
@@ -227,28 +240,27 @@ class Comparison(Analysis):
         cls,
         study: Study,
         corresponding: Contest,
-        tuned: Contest | None = None,
-        budget: Tuning | None = None,
-        seconds: float = 0.0,
-        untuned: Mapping[str, str] | None = None,
+        tuned: Contest | None,
+        budget: Tuning | None,
+        seconds: float,
+        untuned: Mapping[str, str],
     ) -> Self:
-        """Combine one or both contests."""
-        part = ContestPart.of(corresponding)
-        if tuned is None:
-            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=dict(untuned or {}))
-        names = named_axis([f"{name}_tuned" for name in tuned.tables])
-        dataset = xr.concat(
-            [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
-            dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
-        )  # fmt: skip
+        """Create the comparison from its contests; arguments as of the class."""
+        dataset = corresponding.dataset
+        if tuned is not None:
+            names = controller_axis(f"{name}_tuned" for name in tuned.tables)
+            dataset = xr.concat(
+                [dataset, tuned.dataset.assign_coords(controller=names)],
+                dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
+            )  # fmt: skip
         return cls(
             study=study,
             dataset=dataset,
-            corresponding_part=part,
-            tuned_part=ContestPart.of(tuned),
-            budget=budget,
+            corresponding_part=ContestPart.of(corresponding),
+            tuned_part=None if tuned is None else ContestPart.of(tuned),
+            budget=None if tuned is None else budget,
             seconds=seconds,
-            untuned=dict(untuned or {}),
+            untuned=dict(untuned),
         )
 
     @cached_property
@@ -267,18 +279,18 @@ class Comparison(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """Number of failed draws of each controller, in one line."""
         failures = self.corresponding.dataset["failed"].sum("draw")
         counts = [f"{name} {int(failures.sel(controller=name))}" for name in self.corresponding.tables]
         return f"failures in {self.dataset.sizes['draw']:,} draws: {', '.join(counts)}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the controllers' failure probabilities, and their differences from the first one draw by draw."""
         return plotting.comparison(self)
 
     @property
     def answer(self) -> ComparisonAnswer:
-        """The numbers that summary.json holds."""
+        """The controllers with corresponding and with tuned gains, as ``summary.json`` has them."""
         tuned = None
         if self.tuned is not None and self.budget is not None:
             tuned = TunedContestAnswer(self.budget.text, self.tuned.answer(self.study))
@@ -299,8 +311,8 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
 
     Args:
         study: The study.
-        name: The controller's name, for messages.
-        table: The controller.
+        name: Name of the controller in the comparison, for messages.
+        table: The ``[controller]`` table.
 
     Raises:
         ConfigError: the controller does not fit the study.
@@ -311,16 +323,33 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
         raise ConfigError(f"compare.{name}", str(error)) from None
 
 
-def require_names(controllers: Sequence[str]) -> list[str]:
-    """Require at least two different controllers.
+class Contestants(NamedTuple):
+    """The controllers of a comparison, by name.
 
-    Raises:
-        ConfigError: there are fewer, or one is named twice.
+    Args:
+        study: The study without its sweep, with a table ``[compare.NAME]`` for each controller of a user's own.
+        tables: The ``[controller]`` table of each controller.
+        studies: The study with each controller.
     """
-    names = list(controllers)
-    if len(set(names)) < max(2, len(names)):
-        raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
-    return names
+
+    study: Study
+    tables: dict[str, ControllerTable]
+    studies: dict[str, Study]
+
+    @classmethod
+    def of(cls, study: Study, controllers: Sequence[str]) -> "Contestants":
+        """The controllers with these names, of which there have to be two different ones at least.
+
+        Raises:
+            ConfigError: there are fewer, one is named twice or unknown, or a controller does not fit the study.
+        """
+        names = list(controllers)
+        if len(set(names)) < max(2, len(names)):
+            raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
+        study = with_own_controllers(study.without_sweep(), names)
+        tables = {name: controller_table(study, name) for name in names}
+        studies = {name: with_controller(study, name, table) for name, table in tables.items()}
+        return cls(study, tables, studies)
 
 
 @takes_file
@@ -339,7 +368,7 @@ def compare(
         controllers: At least two names.
         candidates: Number of candidate gains to try for each controller; fresh draws decide. 0: no tuning.
         tuning_draws: Draws on which each candidate is tried.
-        progress: Called with the steps done.
+        progress: Called with the runs and tunings done, and their total.
 
     Raises:
         ConfigError: a name is unknown or given twice, or a controller does not fit.
@@ -352,13 +381,10 @@ def compare(
         [('dssc', 'sta')]
     """
     began = time.perf_counter()
-    names = require_names(controllers)
     require_independent(study, "a comparison")
-    study = with_own_controllers(study.without_sweep(), names)
-    tables = {name: controller_table(study, name) for name in names}
-    studies = {name: with_controller(study, name, table) for name, table in tables.items()}
+    study, tables, studies = Contestants.of(study, controllers)
     steps = itertools.count(1)
-    total = len(names) * (3 if candidates else 1)
+    total = len(tables) * (3 if candidates else 1)
 
     def step() -> None:
         if progress:
@@ -367,22 +393,25 @@ def compare(
     budget = Tuning.of(study, candidates, tuning_draws) if candidates else None
     if budget and len(study.loop.channels) > 1:
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
-    extents = tuning_ranges(studies) if budget else {}
+    extents = ranges_by_controller(studies) if budget else {}
     untuned = {name: untuned_reason(studies[name], name) for name, ranges in extents.items() if not ranges}
     corresponding = Contest.of(study, tables, step)
-    if budget is None or len(untuned) == len(names):
-        return Comparison.of(study, corresponding, seconds=time.perf_counter() - began, untuned=untuned)
-    better = {}
-    for name, rival in studies.items():
-        with errors_under(f"compare.{name}"):
-            better[name] = with_gains(tables[name], tuned(rival, budget, extents[name]))
-        step()
-    contest = Contest.of(study, better, step)
+    contest = None
+    if budget is not None and len(untuned) < len(tables):
+        better = {}
+        for name, rival in studies.items():
+            with errors_under(f"compare.{name}"):
+                better[name] = with_gains(tables[name], best_gains(rival, budget, extents[name]))
+            step()
+        contest = Contest.of(study, better, step)
     return Comparison.of(study, corresponding, contest, budget, time.perf_counter() - began, untuned)
 
 
-def tuning_ranges(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[float, float]]]:
-    """The numbers to tune of each controller and their ranges; none, if it has no gain that can be tuned.
+def ranges_by_controller(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[float, float]]]:
+    """The range of each number to tune, by controller; empty for a controller without a gain that can be tuned.
+
+    Args:
+        studies: The study with each controller.
 
     Raises:
         ConfigError: a range is not valid.
@@ -391,5 +420,5 @@ def tuning_ranges(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[flo
     for name, study in studies.items():
         requested = study.config.compare.get(name, {}).get("tune", {})
         with errors_under(f"compare.{name}"):
-            extents[name] = ranges(study, requested)
+            extents[name] = gain_ranges(study, requested)
     return extents

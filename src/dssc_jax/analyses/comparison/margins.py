@@ -11,11 +11,11 @@ from typing import Annotated, Self
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.compare import require_names, with_controller
-from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
+from dssc_jax.analyses.comparison.compare import Contestants, with_controller
+from dssc_jax.analyses.comparison.rivals import ControllerTable
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
-from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, median_texts
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, split_margins
+from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, medians_text
 from dssc_jax.analyses.margins.result import PARAMETER_UNIT
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
@@ -64,9 +64,9 @@ class MarginContest(Analysis):
     The dataset is that of :class:`dssc_jax.analyses.margins.Margins`, with the additional dimension ``controller``.
 
     Args:
-        parts: The settings of the margins, by controller.
+        parts: What the dataset does not say of the margins, by controller.
         tables: The ``[controller]`` table of each controller.
-        seconds: Computing time.
+        seconds: Computing time [s].
     """
 
     kind = "margins"
@@ -79,7 +79,7 @@ class MarginContest(Analysis):
 
     @classmethod
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
-        """Combine the margins of the controllers."""
+        """Create the contest from the margins of its controllers; arguments as of the class."""
         dataset = join_margins(margins, "controller", "controller")
         contest = cls(study, dataset, margin_parts(margins), tables, seconds)
         contest.margins = margins
@@ -95,7 +95,7 @@ class MarginContest(Analysis):
     @cached_property
     def margins(self) -> dict[str, Margins]:
         """The margins by controller."""
-        return part_margins(self.dataset, "controller", self.parts, self.study_of)
+        return split_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
         """The study with one of the controllers; the study itself if its code is not loaded."""
@@ -104,9 +104,9 @@ class MarginContest(Analysis):
         return with_controller(self.study, controller, self.tables[controller])
 
     def pairs(self, confidence: float = CONFIDENCE) -> list[MarginPair]:
-        """For every pair a, b: the share of draws on which a goes further, minus the share on which b does.
+        """Compare every two controllers a and b: on how many draws one passes further along the walk than the other.
 
-        Includes the exact interval and test for paired draws. Draws on which both are censored alike are ties.
+        Draws on which both are censored alike are ties. Interval and test are exact for paired draws.
         """
         pairs = []
         for a, b in itertools.combinations(self.margins, 2):
@@ -128,16 +128,16 @@ class MarginContest(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
-        return f"median critical {self.answer.parameter}: {median_texts(self.margins)}"
+        """The median critical value of each controller, in one line."""
+        return f"median critical {self.answer.parameter}: {medians_text(self.margins)}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the margins of all controllers over the number."""
         return plotting.theory(self.margins)
 
     @property
     def answer(self) -> MarginContestAnswer:
-        """The numbers that summary.json holds."""
+        """The margins of all controllers and of every pair, as ``summary.json`` has them."""
         first = next(iter(self.margins.values())).answer
         controllers = {}
         for name, margins in self.margins.items():
@@ -156,10 +156,17 @@ class MarginContest(Analysis):
 
 
 def require_named(source: str, study: TomlTable, tables: object) -> None:
-    """Require that stored controllers refer to no code that the stored study does not name, before any is imported.
+    """Require that stored controllers name no code that their stored study does not name, before any is imported.
+
+    A folder is loaded with the trust that its study has, so an altered table of controllers must add no code to it.
+
+    Args:
+        source: Name of the file, for the message.
+        study: The stored study.
+        tables: The stored tables of the controllers.
 
     Raises:
-        ConfigError: one does; such a file was altered.
+        ConfigError: a table names other code.
     """
     foreign = set(code_names({"tables": tables})) - set(code_names(study))
     if foreign:
@@ -193,10 +200,7 @@ def compare_margins(
         ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` raises it.
     """
     began = time.perf_counter()
-    names = require_names(controllers)
-    study = with_own_controllers(study.without_sweep(), names)
-    tables = {name: controller_table(study, name) for name in names}
-    studies = {name: with_controller(study, name, table) for name, table in tables.items()}
+    study, tables, studies = Contestants.of(study, controllers)
     lanes = (points + bisections) * study.config.draws
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     margins: dict[str, Margins] = {}
@@ -204,7 +208,7 @@ def compare_margins(
     def advance(finished_lanes: int, total: int | None) -> None:
         del total
         if progress:
-            progress(len(margins) * lanes + finished_lanes, len(names) * lanes)
+            progress(len(margins) * lanes + finished_lanes, len(studies) * lanes)
 
     for name, rival in studies.items():
         margins[name] = margin(rival, **walk, progress=advance)

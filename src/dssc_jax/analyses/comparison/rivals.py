@@ -25,6 +25,8 @@ from dssc_jax.study.tables import channel_table, merge_tables
 
 ControllerTable = TomlTable
 LIMITED = "limited"
+COMMON_GAINS = ("l0", "nominal")
+"""Error pole and nominal control, which any controller may share with DSSC."""
 
 
 class RivalName(NamedTuple):
@@ -42,7 +44,7 @@ class RivalName(NamedTuple):
 
 
 def rival_names() -> dict[str, RivalName]:
-    """Every name of a controller: its kind, alone or with one of its sampled forms or ``limited``."""
+    """The controller of every name: each kind alone, with each of its sampled forms, and with ``limited``."""
     names = {}
     for kind, entry in CONTROLLERS.items():
         names[kind] = RivalName(kind)
@@ -53,36 +55,43 @@ def rival_names() -> dict[str, RivalName]:
 
 
 def switching_kinds() -> list[str]:
-    """Kinds of controller whose describing function is known."""
+    """Kinds of controller that declare a describing function: their switching sustains oscillations."""
     return [kind for kind, entry in CONTROLLERS.items() if entry.default_member.describing is not None]
 
 
 def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
-    """The study with a table ``[compare.NAME]`` of the kind NAME for each NAME that is a ``module:OBJECT``.
+    """The study with a table ``[compare.NAME]`` for each controller of a user's own, NAME being ``module:OBJECT``.
 
-    So a stored comparison tells, like any study, which code it refers to. A ``[compare.NAME]`` that states no kind
-    changes the gains.
+    A stored comparison then tells, like any study, which code it refers to. If the study has a ``[compare.NAME]``
+    already, its gains are kept.
     """
     tables = {}
     for name in names:
         stated_table = study.config.compare.get(name, {})
-        if ":" in name and name != kind_of_all(study) and "kind" not in stated_table:
+        if ":" in name and name != controller_kinds(study) and "kind" not in stated_table:
             tables[name] = merge_tables({"kind": name, **common_gains(study, name)}, stated_table)
     return study.override({"compare": {**study.config.compare, **tables}}) if tables else study
 
 
-def kind_of_all(study: Study) -> str:
-    """The kind of the study's controller; of channels with different kinds, all of them."""
+def controller_kinds(study: Study) -> str:
+    """The kind of the study's controller, or the kinds of its channels if they differ, as one text."""
     kinds = dict.fromkeys(kind_in(study.config, "controller", channel) for channel in study.loop.channels)
     return ", ".join(kinds)
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
-    """The study's error pole and nominal control, as far as the user's own controller has them as gains."""
+    """The gains that the study's controller and a user's own controller have in common, by key.
+
+    These are the error pole ``l0`` and the nominal control ``nominal``, as far as the user's controller has them.
+
+    Args:
+        study: The study.
+        name: The user's controller, ``module:OBJECT``.
+    """
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)
-    common = [key for key in ("l0", "nominal") if key in fields]
+    common = [key for key in COMMON_GAINS if key in fields]
     gains = {key: controller[key] for key in common if key in controller}
     for channel in study.loop.channels:
         table = controller.get(channel, {})
@@ -109,8 +118,8 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     controller = study.config.controller
     table = {key: value for key, value in stated_table.items() if key != "tune"}
     if "kind" in table:
-        return merge_tables(controller, table) if table["kind"] == kind_of_all(study) else table
-    return table_by_name(study, name, table) if name in rival_names() else merge_tables(controller, table)
+        return merge_tables(controller, table) if table["kind"] == controller_kinds(study) else table
+    return table_with_changes(study, name, table) if name in rival_names() else merge_tables(controller, table)
 
 
 def corresponding_table(study: Study, name: str) -> ControllerTable:
@@ -122,28 +131,32 @@ def corresponding_table(study: Study, name: str) -> ControllerTable:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
     """
     controller = study.config.controller
-    common_kind = kind_of_all(study)
-    if name == common_kind:
+    study_kind = controller_kinds(study)
+    if name == study_kind:
         return dict(controller)
     names = rival_names()
     if name not in names:
-        raise ConfigError(
-            f"compare.{name}", f"there is no such controller; {nearest(name, [*names, *study.config.compare])}"
-        )
+        hint = nearest(name, [*names, *study.config.compare])
+        raise ConfigError(f"compare.{name}", f"there is no such controller; {hint}")
     rival = names[name]
-    table = dict(controller) if rival.kind == common_kind else derived(study, name, rival.kind)
+    table = dict(controller) if rival.kind == study_kind else derive_table(study, name, rival.kind)
     if rival.limited:
         return with_limit(study, name, table)
     return {**table, "discretisation": rival.form} if rival.form else table
 
 
-def table_by_name(study: Study, name: str, changes: ControllerTable) -> ControllerTable:
+def table_with_changes(study: Study, name: str, changes: ControllerTable) -> ControllerTable:
     """The table of a controller whose name states its kind, with the changes of a ``[compare.NAME]`` that states none.
 
-    If its gains do not follow from the study's own, the changes are the whole controller.
+    If the controller's gains do not follow from the study's own, the changes are all its gains.
+
+    Args:
+        study: The study.
+        name: A name of :func:`rival_names`.
+        changes: The table ``[compare.NAME]``, which states no kind.
 
     Raises:
-        ConfigError: its gains do not follow, and there are no changes, or the limit of a limited one is not among them.
+        ConfigError: the gains do not follow, and there are no changes, or a limited controller gets no limit.
     """
     rival = rival_names()[name]
     try:
@@ -156,50 +169,62 @@ def table_by_name(study: Study, name: str, changes: ControllerTable) -> Controll
             raise ConfigError(f"compare.{name}.{limit}", "is required and missing") from None
         form = {"discretisation": rival.form} if rival.form else {}
         return {"kind": rival.kind, **form, **changes}
-    if rival.kind != kind_of_all(study):  # each channel has all gains, so that common changes go to each
+    if rival.kind != controller_kinds(study):  # each channel has all gains, so that common changes go to each
         channels = study.loop.channels
         common_changes = {key: value for key, value in changes.items() if key not in channels}
         table |= {channel: merge_tables(table[channel], common_changes) for channel in channels if channel in table}
     return merge_tables(table, changes)
 
 
-def derived(study: Study, name: str, kind: str) -> ControllerTable:
-    """Derive the table of another controller, channel by channel.
+def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
+    """Derive the gains of another kind of controller from those of the study's DSSC, channel by channel.
+
+    Args:
+        study: The study.
+        name: Name of the controller in the comparison, for messages.
+        kind: Kind of the controller.
 
     Raises:
-        ConfigError: its gains do not follow from the study's own.
+        ConfigError: the gains do not follow from the study's own.
     """
     controller = study.config.controller
     from_dssc = CONTROLLERS[kind].default_member.from_dssc
     if from_dssc is None or not all(isinstance(gains, DsscGains) for gains in study.template.controller):
-        raise ConfigError(f"compare.{name}", f"cannot be derived from '{kind_of_all(study)}'; give [compare.{name}]")
+        raise ConfigError(
+            f"compare.{name}", f"cannot be derived from '{controller_kinds(study)}'; give [compare.{name}]"
+        )
     channels = study.loop.channels
     common = {key: value for key, value in controller.items() if key not in channels}
     tables = {}
     for channel, gains in zip(channels, study.template.controller, strict=True):
         try:
+            require_numbers(gains)
             with jax.enable_x64(True):
-                table = {"kind": kind, **from_dssc(plain(gains))}
+                table = {"kind": kind, **from_dssc(gains)}
         except ConfigError as error:
             raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
-        laid = channel_table(common, controller.get(channel, {})) if channel else common
-        tables[channel] = table | {key: laid[key] for key in ("l0", "nominal") if key in laid}
+        of_channel = channel_table(common, controller.get(channel, {})) if channel else common
+        tables[channel] = table | {key: of_channel[key] for key in COMMON_GAINS if key in of_channel}
     return tables.get("", {"kind": kind, **tables})
 
 
-def plain(gains: DsscGains) -> DsscGains:
-    """Gains whose functions are constants.
+def require_numbers(gains: DsscGains) -> None:
+    """Require that no parameter of DSSC's functions is uncertain, since a rival's gains are derived as numbers.
 
     Raises:
-        ConfigError: a gain is a law.
+        ConfigError: a parameter has a law.
     """
     if any(isinstance(value, UncertainValue) for value in gains.functions):
         raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
-    return gains
 
 
 def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTable:
-    """A table whose command is clipped to +-rho, for comparison with DSSC with a constant rho.
+    """The table of a controller with its command clipped to +-rho, the switching gain of the study's DSSC.
+
+    Args:
+        study: The study.
+        name: Name of the controller in the comparison, for messages.
+        table: The table without a limit.
 
     Raises:
         ConfigError: the controller has no limit, or rho is not constant.
@@ -207,9 +232,8 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
     limit = CONTROLLERS[table["kind"]].default_member.limit
     if not limit:
         limited_kinds = [kind for kind, entry in CONTROLLERS.items() if entry.default_member.limit]
-        raise ConfigError(
-            f"compare.{name}", f"'{table['kind']}' has no limit; these have one: {', '.join(limited_kinds)}"
-        )
+        rule = f"'{table['kind']}' has no limit; these have one: {', '.join(limited_kinds)}"
+        raise ConfigError(f"compare.{name}", rule)
     limits = {}
     for channel, gains in zip(study.loop.channels, study.template.controller, strict=True):
         if not isinstance(gains, DsscGains):

@@ -28,10 +28,10 @@ LOW = 5.0  # per cent: quantile of the worst slack that decides ties; a higher o
 
 @dataclass(frozen=True)
 class Tuning:
-    """The budget that every controller gets.
+    """The budget of a tuning, the same for every controller of a comparison.
 
     Args:
-        candidates: Number of gains tried, including the given ones.
+        candidates: Number of sets of gains that are tried, including the given one.
         draws: Draws on which each candidate is tried; the final comparison uses other draws.
         seed: Seed of these draws.
     """
@@ -62,14 +62,18 @@ class Tuning:
         )
 
 
-def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """The tuned numbers of the study's controller, by dotted name, and their ranges.
+def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """The range of each gain to tune, by dotted name.
+
+    Without a request these are the controller's usual gains (``tunable``), each from a tenth to ten times its value.
+    Gains that follow from parameters, have a law or are not positive are left out.
 
     Args:
-        study: The study with this controller.
-        requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
-            controller's usual gains (``tunable``) range from a tenth to ten times their value; those that follow from
-            parameters keep to them. Empty if no gain of the controller can be tuned.
+        study: The study with the controller.
+        requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller.
+
+    Returns:
+        Lowest and highest value of each gain; empty if none can be tuned.
 
     Raises:
         ConfigError: a range is not valid.
@@ -83,21 +87,20 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
     if extents:
         return extents
     names = study.loop.controller[0].tunable_gains(study.template.controller[0])
-    leaves = {name: number.value for name, number in study.numbers.items() if number.expression is None}
-    values = {f"controller.{name}": leaves.get(f"controller.{name}") for name in names}
-    return {
-        name: (value / FACTOR, value * FACTOR)
-        for name, value in values.items()
-        if isinstance(value, float) and value > 0
-    }
+    for name in names:
+        number = study.numbers.get(f"controller.{name}")
+        if number is not None and untuned_cause(number) == "":
+            value = nominal(number.value)
+            extents[f"controller.{name}"] = (value / FACTOR, value * FACTOR)
+    return extents
 
 
 def untuned_reason(study: Study, controller: str) -> str:
-    """The reason why :func:`ranges` finds no gain of the study's controller, with the numbers that may be named.
+    """Why :func:`gain_ranges` finds no gain to tune, in words, with other numbers that a range can be stated for.
 
     Args:
-        study: The study with this controller.
-        controller: Its name in the comparison.
+        study: The study with the controller.
+        controller: Name of the controller in the comparison.
     """
     names = study.loop.controller[0].tunable_gains(study.template.controller[0])
     numbers = {}
@@ -126,13 +129,15 @@ def untuned_cause(number: Number | None) -> str:
     return "" if number.value > 0.0 else f"= {number.value:g} is not positive"
 
 
-def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Find the best gains within a budget, by dotted name.
+def best_gains(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+    """Find the best values of a controller's gains among random candidates, by dotted name.
+
+    The best candidate replaces the given gains only if it is better on :data:`RUNOFF` further draws, too.
 
     Args:
         study: The study with the controller to tune.
-        budget: Candidates and draws.
-        extents: What :func:`ranges` gives. Without any, the given gains stay.
+        budget: Number of candidates and draws.
+        extents: Range of each gain. Without any, the given gains stay.
 
     Raises:
         ConfigError: a range is not admissible.
@@ -143,46 +148,58 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **medians})
     candidates = candidate_points(trial, extents, budget.candidates, budget.seed)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
-    all_scores = scores(evaluator, candidates, np.arange(budget.draws))
+    all_scores = candidate_scores(evaluator, candidates, np.arange(budget.draws))
     best = min(range(len(all_scores)), key=all_scores.__getitem__)
     pair = {name: column[[0, best]] for name, column in candidates.items()}
-    given_score, best_score = scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
+    given_score, best_score = candidate_scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
     winner = int(best_score < given_score)
     return {name: float(column[winner]) for name, column in pair.items()}
 
 
 def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
-    """The medians of those of the named numbers that an expression gives.
+    """The median of each named number that follows from an expression.
 
-    As overrides they replace the expression, so that a search can vary the number itself.
+    As an override it replaces the expression, so that a search can vary the number itself.
     """
-    numbers = {name: study.numbers[name] for name in names if name in study.numbers}
-    return {name: nominal(number.value) for name, number in numbers.items() if number.expression is not None}
+    medians = {}
+    for name in names:
+        number = study.numbers.get(name)
+        if number is not None and number.expression is not None:
+            medians[name] = nominal(number.value)
+    return medians
 
 
-def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray) -> list[tuple[int, float]]:
-    """Each candidate's failures on successive draws, and minus the low quantile of its worst slack.
+def candidate_scores(
+    evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray
+) -> list[tuple[int, float]]:
+    """The score of each candidate: its failed draws, then minus a low quantile of its worst slack.
 
-    The smaller score is the better one.
+    Scores are compared as tuples. The smaller one is better.
+
+    Args:
+        evaluator: The compiled study.
+        candidates: Value of each gain of the candidates, shape (candidates,) each.
+        draws: Consecutive indices of the draws on which each candidate is simulated.
     """
     laws = evaluator.values_of_draws(slice(int(draws[0]), int(draws[-1]) + 1))
-    number = len(next(iter(candidates.values())))
-    per_batch, result = max(1, evaluator.lanes // len(draws)), []
-    for begin in range(0, number, per_batch):
+    total = len(next(iter(candidates.values())))
+    per_batch = max(1, evaluator.lanes // len(draws))
+    scores = []
+    for begin in range(0, total, per_batch):
         part = {name: column[begin : begin + per_batch] for name, column in candidates.items()}
         count = len(next(iter(part.values())))
         lanes = {name: np.tile(column, count) for name, column in laws.items()}
         lanes |= {name: np.repeat(column, len(draws)) for name, column in part.items()}
         results = evaluator(np.tile(draws, count), lanes)
-        result_table = {name: array.reshape(count, len(draws)) for name, array in results.items()}
-        failures = np.count_nonzero(result_table["outcome"] != Outcome.OK, axis=-1)
-        low = np.quantile(merit(evaluator.swept, result_table), 0.01 * LOW, axis=-1, method="inverted_cdf")
-        result += list(zip(failures.tolist(), (-low).tolist(), strict=True))
-    return result
+        table = {name: array.reshape(count, len(draws)) for name, array in results.items()}
+        failures = np.count_nonzero(table["outcome"] != Outcome.OK, axis=-1)
+        low = np.quantile(slack_or_metric(evaluator.swept, table), 0.01 * LOW, axis=-1, method="inverted_cdf")
+        scores += list(zip(failures.tolist(), (-low).tolist(), strict=True))
+    return scores
 
 
-def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The worst slack of each lane; without requirements, the first metric with its sign changed."""
+def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What a tuning maximises in each lane: the worst slack, or without requirements minus the first metric."""
     if study.requirements or not study.measures:
         return worst_slack(study.requirements, results)
     values = results[study.measures[0].name]
@@ -192,8 +209,16 @@ def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
 def candidate_points(
     study: Study, extents: Mapping[str, tuple[float, float]], count: int, seed: int
 ) -> dict[str, np.ndarray]:
-    """The candidates, shape (count,) for each number: the study's own values first, the others spread evenly
-    in the logarithm.
+    """Candidates for the values of some numbers, shape (count,) each.
+
+    The first candidate has the study's own values, where it has them; the others are scrambled Sobol points that are
+    even in the logarithm.
+
+    Args:
+        study: The study.
+        extents: Lowest and highest value of each number.
+        count: Number of candidates.
+        seed: Seed of the Sobol points.
     """
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(seed))
     unit = sobol.random(max(1, 1 << (count - 1).bit_length()))[:count]
@@ -208,7 +233,7 @@ def candidate_points(
 
 
 def with_gains(table: TomlTable, gains: Mapping[str, float]) -> TomlTable:
-    """A controller's table with the tuned gains."""
+    """The ``[controller]`` table with other gains, which have dotted names from ``controller.`` on."""
     holder = {"controller": copy.deepcopy(table)}
     for name, value in gains.items():
         set_dotted(holder, name, value)

@@ -1,1 +1,1 @@
-"""Falsification: the draws on which the loop misses its requirements most, hunted instead of drawn."""
+"""Falsification: search for the draw on which the loop misses its requirements most."""

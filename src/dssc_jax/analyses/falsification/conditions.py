@@ -1,4 +1,4 @@
-"""Require what a search for the worst draw needs, and leave out the margins that it does not consider."""
+"""What a search for the worst draw requires of a study, and the requirements that it leaves out."""
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.closed_loop.requirements import counted_places
@@ -6,11 +6,11 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study import Study
 
 
-def require_hunt(study: Study, budget: int) -> None:
-    """Require uncertain numbers, requirements and an admissible budget.
+def require_falsifiable(study: Study, budget: int) -> None:
+    """Require a study in which a search can find a failing draw, and an admissible number of simulations.
 
     Raises:
-        ConfigError: one of these is missing.
+        ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
     """
     if not study.without_sweep().laws:
         raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
@@ -20,11 +20,11 @@ def require_hunt(study: Study, budget: int) -> None:
         raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
 
 
-def require_known(study: Study, requirement: str) -> None:
+def require_label(study: Study, requirement: str) -> None:
     """Require that a label is empty or names a requirement of the study.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: the study has no requirement with this label.
     """
     if not counted_places(study.requirements, requirement):
         labels = [candidate.label for candidate in study.requirements]
@@ -33,14 +33,16 @@ def require_known(study: Study, requirement: str) -> None:
 
 
 def without_other_margins(study: Study, requirement: str) -> Study:
-    """The study without the required margins that the search ignores: a margin costs more than many flights.
+    """The study without required margins, if the only requirement that counts bounds no margin.
+
+    A margin costs more time than many flights, so a search does not compute margins that it ignores.
 
     Args:
         study: The study.
         requirement: Label of the only requirement that counts; empty: all count, and the study stays as it is.
     """
-    relevant_requirements = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
-    if any(required.measure.metric.margin is not None for required in relevant_requirements):
+    counted_requirements = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
+    if any(required.measure.metric.margin is not None for required in counted_requirements):
         return study
     tables = list(zip(study.table.get("requirement", []), study.config.requirement, strict=True))
     tables_without_margin = [table for table, parsed in tables if parsed.margin is None]

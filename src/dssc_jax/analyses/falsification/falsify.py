@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET
-from dssc_jax.analyses.falsification.conditions import require_hunt, require_known, without_other_margins
-from dssc_jax.analyses.falsification.hunt import Hunt, Programs, SimulatedPoints
+from dssc_jax.analyses.falsification.conditions import require_falsifiable, require_label, without_other_margins
+from dssc_jax.analyses.falsification.search import SearchPrograms, SimulatedPoints, WorstDrawSearch
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.requirements import Requirement, counted_places
 from dssc_jax.core.quantities import Quantity
@@ -75,7 +75,7 @@ class FalsifiedAnswer:
 
 
 def value_text(requirement: Requirement, slack: float) -> str:
-    """The metric of a requirement with its unit, from its slack."""
+    """The value of a required metric with its unit, from the slack to its bound in the metric's unit."""
     value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
     if np.isnan(value):
         return "no number"
@@ -84,27 +84,28 @@ def value_text(requirement: Requirement, slack: float) -> str:
 
 
 def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
-    """The numbers of a likelihood."""
+    """The distance, density and probability of a draw, for JSON."""
     return LikelihoodAnswer(likelihood.distance, likelihood.log_density, likelihood.mass)
 
 
 @dataclass(eq=False)
 class Falsified(Analysis):
-    """The worst draw found.
+    """The worst draw that a search found, among all draws that it simulated.
 
-    The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
-    relative to its bound, or for a bound of 0 to its median over the first points, negative if the draw fails;
-    ``binding``, the index of that requirement; ``distance_to_bound``, its slack in the metric's unit;
-    ``simulations``, the number spent so far; ``ended``, the outcome code of a draw that ended early, else 0, and its
-    ``failed_at``; the slack of every requirement in its metric's unit, by its name; ``first``, the index of the
-    requirement that it violated first, or -1, and ``violated_at``; and its likelihood, as ``distance``,
-    ``log_density`` and ``mass``
-    (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
-    derivative.
+    The dataset has along ``point``, one simulated draw each:
+
+    * the uncertain numbers, and the slack of every requirement in its metric's unit, by their names;
+    * ``slack``, that of the worst requirement relative to its bound, negative if the draw fails; for a bound of 0 it
+      is relative to the median slack of the first points;
+    * ``binding``, the index of that requirement, and ``distance_to_bound``, its slack in the metric's unit;
+    * ``ended``, the outcome code of a draw that ended early, else 0, and ``failed_at``, when it did [s];
+    * ``first``, the index of the requirement that is violated first, else -1, and ``violated_at``, when it is [s];
+    * ``distance``, ``log_density`` and ``mass``, the likelihood (:class:`dssc_jax.statistics.Likelihood`);
+    * ``simulations``, the number spent so far. A simulation with derivatives counts once, and once more for each.
 
     Args:
         within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
-        seconds: Computing time.
+        seconds: Computing time [s].
         stopped: Why the search stopped before its budget was spent, in words; empty if it spent it.
         requirement: Label of the only requirement that counts; empty: all count.
     """
@@ -127,9 +128,18 @@ class Falsified(Analysis):
         stopped: str = "",
         requirement: str = "",
     ) -> Self:
-        """Collect the simulated points in the order of the search."""
+        """Create the analysis from the simulated points.
+
+        Args:
+            region: The set of draws that was searched.
+            batches: The points, in the order of the search.
+            seconds: Computing time [s].
+            stopped: See the class.
+            requirement: See the class.
+        """
         simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
-        study, distances = region.study, region.distances(simulated.points)
+        study = region.study
+        distances = region.distances(simulated.points)
         columns = {
             "slack": (simulated.slacks, "1", "signed slack"),
             "binding": (simulated.binding, "1", "index of the worst requirement"),
@@ -163,7 +173,7 @@ class Falsified(Analysis):
 
     @property
     def worst(self) -> int:
-        """Index of the worst point."""
+        """Index of the point with the smallest slack."""
         return int(np.argmin(self.dataset["slack"].values))
 
     @property
@@ -200,7 +210,7 @@ class Falsified(Analysis):
         return float(self.dataset["slack"][self.worst])
 
     def binding_at(self, point: int) -> str | None:
-        """The worst requirement of a point; None if its draw ends early, which violates all."""
+        """The worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
         if self.dataset["ended"].values[point]:
             return None
         return self.study.requirements[int(self.dataset["binding"][point])].short
@@ -214,7 +224,7 @@ class Falsified(Analysis):
 
     @property
     def worst_seen(self) -> dict[str, str]:
-        """The worst metric of each requirement over all points whose draws run to their end, by the requirement."""
+        """The worst value of each required metric with its unit, over all points whose draws run to their end."""
         complete = self.dataset["ended"].values == 0
         texts = {}
         for requirement in self.study.requirements:
@@ -229,11 +239,11 @@ class Falsified(Analysis):
         return ENDINGS[Outcome(code)] if code else None
 
     def course_at(self, point: int) -> str:
-        """How the draw of a point fails, in words, with the times; empty if it runs to its end and meets all."""
+        """When and how the draw of a point fails, in words; empty if it runs to its end and meets all requirements."""
         ending = self.ending_at(point)
         first = self.first_at(point)
-        at = float(self.dataset["violated_at"].values[point])
-        violation = "" if first is None else f"violates {first} at {at:.4g} s"
+        violated_at = float(self.dataset["violated_at"].values[point])
+        violation = "" if first is None else f"violates {first} at {violated_at:.4g} s"
         if ending is None:
             return violation and f"it first {violation}"
         text = f"it {ending} at {float(self.dataset['failed_at'].values[point]):.4g} s"
@@ -257,14 +267,15 @@ class Falsified(Analysis):
 
     @property
     def witness_study(self) -> Study:
-        """The study of the witness alone, as draw 0, see :func:`study_of_draw`; no design of draws is left."""
+        """The study whose only draw is the worst one: numbers replace the laws, and no design of draws is left."""
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
         return study_of_draw(Study.from_table({**table, "draws": 1}, self.study.source), self.witness)
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
-        value, worst = self.value_at(self.worst), self.binding_at(self.worst)
+        """Whether the worst draw fails, how far it is from the median draw, and what it does, in one line."""
+        value = self.value_at(self.worst)
+        worst = self.binding_at(self.worst)
         ending = self.ending_at(self.worst) if value is None else f"has {value} where {worst} is required"
         verdict = "fails" if self.slack < 0.0 else "passes"
         region = "" if self.within is None else f" within {self.within:.4g} sigma"
@@ -272,18 +283,18 @@ class Falsified(Analysis):
         return f"the worst of {self.simulations:,} simulations{region} {verdict} {place}: it {ending}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the slacks along the search, and where the worst draw lies within its laws."""
         return plotting.falsification(self)
 
     @property
     def answer(self) -> FalsifiedAnswer:
-        """The numbers that summary.json holds."""
+        """The worst draw and the likeliest failure, as ``summary.json`` has them."""
         nearest = self.nearest_failure
         required = self.study.requirements
-        relevant_places = counted_places(required, self.requirement)
+        places = counted_places(required, self.requirement)
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(required[place].text for place in relevant_places),
+            requirements=tuple(required[place].text for place in places),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
@@ -296,7 +307,7 @@ class Falsified(Analysis):
         )
 
     def point_answer(self, point: int) -> PointAnswer:
-        """Slack, course, numbers and likelihood of a point."""
+        """Slack, numbers and likelihood of a simulated draw, and how it fails."""
         ending = self.ending_at(point)
         first = self.first_at(point)
         return PointAnswer(
@@ -358,25 +369,34 @@ def falsify(
         standard normal space.
     """
     study = study.without_sweep()
-    require_hunt(study, budget)
-    require_known(study, requirement)
+    require_falsifiable(study, budget)
+    require_label(study, requirement)
     study = without_other_margins(study, requirement)
     region = search_set(study, within_sigma, within_mass)
-    return hunt(Programs.of(study, budget), budget, seed, progress, region, requirement)
+    return search_worst_draw(SearchPrograms.of(study, budget), budget, seed, progress, region, requirement)
 
 
-def hunt(
-    programs: Programs,
+def search_worst_draw(
+    programs: SearchPrograms,
     budget: int,
     seed: int,
     progress: ProgressCallback | None = None,
     region: SearchSet | None = None,
     requirement: str = "",
 ) -> Falsified:
-    """Run one search, by default over the whole support; see :func:`falsify`."""
+    """Search for the worst draw with programs that are compiled already; :func:`falsify` compiles them.
+
+    Args:
+        programs: The compiled study.
+        budget: Number of simulations.
+        seed: Seed of the search.
+        progress: Called with the simulations spent.
+        region: The draws among which to search; None: the whole support of the laws.
+        requirement: Label of the only requirement that counts; empty: all count.
+    """
     began = time.perf_counter()
     region = region or search_set(programs.study)
-    search = Hunt(
+    search = WorstDrawSearch(
         programs=programs,
         region=region,
         budget=budget,

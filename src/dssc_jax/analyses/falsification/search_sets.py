@@ -1,4 +1,4 @@
-"""The sets in which the worst draw is sought: the laws' support, or the draws within a distance of the median draw."""
+"""Sets of draws in which the worst one is searched: the laws' support, or a ball around the median draw."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -15,12 +15,15 @@ from dssc_jax.study import Study
 SEARCH_EDGE = 1e-6  # outermost level of the support: limit of the search in the tails of unbounded laws
 MOST_SIGMA = 8.0  # beyond, float64 hardly tells levels near 1 apart
 SCORE_STEP = 1e-3  # of a central difference of a law's quantiles, in its score
-LEVEL_GAP, SCORE_GAP = 0.25, 0.5  # least distance of two starts: in the largest coordinate; in radii
+LEVEL_GAP = 0.25
+"""Least difference of two starting points in one of their levels."""
+SCORE_GAP = 0.5
+"""Least distance of two starting points in a ball, in radii."""
 
 
 @dataclass(frozen=True)
 class SearchSet(ABC):
-    """A set of draws as points of a coordinate space with one coordinate for each law.
+    """A set of draws in which a search moves. Each draw is a point with one coordinate for each law.
 
     Args:
         study: The study, without a sweep.
@@ -30,97 +33,104 @@ class SearchSet(ABC):
 
     @property
     def size(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates, that of the uncertain numbers."""
         return len(self.study.laws)
 
     @property
     @abstractmethod
     def limits(self) -> tuple[float, float]:
-        """Limits of every coordinate."""
+        """Lower and upper limit of every coordinate."""
 
     @abstractmethod
-    def spread(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Points spread evenly over the set, shape (count, laws); a power of two."""
+    def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Random points that are spread evenly over the set, shape (count, laws); ``count`` is a power of two."""
 
     @abstractmethod
-    def projected(self, points: np.ndarray) -> np.ndarray:
-        """The nearest points of the set."""
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """The points of the set that are nearest to some points, shape (n, laws) both."""
 
     @abstractmethod
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """The level of each number's law, shape (n, laws)."""
+        """Quantile levels of the uncertain numbers at some points, shape (n, laws) both."""
 
     @abstractmethod
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """Independent standard normal scores, shape (n, laws)."""
+        """Independent standard normal scores at some points, shape (n, laws) both."""
 
     @abstractmethod
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Derivatives with respect to the coordinates from those with respect to the values, shape (n, laws) both."""
+        """Derivatives by the coordinates from ``gradients``, those by the uncertain numbers; shape (n, laws) all."""
 
     @abstractmethod
-    def descended(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
-        """One projected step against the slopes; ``stride``, shape (n,), is relative to the set's size."""
+    def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
+        """Step against the slopes, then project onto the set.
+
+        Args:
+            points: Shape (n, laws).
+            slopes: Derivatives by the coordinates, shape (n, laws).
+            stride: Length of each step relative to the size of the set, shape (n,).
+        """
 
     @abstractmethod
-    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
-        """Whether two points are far enough apart to start a search from both."""
+    def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
+        """Whether two points, shape (laws,) both, are far enough apart to start a search from both."""
 
     def values(self, points: np.ndarray) -> Arrays:
-        """Values of the uncertain numbers, shape (n,) each."""
+        """Values of the uncertain numbers at points of shape (n, laws), by name, shape (n,) each."""
         return values_at_levels(self.study, self.levels(points))
 
     def distances(self, points: np.ndarray) -> np.ndarray:
-        """Distance of each draw from the median draw in independent scores, shape (n,)."""
+        """Distance of each point, shape (n, laws), from the median draw in independent scores, shape (n,)."""
         return np.linalg.norm(self.scores(points), axis=1)
 
 
 @dataclass(frozen=True)
 class Support(SearchSet):
-    """The support of the laws: a coordinate is the level of a law. Correlations exclude no draw."""
+    """The support of the laws, a cube: a coordinate is the quantile level of a law. Correlations exclude no draw."""
 
     @property
     def limits(self) -> tuple[float, float]:
-        """See :class:`SearchSet`."""
+        """The levels 0 and 1, less an edge, since laws without ends have no value there."""
         return SEARCH_EDGE, 1.0 - SEARCH_EDGE
 
-    def spread(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """See :class:`SearchSet`."""
-        return self.projected(qmc.Sobol(self.size, rng=rng).random(count))
+    def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Sobol points of the cube, shape (count, laws)."""
+        return self.project(qmc.Sobol(self.size, rng=rng).random(count))
 
-    def projected(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """The points with each coordinate clipped to its limits, shape (n, laws) both."""
         return np.clip(points, *self.limits)
 
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+        """The coordinates themselves, shape (n, laws)."""
         return points
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+        """Normal scores of the levels, made independent by the inverse of the copula's root, shape (n, laws)."""
         return np.linalg.solve(mixing(self.study), special.ndtri(points).T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
-        half, rates = 0.5 * SEARCH_EDGE, np.empty_like(points)
+        """Derivatives by the levels from those by the numbers, with differences of the laws' quantiles."""
+        half = 0.5 * SEARCH_EDGE
+        rates = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
             low, high = np.clip(points[:, i] + np.array([[-half], [half]]), half, 1.0 - half)
             rates[:, i] = (law.quantile(high) - law.quantile(low)) / (high - low)
         return gradients * rates
 
-    def descended(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+    def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
+        """Step against the slopes, so that the fastest level changes by the stride; see :class:`SearchSet`."""
         largest = np.max(np.abs(slopes), axis=1, keepdims=True)
-        return self.projected(points - stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0))
+        return self.project(points - stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0))
 
-    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
-        """See :class:`SearchSet`."""
+    def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
+        """Whether one level at least differs by more than :data:`LEVEL_GAP`."""
         return bool(np.max(np.abs(point - start)) > LEVEL_GAP)
 
 
 @dataclass(frozen=True)
 class ScoreBall(SearchSet):
-    """The draws within a distance of the median draw: a coordinate is an independent standard normal score.
+    """The draws within a distance of the median draw, a ball: a coordinate is an independent standard normal score.
 
     For normal laws it is an ellipsoid of constant density; correlated numbers have the scores of the Gaussian copula.
 
@@ -132,11 +142,14 @@ class ScoreBall(SearchSet):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """See :class:`SearchSet`."""
+        """The scores -k and k."""
         return -self.radius, self.radius
 
-    def spread(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """See :class:`SearchSet`: the median draw, then directions of normal points, and radii for an even density."""
+    def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """The median draw, then points of even density in the ball, from Sobol points; shape (count, laws).
+
+        The direction is that of a normal point. The radius is k u^(1/d), with u uniform.
+        """
         points = inside_cube(qmc.Sobol(self.size + 1, rng=rng).random(count))
         directions = special.ndtri(points[:, :-1])
         lengths = np.linalg.norm(directions, axis=1)
@@ -144,46 +157,48 @@ class ScoreBall(SearchSet):
         scale[0] = 0.0
         return directions * scale[:, None]
 
-    def projected(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """The points, with those outside moved radially onto the sphere, shape (n, laws) both."""
         lengths = np.linalg.norm(points, axis=1, keepdims=True)
         return points * np.minimum(1.0, self.radius / np.where(lengths > 0.0, lengths, 1.0))
 
     def levels(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+        """Quantile levels of the correlated scores, shape (n, laws)."""
         return inside_cube(special.ndtr(points @ mixing(self.study).T))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+        """The coordinates themselves, shape (n, laws)."""
         return points
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+        """Derivatives by the scores from those by the numbers, with differences of the laws' quantiles."""
         matrix = mixing(self.study)
-        scores, rates = points @ matrix.T, np.empty_like(points)
+        scores = points @ matrix.T
+        rates = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
-            low, high = (inside_cube(special.ndtr(scores[:, i] + step)) for step in (-SCORE_STEP, SCORE_STEP))
+            low = inside_cube(special.ndtr(scores[:, i] - SCORE_STEP))
+            high = inside_cube(special.ndtr(scores[:, i] + SCORE_STEP))
             rates[:, i] = (law.quantile(high) - law.quantile(low)) / (2.0 * SCORE_STEP)
         return (gradients * rates) @ matrix
 
-    def descended(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
-        """See :class:`SearchSet`."""
+    def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
+        """Step straight against the slopes, by the stride times the radius; see :class:`SearchSet`."""
         lengths = np.linalg.norm(slopes, axis=1)
         scale = self.radius * stride / np.where(lengths > 0.0, lengths, 1.0)
-        return self.projected(points - scale[:, None] * slopes)
+        return self.project(points - scale[:, None] * slopes)
 
-    def separate(self, point: np.ndarray, start: np.ndarray) -> bool:
-        """See :class:`SearchSet`."""
+    def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
+        """Whether the distance of two points is more than :data:`SCORE_GAP` radii."""
         return bool(np.linalg.norm(point - start) > SCORE_GAP * self.radius)
 
 
 def search_set(study: Study, sigma: float | None = None, mass: float | None = None) -> SearchSet:
-    """The set of draws in which to search.
+    """The set of draws in which to search; without a distance or a probability, the whole support of the laws.
 
     Args:
         study: The study, without a sweep.
-        sigma: Search within this distance of the median draw.
-        mass: Search within the distance that has this probability. Neither: the whole support.
+        sigma: Distance from the median draw, in (0, 8].
+        mass: Probability of the draws within the distance, in (0, 1), instead of the distance.
 
     Raises:
         ConfigError: both are given, or one is out of range.

@@ -1,4 +1,4 @@
-"""A kind of change of all laws: what the weights say, what is guaranteed, and the curves over its size."""
+"""A change of all laws at once: the failure probability over the size of the change."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ import numpy as np
 from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
 POINTS = 25  # sizes of a curve
-BEYOND = 1.5  # how far a curve goes beyond what is guaranteed
+BEYOND = 1.5  # ratio of the largest size of a curve to the guaranteed size
 
 
 @dataclass(frozen=True)
 class AllChanges:
-    """A kind of change of all laws.
+    """One kind of change of all laws at once, a shift of the means or a widening, by its size.
 
     Args:
-        draws: The weighted draws.
-        largest: The largest change by the weights.
-        guaranteed: The largest size whatever draws fail; 0 if nothing is guaranteed.
-        limit_at: Size -> upper limit of the failure probability whatever draws fail.
+        draws: The draws, weighted by the changed laws.
+        largest: The largest change at which the weights keep the failure probability below its limit.
+        guaranteed: The largest size that keeps the limit whatever set of draws fails; 0 if there is none.
+        limit_at: (size) -> upper limit of the failure probability whatever set of draws fails.
     """
 
     draws: WeightedDraws
@@ -28,9 +28,11 @@ class AllChanges:
     limit_at: Callable[[float], float]
 
     def curves(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes, shape (points,), and at each size the probability, its limit, and the guaranteed limit; (points, 3).
+        """The worst failure probability over the size of the change.
 
-        NaN where the weights are not trusted.
+        Returns:
+            Sizes, shape (points,), and for each size three columns, shape (points, 3): the worst failure probability by
+            the weights and its upper limit, NaN where the weights are not trusted, and the limit whatever draws fail.
         """
         end = max(self.largest.explored, BEYOND * self.guaranteed, np.finfo(float).eps)
         sizes = np.union1d(np.linspace(0.0, end, POINTS), [self.largest.explored])

@@ -21,7 +21,7 @@ TRIAL = 0.3  # size at which the direction is taken from draws whose weights are
 
 @dataclass(frozen=True)
 class FreshLimit:
-    """The largest change in the direction that the weights call the worst, from new draws."""
+    """The largest change that keeps the limit, in the worst direction by the weights, tested with new draws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[
@@ -34,7 +34,7 @@ class FreshLimit:
 
 @dataclass(frozen=True)
 class FreshLimits:
-    """What new draws say of a shift of all means and of a widening of all laws."""
+    """The largest shift of all means and the largest widening of all laws, tested with new draws."""
 
     draws: Annotated[int, Quantity("1", "number of new draws at each change")]
     simulations: Annotated[int, Quantity("1", "number of simulations")]
@@ -42,13 +42,18 @@ class FreshLimits:
 
 
 def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
-    """The amounts of the worst change, the largest of them 1 in size."""
+    """The direction of the worst change: an amount for each law, shape (laws,), of which the largest has size 1.
+
+    Where the weights are not trusted at all, they still give a direction, that at the size :data:`TRIAL`.
+    """
     amounts = largest.worst.amounts if largest.explored > 0.0 else draws.extreme(TRIAL, 1.0)
     return amounts / max(float(np.abs(amounts).max()), np.finfo(float).tiny)
 
 
 def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange, limit: float) -> FreshLimit:
-    """The largest change along one direction, assuming that the failure probability grows along it.
+    """Find the largest change in the worst direction, by simulating new draws under changed laws.
+
+    The failure probability is assumed to grow along the direction.
 
     Args:
         fresh: The new draws.
@@ -65,8 +70,8 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
     def upper(size: float) -> float:
         return float(clopper_pearson(failures(size), fresh.count, draws.confidence)[1])
 
-    bound = farthest(lambda size: upper(size) <= limit)
-    estimate = farthest(lambda size: failures(size) <= limit * fresh.count)
+    bound = largest_size(lambda size: upper(size) <= limit)
+    estimate = largest_size(lambda size: failures(size) <= limit * fresh.count)
     low, high = clopper_pearson(failures(bound), fresh.count, draws.confidence).tolist()
     amount = draws.change.amount
     estimated_amount = None if estimate == LARGEST else amount(estimate)
@@ -74,13 +79,13 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
 
 
 def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float) -> FreshLimits:
-    """The largest change of each kind; arguments as of :func:`fresh_limit`."""
+    """Find the largest change of each kind with the same new draws; arguments as of :func:`fresh_limit`."""
     limits = {kind.draws.change.name: fresh_limit(fresh, kind.draws, kind.largest, limit) for kind in changes}
     return FreshLimits(fresh.count, fresh.simulated, limits)
 
 
-def farthest(holds: Callable[[float], bool]) -> float:
-    """The size up to which a condition holds, between 0 and :data:`LARGEST`."""
+def largest_size(holds: Callable[[float], bool]) -> float:
+    """The size up to which a condition holds, between 0 and :data:`LARGEST`: doubled, then bisected."""
     if not holds(0.0):
         return 0.0
     inside = 0.0
@@ -90,5 +95,5 @@ def farthest(holds: Callable[[float], bool]) -> float:
             return LARGEST
         inside = outside
         outside = 2.0 * outside
-    largest_size, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
-    return float(largest_size)
+    inside, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
+    return float(inside)

@@ -1,4 +1,4 @@
-"""New draws that are simulated under changed laws of the scores."""
+"""New draws that are simulated under changed laws."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,11 +15,11 @@ from dssc_jax.study import Study
 
 @dataclass
 class FreshDraws:
-    """New draws that are simulated under changed laws; the same ones for every change.
+    """New draws that are simulated under changed laws. Every change sees the same draws.
 
     Args:
         study: The study, without a sweep.
-        start: Index of the first draw; earlier ones are those of the result.
+        start: Index of the first draw; the result has those before.
         count: Number of draws.
         progress: Called with the simulations done.
     """
@@ -34,12 +34,12 @@ class FreshDraws:
 
     @cached_property
     def indices(self) -> np.ndarray:
-        """The draws, shape (count,)."""
+        """Indices of the draws, shape (count,)."""
         return np.arange(self.start, self.start + self.count)
 
     @cached_property
     def scores(self) -> np.ndarray:
-        """Their scores under the study's laws, shape (count, laws)."""
+        """Standard normal scores of the draws under the study's laws, shape (count, laws)."""
         return scores_of(self.study, self.indices)
 
     @cached_property
@@ -48,7 +48,7 @@ class FreshDraws:
         return Engine(self.study, min(BLOCK, self.count))
 
     def failures(self, scores: np.ndarray) -> int:
-        """How many of the draws fail with these scores, shape (count, laws)."""
+        """Simulate the draws with changed scores, shape (count, laws), and count the failures."""
         values = values_at_levels(self.study, inside_cube(special.ndtr(scores)))
         outcomes = evaluate(self.engine, values, self.indices)["outcome"]
         self.simulated += self.count

@@ -1,9 +1,9 @@
 """How wrong the laws may be before more than a stated share of all draws fails.
 
-Three kinds of statements, from the same draws. Within a divergence (total variation, Kullback-Leibler, chi-square) the
+The same draws give three kinds of statements. Within a divergence (total variation, Kullback-Leibler, chi-square) the
 true law of everything that is drawn may be any law at all. Guaranteed shifts and widenings hold whatever set of draws
-fails. The weights of the draws know which draws fail, and tell how far all means, or all widths, may be wrong in the
-worst direction; one law at a time, they tell which law matters most.
+fails. The third kind weights the draws by the density of a changed law: the weighted failures tell how far all means,
+or all widths, may be wrong in the worst direction, and for one law at a time, which law matters most.
 """
 
 import math
@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from scipy import special
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.conditions import criterion_of, require_share
 from dssc_jax.analyses.defaults import LIMIT
 from dssc_jax.analyses.laws.answer import (
     Estimates,
@@ -29,7 +30,15 @@ from dssc_jax.analyses.laws.answer import (
 )
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits, fresh_limits
 from dssc_jax.analyses.laws.fresh_draws import FreshDraws
-from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, MEDIAN_ENDS, TABLE, AllChanges, dataset_of, in_words
+from dssc_jax.analyses.laws.law_tables import (
+    DIRECTIONS,
+    FAILING,
+    KNOWLEDGE,
+    MEDIAN_ENDS,
+    TABLE,
+    AllChanges,
+    law_errors_dataset,
+)
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -50,16 +59,20 @@ from dssc_jax.study.laws import Law
 class LawErrors(Analysis):
     """How wrong the laws may be before more than a stated share of all draws fails.
 
-    The dataset has along ``number``, the numbers whose laws can be changed: ``shift`` and ``widening``, how far the
-    number's own law may be wrong with 95 % confidence; ``shift_estimate`` and ``widening_estimate``, the same without
-    the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
-    shift within the worst shift of all means. ``removed`` and ``changes``, with ``_low`` and ``_high``, say what it is
-    worth to know in which of ``parts`` parts of its law the number lies; ``failing_low``, ``failing_median`` and
-    ``failing_high`` where it lies in failed draws, ``failing_median_low`` and ``failing_median_high`` the interval of
-    that median. Along ``size``, of a shift of all means, and ``width``, of all laws,
-    it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
-    ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
-    ``widened_guaranteed``).
+    The dataset has along ``number``, for each number whose law can be changed:
+
+    * ``shift`` and ``widening``, how far this law alone may be wrong with 95 % confidence, ``shift_estimate`` and
+      ``widening_estimate``, the same without the draws' uncertainty, and ``worst_shift``, its part in the worst shift
+      of all means;
+    * ``towards``: 1 if larger values fail, -1 if smaller ones do, 0 if neither is clear;
+    * ``removed`` and ``changes``, with ``_low`` and ``_high``: the value of knowing in which of ``parts`` parts of its
+      law the number lies;
+    * ``failing_low``, ``failing_median`` and ``failing_high``: levels of the law in failed draws, with the interval
+      ``failing_median_low`` to ``failing_median_high`` of the median.
+
+    Along ``size``, that of a shift of all means, and ``width``, that of all laws, it has the worst failure probability
+    by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``, ``widened_limit``), and the limit
+    whatever draws fail (``shifted_guaranteed``, ``widened_guaranteed``).
 
     Args:
         limit: Largest failure probability allowed.
@@ -71,7 +84,7 @@ class LawErrors(Analysis):
         weights: What the weights say of a shift of all means and of a widening of all laws.
         stated: Intervals of the failure probability if the laws are wrong by stated amounts.
         fresh: What new draws say; None: none were asked for, or no draw fails and there is no worst direction.
-        seconds: Computing time.
+        seconds: Computing time [s].
     """
 
     kind = "laws"
@@ -91,7 +104,7 @@ class LawErrors(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """How wrong all means or all widths may be before the limit is exceeded, in one line."""
         share = f"{100 * self.limit:g} %"
         low, high = self.interval
         if high > self.limit:
@@ -104,26 +117,25 @@ class LawErrors(Analysis):
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the failure probability over changes of all laws, and how far each law alone may be wrong."""
         return plotting.law_errors(self)
 
     @property
     def answer(self) -> LawErrorsAnswer:
-        """The numbers that summary.json holds."""
+        """How wrong the laws may be, together and one by one, as ``summary.json`` has it."""
         probability = self.failures / self.draws
-        requirements = tuple(requirement.text for requirement in self.study.requirements)
         estimated_radii = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
         radii = {name: ball.largest_radius(self.interval[1], self.limit) for name, ball in BALLS.items()}
         shift = self.weights["mean_shift"]
         widening = self.weights["widening"]
         return LawErrorsAnswer(
-            requirements=requirements or ("the draw stays finite",),
+            requirements=criterion_of(self.study),
             limit=self.limit,
             draws=self.draws,
             confidence=CONFIDENCE,
             failure=FailureShare(self.failures, probability, self.interval, self.interval_method),
             **radii,
-            # both are bounds, each of which fails with 2.5 % at most; a widening of 1 is none
+            # either bound is wrong with a probability of 2.5 % at most, so the larger one counts; a width of 1 is none
             mean_shift=max(shift.bound, self.guaranteed.mean_shift),
             widening=max(widening.bound, self.guaranteed.widening or 1.0),
             guaranteed=self.guaranteed,
@@ -138,17 +150,21 @@ class LawErrors(Analysis):
         )
 
     def most_important(self) -> str | None:
-        """The number whose mean may be least wrong, by the estimates; None if none of them reaches the limit."""
+        """The number whose mean may be least wrong, by the estimates; None if no shift of a mean reaches the limit."""
         shifts = self.dataset["shift_estimate"].values
-        return None if np.isnan(shifts).all() else str(self.dataset[TABLE].values[np.nanargmin(shifts)])
+        if np.isnan(shifts).all():
+            return None
+        return str(self.dataset[TABLE].values[np.nanargmin(shifts)])
 
     def measure_next(self) -> str | None:
         """The number whose knowledge removes most of the variance of failure; None if none is known to remove any."""
         removed = np.where(self.dataset["removed_low"].values > 0.0, self.dataset["removed"].values, -np.inf)
-        return str(self.dataset[TABLE].values[removed.argmax()]) if np.isfinite(removed).any() else None
+        if not np.isfinite(removed).any():
+            return None
+        return str(self.dataset[TABLE].values[removed.argmax()])
 
     def by_law(self) -> dict[str, LawError]:
-        """How wrong each law may be alone."""
+        """How wrong each law may be while all others are right, by the number's name."""
         rows = {}
         for name in map(str, self.dataset[TABLE].values):
             row = self.dataset.sel({TABLE: name})
@@ -157,39 +173,49 @@ class LawErrors(Analysis):
             law = self.study.laws[name]
             rows[name] = LawError(
                 mean_shift=shift,
-                mean_shift_estimate=known_value(float(row["shift_estimate"])),
-                towards=in_words(towards),
+                mean_shift_estimate=none_if_nan(float(row["shift_estimate"])),
+                towards=DIRECTIONS[towards],
                 widening=float(row["widening"]),
-                widening_estimate=known_value(float(row["widening_estimate"])),
+                widening_estimate=none_if_nan(float(row["widening_estimate"])),
                 median=law.median,
                 shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
                 in_worst_shift=float(row["worst_shift"]),
                 failing=failing_values(law, row),
                 failing_median_interval=failing_median_interval(law, row),
-                knowledge=knowledge_in(row),
+                knowledge=read_knowledge(row),
             )
         return rows
 
 
-def known_value(value: float) -> float | None:
-    """None for NaN."""
+def none_if_nan(value: float) -> float | None:
+    """The value, or None in place of NaN, which JSON does not have."""
     return None if np.isnan(value) else value
 
 
 def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | None:
-    """Quantiles of a number among the failed draws; None if no draw fails."""
+    """The 5 %, 50 % and 95 % quantile of a number in failed draws; None if no draw fails.
+
+    Args:
+        law: Law of the number.
+        row: The number's row of the dataset, which has the levels of these quantiles.
+    """
     low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
     return None if np.isnan(middle) else (low, middle, high)
 
 
 def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | None:
-    """The interval of a number's median among the failed draws; None if too few draws fail."""
+    """The interval of a number's median in failed draws; None if too few draws fail.
+
+    Args:
+        law: Law of the number.
+        row: The number's row of the dataset, which has the levels of the ends.
+    """
     low, high = (float(law.quantile(row[name].values)) for name in MEDIAN_ENDS)
     return None if np.isnan(low) else (low, high)
 
 
-def knowledge_in(row: xr.Dataset) -> Knowledge | None:
-    """The value of knowing a number; None if too few draws failed."""
+def read_knowledge(row: xr.Dataset) -> Knowledge | None:
+    """The value of knowing a number, from its row of the dataset; None if too few draws failed."""
     parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
         float(row[name]) for name in KNOWLEDGE
     )
@@ -232,12 +258,11 @@ def laws(
         True
     """
     began = time.perf_counter()
-    if not 0.0 < limit < 1.0:
-        raise ConfigError("limit", f"must lie in (0, 1), got {limit:g}")
+    require_share("limit", limit)
     if fresh < 0:
         raise ConfigError("fresh", f"must be 0 or more, got {fresh}")
     amounts = StatedAmounts(within or {}, shift, widening)
-    result = simulated(subject, progress)
+    result = result_of(subject, progress)
     study = result.study
     draws = ScoredDraws.of(study, result.failed.values)
     free = draws.free(draws.names)
@@ -265,7 +290,7 @@ def laws(
     new = FreshDraws(study, len(draws.failed), fresh, progress)
     return LawErrors(
         study,
-        dataset_of(draws, shift_of_all, widening_of_all, bounds, limit),
+        law_errors_dataset(draws, shift_of_all, widening_of_all, bounds, limit),
         limit=limit,
         failures=int(np.count_nonzero(draws.failed)),
         draws=len(draws.failed),
@@ -279,11 +304,11 @@ def laws(
     )
 
 
-def simulated(subject: Study | Result, progress: ProgressCallback | None) -> Result:
-    """The result of a study, or the result itself.
+def result_of(subject: Study | Result, progress: ProgressCallback | None) -> Result:
+    """The result itself, or that of a study, which is run without its sweep.
 
     Raises:
-        ConfigError: It has a sweep, or its draws are not independent.
+        ConfigError: a result has a sweep, or draws are not independent.
     """
     study = subject.study if isinstance(subject, Result) else subject
     require_independent(study, "a bound from the draws' weights")

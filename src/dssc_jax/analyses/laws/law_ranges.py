@@ -14,6 +14,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.conditions import criterion_of, require_share
 from dssc_jax.analyses.defaults import LIMIT
 from dssc_jax.analyses.laws.ranged_draws import RangedDraws, WeightedLaws, mixture_values
 from dssc_jax.core.errors import ConfigError
@@ -30,7 +31,7 @@ from dssc_jax.study.laws import LAWS
 
 TABLE = "argument"
 MOST_DOUBLINGS = 4
-"""How often the draws are doubled while their weights are too uneven."""
+"""Largest number of times that the draws are doubled, if their weights are too uneven."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,9 @@ class LawRanges(Analysis):
         draws: Number of draws of the mixture.
         least_effective: Least effective number of draws over the corners of the box.
         lowest: The law with the smallest lower limit of the failure probability.
-        highest: The law with the largest upper limit.
-        fresh_draws: Number of new draws of each of them.
-        seconds: Computing time.
+        highest: The law with the largest upper limit of the failure probability.
+        fresh_draws: Number of new draws of each of these two laws.
+        seconds: Computing time [s].
     """
 
     kind = "law-ranges"
@@ -100,13 +101,17 @@ class LawRanges(Analysis):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval that holds the failure probability of every law; widened where new draws contradict the weights."""
-        low, high = self.lowest.interval[0], self.highest.interval[1]
-        return min(low, self.lowest.fresh_interval[1]), max(high, self.highest.fresh_interval[0])
+        """Interval that holds the failure probability of every law of the box.
+
+        Where new draws contradict the weights, it is widened as far as the interval from the new draws.
+        """
+        low = min(self.lowest.interval[0], self.lowest.fresh_interval[1])
+        high = max(self.highest.interval[1], self.highest.fresh_interval[0])
+        return low, high
 
     @property
     def verdict(self) -> str:
-        """Whether the limit is kept."""
+        """Whether the failure probability stays below the limit for every law of the box, in words."""
         low, high = self.interval
         if high <= self.limit:
             return "kept by all laws"
@@ -114,12 +119,12 @@ class LawRanges(Analysis):
 
     @property
     def verified(self) -> bool:
-        """Whether new draws agree with the weights."""
+        """Whether new draws of the lowest and of the highest law agree with the weighted draws."""
         return self.lowest.agrees and self.highest.agrees
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The interval of the failure probability over all laws and whether the limit is kept, in one line."""
         low, high = self.interval
         check_text = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
         return (
@@ -128,15 +133,14 @@ class LawRanges(Analysis):
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the failure probability of the best and the worst law, and where in the ranges these laws lie."""
         return plotting.law_ranges(self)
 
     @property
     def answer(self) -> LawRangesAnswer:
-        """The numbers that summary.json holds."""
-        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        """The lowest and the highest failure probability and their laws, as ``summary.json`` has them."""
         return LawRangesAnswer(
-            requirements=requirements or ("the draw stays finite",),
+            requirements=criterion_of(self.study),
             limit=self.limit,
             draws=self.draws,
             confidence=CONFIDENCE,
@@ -178,8 +182,7 @@ def law_ranges(
         True
     """
     began = time.perf_counter()
-    if not 0.0 < limit < 1.0:
-        raise ConfigError("limit", f"must lie in (0, 1), got {limit:g}")
+    require_share("limit", limit)
     count = study.config.draws if fresh is None else fresh
     if count < 1:
         raise ConfigError("fresh", f"must be at least 1, got {count}")
@@ -188,18 +191,18 @@ def law_ranges(
     if not study.ranged_laws:
         rule = "no argument of a law is a range, as in { normal = [[0.9, 1.1], 0.1] }; `laws` answers for single laws"
         raise ConfigError(study.source, rule)
-    simulated = Simulated(study, progress)
-    draws = simulated.mixture(study.config.draws)
+    simulator = DrawSimulator(study, progress)
+    draws = simulator.mixture(study.config.draws)
     for _ in range(MOST_DOUBLINGS):
         if draws.trusted:
             break
-        draws = simulated.mixture(2 * len(draws.failed))
-    require_even(draws, study)
-    lowest = simulated.checked(draws.lowest(), len(draws.failed), count)
-    highest = simulated.checked(draws.highest(), len(draws.failed), count)
+        draws = simulator.mixture(2 * len(draws.failed))
+    require_even_weights(draws, study)
+    lowest = simulator.check(draws.lowest(), len(draws.failed), count)
+    highest = simulator.check(draws.highest(), len(draws.failed), count)
     return LawRanges(
         study,
-        dataset_of(study, lowest, highest),
+        law_ranges_dataset(study, lowest, highest),
         limit=limit,
         draws=len(draws.failed),
         least_effective=draws.least_effective,
@@ -210,11 +213,11 @@ def law_ranges(
     )
 
 
-def require_even(draws: RangedDraws, study: Study) -> None:
-    """Require that the weights answer for the whole box.
+def require_even_weights(draws: RangedDraws, study: Study) -> None:
+    """Require weights that are even enough to give the failure probability under every law of the box.
 
     Raises:
-        ConfigError: They are too uneven.
+        ConfigError: the weights are too uneven; the message has the number of draws that would do.
     """
     if draws.trusted:
         return
@@ -227,11 +230,13 @@ def require_even(draws: RangedDraws, study: Study) -> None:
     raise ConfigError(study.source, rule)
 
 
-class Simulated:
-    """Simulated draws, from the mixtures of the laws in a box and from single laws.
+class DrawSimulator:
+    """Simulates draws of a study whose laws have ranges for arguments.
+
+    The ranges of all arguments are a box of laws. Draws come from the mixture of its laws, or from single laws of it.
 
     Args:
-        study: The study with the box.
+        study: The study.
         progress: Called with the simulations done.
     """
 
@@ -245,7 +250,7 @@ class Simulated:
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """The first ``count`` draws of the mixtures; those that exist are not simulated again."""
+        """The first ``count`` draws of the mixture; those simulated before are not simulated again."""
         indices = np.arange(len(self.failed), count)
         values = draw(self.middle, indices)
         points = unit_points(self.middle, indices)
@@ -258,15 +263,26 @@ class Simulated:
         return RangedDraws(self.ranged, dict(self.values), self.failed, CONFIDENCE)
 
     def failures(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
-        """Whether draws fail, shape (n,)."""
+        """Whether draws fail, shape (n,).
+
+        Args:
+            values: Value of each uncertain number, shape (n,) each.
+            indices: Indices of the draws, which decide the in-loop noise, shape (n,).
+        """
         outcomes = evaluate(self.engine, dict(values), indices)["outcome"]
         self.simulation_count += len(indices)
         if self.progress:
             self.progress(self.simulation_count, None)
         return outcomes != Outcome.OK
 
-    def checked(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
-        """Check laws of the box by new draws of them, from an index on."""
+    def check(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
+        """Check the failure probability under single laws of the box by new draws from these laws.
+
+        Args:
+            estimate: The laws, with their failure probability by the weights.
+            start: Index of the first new draw.
+            count: Number of new draws.
+        """
         indices = np.arange(start, start + count)
         failed = self.failures(draw(self.middle.with_laws(estimate.laws), indices), indices)
         failures = int(np.count_nonzero(failed))
@@ -281,8 +297,8 @@ class Simulated:
         )
 
 
-def dataset_of(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) -> xr.Dataset:
-    """The dataset of :class:`LawRanges`."""
+def law_ranges_dataset(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) -> xr.Dataset:
+    """The dataset of :class:`LawRanges`: a row for each argument that is a range."""
     rows = []
     for name, law in study.ranged_laws.items():
         for place, (low, high) in enumerate(law.ranges):

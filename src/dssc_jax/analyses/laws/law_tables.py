@@ -8,6 +8,7 @@ import xarray as xr
 from scipy import special
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
+from dssc_jax.analyses.laws.answer import DEVIATIONS
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.order import quantile_interval
@@ -36,19 +37,20 @@ Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a variable."""
 
 CLEAR = 2.0  # standard deviations of a mean score that could also be 0
-DEVIATIONS = "standard deviations"
+DIRECTIONS = {1: "larger", -1: "smaller", 0: "not clear"}
+"""Which values of a number fail more often, in words, by the sign of their mean score."""
 
 
-def dataset_of(
+def law_errors_dataset(
     draws: ScoredDraws, shift: AllChanges, widening: AllChanges, bounds: AnyFailures, limit: float
 ) -> xr.Dataset:
     """The dataset of :class:`dssc_jax.analyses.laws.law_errors.LawErrors`.
 
     Args:
-        draws: The draws.
+        draws: The draws of the result with their scores.
         shift: Shifts of all means.
         widening: Widenings of all laws.
-        bounds: What holds whatever draws fail.
+        bounds: Bounds that hold whatever set of draws fails.
         limit: Largest failure probability allowed.
     """
     sizes, shifted = shift.curves()
@@ -57,15 +59,15 @@ def dataset_of(
     columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns |= knowledge_columns(draws, shift.draws.confidence, limit)
-    columns["worst_shift"] = (TABLE, part, deviations("part in the worst shift of all means"))
+    columns["worst_shift"] = (TABLE, part, in_deviations("part in the worst shift of all means"))
     for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
-        columns[prefix] = (dimension, curve[:, 0], share("worst failure probability"))
-        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], share("its upper limit"))
-        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], share("upper limit whatever draws fail"))
+        columns[prefix] = (dimension, curve[:, 0], without_unit("worst failure probability"))
+        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], without_unit("its upper limit"))
+        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], without_unit("upper limit whatever draws fail"))
     coordinates = {
         TABLE: (TABLE, np.array(draws.names), {"long_name": "uncertain number"}),
-        "size": ("size", sizes, deviations("shift of all means")),
-        "width": ("width", np.exp(log_widths), share("relative width of all laws")),
+        "size": ("size", sizes, in_deviations("shift of all means")),
+        "width": ("width", np.exp(log_widths), without_unit("relative width of all laws")),
     }
     return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.study.name})
 
@@ -73,7 +75,15 @@ def dataset_of(
 def law_columns(
     draws: ScoredDraws, shifts: WeightedDraws, widenings: WeightedDraws, bounds: AnyFailures, limit: float
 ) -> dict[str, Column]:
-    """How wrong each law may be while all others are right."""
+    """Columns of the dataset for changes of one law while all others are right.
+
+    Args:
+        draws: The draws of the result with their scores.
+        shifts: The draws, weighted for shifts of means.
+        widenings: The draws, weighted for widenings of laws.
+        bounds: Bounds that hold whatever set of draws fails.
+        limit: Largest failure probability allowed.
+    """
     table = np.empty((len(draws.names), 5))
     for row, name in zip(table, draws.names, strict=True):
         free = draws.free([name])
@@ -81,68 +91,77 @@ def law_columns(
         widening = largest_change(replace(widenings, free=free), limit)
         row[0] = max(shift.bound, bounds.largest_shift(free, limit))
         row[1] = np.nan if shift.estimate is None else shift.estimate
-        row[2] = direction(shifts, free)
+        row[2] = failing_direction(shifts, free)
         row[3] = max(float(np.exp(widening.bound)), bounds.largest_widening(free, limit) or 1.0)
         row[4] = np.nan if widening.estimate is None else np.exp(widening.estimate)
     return {
-        "shift": (TABLE, table[:, 0], deviations("shift of the mean, with confidence")),
-        "shift_estimate": (TABLE, table[:, 1], deviations("shift of the mean, estimate")),
+        "shift": (TABLE, table[:, 0], in_deviations("shift of the mean, with confidence")),
+        "shift_estimate": (TABLE, table[:, 1], in_deviations("shift of the mean, estimate")),
         "towards": (TABLE, table[:, 2].astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
-        "widening": (TABLE, table[:, 3], share("relative width, with confidence")),
-        "widening_estimate": (TABLE, table[:, 4], share("relative width, estimate")),
+        "widening": (TABLE, table[:, 3], without_unit("relative width, with confidence")),
+        "widening_estimate": (TABLE, table[:, 4], without_unit("relative width, estimate")),
     }
 
 
 def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
-    """What it is worth to know each number, and where it lies in failed draws."""
+    """Columns of the dataset for the value of knowing each number, and for its levels in failed draws.
+
+    Args:
+        draws: The draws of the result with their scores.
+        confidence: Confidence of the intervals.
+        limit: Largest failure probability allowed.
+    """
     laws = list(draws.study.laws)
     columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING, *MEDIAN_ENDS)}
     for name in draws.names:
         levels = special.ndtr(draws.scores[:, laws.index(name)])
         part = part_information(levels, draws.failed, limit, confidence)
-        numbers = (0, *[np.nan] * 6)
+        knowledge = (0, *[np.nan] * (len(KNOWLEDGE) - 1))
         if part is not None:
-            numbers = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
+            knowledge = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
         failing = levels[draws.failed]
         quantiles = np.quantile(failing, list(FAILING.values())) if failing.size else [np.nan] * len(FAILING)
         ends = median_ends(failing, confidence)
-        for column, number in zip(columns.values(), (*numbers, *quantiles, *ends), strict=True):
+        for column, number in zip(columns.values(), (*knowledge, *quantiles, *ends), strict=True):
             column.append(float(number))
-    variables = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
+    meanings = dict(KNOWLEDGE)
     for name, quantile in FAILING.items():
-        meaning = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
-        variables[name] = (TABLE, np.array(columns[name]), share(meaning))
+        meanings[name] = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
     for name in MEDIAN_ENDS:
-        meaning = "an end of the interval of the median level in failed draws"
-        variables[name] = (TABLE, np.array(columns[name]), share(meaning))
-    return variables
+        meanings[name] = "an end of the interval of the median level in failed draws"
+    return {name: (TABLE, np.array(columns[name]), without_unit(meaning)) for name, meaning in meanings.items()}
 
 
 def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
-    """The exact interval of the median level in failed draws; NaN if too few draws failed."""
+    """The exact interval of the median level in failed draws; NaN if too few draws failed.
+
+    Args:
+        levels: Levels of a law in the failed draws, shape (failures,).
+        confidence: Confidence of the interval.
+    """
     if not levels.size:
         return np.nan, np.nan
     low, high = quantile_interval(levels, 0.5, confidence)
     return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else (np.nan, np.nan)
 
 
-def direction(shifts: WeightedDraws, free: np.ndarray) -> int:
-    """1 if the mean score of the failed draws is clearly above 0, -1 if it is below, 0 if neither is clear."""
+def failing_direction(shifts: WeightedDraws, free: np.ndarray) -> int:
+    """1 if the mean score of the failed draws is clearly above 0, -1 if it is clearly below, else 0.
+
+    Args:
+        shifts: The weighted draws with their scores.
+        free: Whether each law is considered, shape (laws,).
+    """
     failing = shifts.scores[shifts.failed][:, free]
     total = float(failing.sum())
     return int(np.sign(total)) if abs(total) > CLEAR * np.sqrt(failing.size) else 0
 
 
-def in_words(towards: int) -> str:
-    """A direction in words."""
-    return {1: "larger", -1: "smaller", 0: "not clear"}[towards]
-
-
-def deviations(meaning: str) -> dict[str, str]:
-    """Attributes of a shift."""
+def in_deviations(meaning: str) -> dict[str, str]:
+    """Attributes of a variable in standard deviations."""
     return {"units": DEVIATIONS, "long_name": meaning}
 
 
-def share(meaning: str) -> dict[str, str]:
-    """Attributes of a number without a unit."""
+def without_unit(meaning: str) -> dict[str, str]:
+    """Attributes of a variable without a unit."""
     return {"units": "1", "long_name": meaning}

@@ -23,13 +23,13 @@ TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, 
 
 @dataclass(frozen=True)
 class WeightedLaws:
-    """Laws of a box, with the failure probability that the weighted draws give for them.
+    """One law of the box for each number, with the failure probability under these laws by the weighted draws.
 
     Args:
-        laws: By number.
-        probability: Failure probability.
-        interval: Its interval.
-        effective: How many draws of these laws the draws are worth (Kish).
+        laws: The law of each number, by name.
+        probability: Failure probability under these laws.
+        interval: Interval of the failure probability.
+        effective: Number of draws from these laws that would be worth as much as the weighted ones (Kish).
     """
 
     laws: dict[str, Law]
@@ -38,14 +38,22 @@ class WeightedLaws:
     effective: float
 
 
-def components(law: RangedLaw) -> list[Law]:
+def mixture_laws(law: RangedLaw) -> list[Law]:
     """The laws of a number's mixture: those at the corners of its box, and that in its middle."""
     return [*law.corners, law.middle]
 
 
 def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
-    """Values of the mixture from uniform levels: the first of B equal parts of them gives the first law, and so on."""
-    laws = components(law)
+    """Draw values of a number's mixture.
+
+    The levels from 0 to 1 are divided into as many equal parts as the mixture has laws. A level draws from the law of
+    its part, at the place within the part as that law's level.
+
+    Args:
+        law: The law with ranges.
+        levels: Uniform levels, shape (n,).
+    """
+    laws = mixture_laws(law)
     positions = levels * len(laws)
     component_indices = np.minimum(positions.astype(int), len(laws) - 1)
     tiny = np.finfo(float).eps
@@ -54,13 +62,13 @@ def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
 
 
 def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
-    """Logarithm of the mixture's density."""
-    laws = components(law)
+    """Logarithm of the density of a number's mixture at values, shape (n,) both."""
+    laws = mixture_laws(law)
     return special.logsumexp([log_density(component, values) for component in laws], axis=0) - np.log(len(laws))
 
 
 def log_density(law: Law, values: np.ndarray) -> np.ndarray:
-    """Logarithm of a law's density at values, shape (n,)."""
+    """Logarithm of a law's density at values, shape (n,) both."""
     density = LAWS[law.kind].log_density
     assert density is not None  # a law without one has no ranges
     return density(law.arguments, values)
@@ -68,10 +76,12 @@ def log_density(law: Law, values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RangedDraws:
-    """Draws of the mixtures of all numbers whose laws have ranges for arguments.
+    """Draws of the mixtures of all numbers whose laws have ranges, which answer for every law within the ranges.
+
+    A draw gets the weight p/q under other laws, where p is its density under them and q that under the mixtures.
 
     Args:
-        laws: Law of each of these numbers.
+        laws: Law with ranges of each of these numbers.
         values: Value of each of these numbers in each draw, shape (n,) each.
         failed: Whether each draw failed, shape (n,).
         confidence: Confidence of the intervals.
@@ -84,16 +94,16 @@ class RangedDraws:
 
     @cached_property
     def log_proposal(self) -> np.ndarray:
-        """Logarithm of the density of the draws, shape (n,)."""
+        """Logarithm of the density under the mixtures from which the draws came, shape (n,)."""
         return np.sum([log_mixture(law, self.values[name]) for name, law in self.laws.items()], axis=0)
 
     @cached_property
     def bounds(self) -> list[tuple[float, float]]:
-        """The ranges that are searched: those whose ends differ, number by number."""
+        """The ranges that are searched: those with different ends, number by number."""
         return [pair for law in self.laws.values() for pair in law.ranges if pair[0] < pair[1]]
 
     def laws_at(self, point: np.ndarray) -> dict[str, Law]:
-        """The laws at a point of the box, which has a coordinate for each of :attr:`bounds`."""
+        """The law of each number at a point of the box, which has one coordinate for each of :attr:`bounds`."""
         coordinates = iter(point.tolist())
         laws = {}
         for name, law in self.laws.items():
@@ -102,11 +112,11 @@ class RangedDraws:
         return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
-        """Logarithm of the draws' density by laws of the box, relative to that by which they were drawn, shape (n,)."""
+        """Logarithm of the weight that each draw has under laws of the box, shape (n,)."""
         return np.sum([log_density(law, self.values[name]) for name, law in laws.items()], axis=0) - self.log_proposal
 
     def estimate(self, laws: dict[str, Law]) -> WeightedLaws:
-        """The failure probability under laws of the box, estimated with weighted draws, and its interval."""
+        """Estimate the failure probability under laws of the box from the weighted draws."""
         weights = np.exp(self.log_weights(laws))
         failing = weights[self.failed]
         draws = len(weights)
@@ -116,24 +126,22 @@ class RangedDraws:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """The corners of the box, or some of them if there are very many, and its middle; shape (points, ranges)."""
+        """The corners of the box, or random ones if there are very many, and its middle; shape (points, ranges)."""
         middle = np.mean(self.bounds, axis=1)
         if 2 ** len(self.bounds) <= MOST_CORNERS:
             return np.array([*product(*self.bounds), middle])
-        end_indices = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
-        return np.array(
-            [*np.take_along_axis(np.array(self.bounds)[None], end_indices[..., None], axis=2)[..., 0], middle]
-        )
+        ends = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
+        low, high = np.array(self.bounds).T
+        return np.array([*np.where(ends == 0, low, high), middle])
 
     @cached_property
     def least_effective(self) -> float:
         """The smallest effective number of draws over the corners of the box and its middle."""
-        sizes = [effective_size(np.exp(self.log_weights(self.laws_at(point)))) for point in self.corners]
-        return min(sizes)
+        return min(effective_size(np.exp(self.log_weights(self.laws_at(point)))) for point in self.corners)
 
     @property
     def trusted(self) -> bool:
-        """Whether the weights are even enough to answer for the box."""
+        """Whether the weights are even enough for every law of the box."""
         return self.least_effective >= LEAST_EFFECTIVE
 
     def highest(self) -> WeightedLaws:
@@ -154,21 +162,29 @@ class RangedDraws:
         return self.estimate(self.laws_at(self._search(cost)))
 
     def _search(self, cost: Callable[[dict[str, Law]], float]) -> np.ndarray:
-        """The point of the box with the lowest cost: by its corners, DIRECT, and downhill from the best of them."""
+        """The point of the box with the lowest cost that a search finds, shape (ranges,).
 
-        def at_point(point: np.ndarray) -> float:
+        The best of the corners and of the point that DIRECT finds is improved by descent.
+
+        Args:
+            cost: (law of each number) -> what to minimise.
+        """
+        low = np.array(self.bounds)[:, 0]
+        scale = np.ptp(self.bounds, axis=1)
+
+        def cost_at(point: np.ndarray) -> float:
             return cost(self.laws_at(point))
 
+        def point_at(shares: np.ndarray) -> np.ndarray:
+            return low + scale * np.clip(shares, 0.0, 1.0)
+
         candidates = list(self.corners)
-        candidates.append(optimize.direct(at_point, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x)
-        best = min(candidates, key=at_point)
-        scale = np.ptp(self.bounds, axis=1)
-        low = np.array(self.bounds)[:, 0]
+        candidates.append(optimize.direct(cost_at, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x)
+        best = min(candidates, key=cost_at)
         descent = optimize.minimize(
-            lambda share: at_point(low + scale * np.clip(share, 0.0, 1.0)),
+            lambda shares: cost_at(point_at(shares)),
             (best - low) / scale,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(low),
         )
-        point = low + scale * np.clip(descent.x, 0.0, 1.0)
-        return min((best, point), key=at_point)
+        return min((best, point_at(descent.x)), key=cost_at)

@@ -1,4 +1,4 @@
-"""Classical margins of a designed loop, broken at the command."""
+"""Classical margins of the nominal loop of a design, broken at the command."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,7 +17,7 @@ from dssc_jax.engine.linearisation.response import (
 
 @dataclass(frozen=True)
 class DesignedMargins:
-    """Margins of one stable sampled loop; infinite where there is none."""
+    """Classical margins of one stable sampled loop; a margin that does not exist is infinite."""
 
     gain_margin: Annotated[float, Quantity("1", "smallest destabilising factor of the gain above 1")]
     gain_lower_margin: Annotated[float, Quantity("1", "largest destabilising factor below 1; 0: none")]
@@ -31,10 +31,10 @@ class DesignedMargins:
 
 
 def designed_margins(loop: ClosedLoop, sample_time: float) -> DesignedMargins:
-    """The margins of a stable loop, broken at the command.
+    """Compute the classical margins of a stable loop, broken at the command.
 
     Args:
-        loop: The loop.
+        loop: The closed loop in sampled time.
         sample_time: T_s [s].
     """
     matrices = loop.a[None], loop.b[None], loop.c[None]

@@ -1,9 +1,9 @@
-"""Quantiles of frequency responses over the draws; their phases are unwrapped together."""
+"""Quantiles of frequency responses over the draws, a fan at each frequency; their phases are unwrapped together."""
 
 import numpy as np
 
-LEVELS_OF_FAN = (0.05, 0.5, 0.95)
-TURN = 2.0 * np.pi
+FAN_LEVELS = (0.05, 0.5, 0.95)
+TURN = 2.0 * np.pi  # [rad]
 
 FANS = {
     "loop_gain": ("1", "magnitude of L"),
@@ -11,21 +11,22 @@ FANS = {
     "sensitivity": ("1", "magnitude of S = 1/(1 + L)"),
     "complementary": ("1", "magnitude of T = L/(1 + L)"),
 }
-"""Unit and meaning of the magnitudes and phases over frequency."""
+"""Unit and meaning of each magnitude and phase over frequency."""
 
 
-def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
-    """Quantiles over the draws of magnitudes and phase, each of shape (levels, frequencies).
+def fan_quantiles(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
+    """Quantiles over the draws of the quantities in :data:`FANS`, shape (levels, frequencies) each.
 
     Args:
-        response: G, shape (draws, frequencies); NaN for a draw without an operating point.
-        poles: Poles of L, shape (draws, states).
+        response: G = -T, from the signal added at the break point to the signal before the sum, shape
+            (draws, frequencies); NaN for a draw without an operating point.
+        poles: Poles of the loop transfer function L, shape (draws, states).
         angles: omega T_s, shape (frequencies,).
     """
     has_response = np.all(np.isfinite(response), axis=1)
     response = response[has_response]
     if not len(response):
-        return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
+        return {name: np.full((len(FAN_LEVELS), response.shape[1]), np.nan) for name in FANS}
     loop = -response / (1.0 + response)
     columns = {
         "loop_gain": np.abs(loop),
@@ -33,24 +34,28 @@ def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[
         "sensitivity": np.abs(1.0 + response),
         "complementary": np.abs(response),
     }
-    return {name: np.quantile(values, LEVELS_OF_FAN, axis=0) for name, values in columns.items()}
+    return {name: np.quantile(values, FAN_LEVELS, axis=0) for name, values in columns.items()}
 
 
 def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Phases of several loop transfer functions [rad], all on the same turn; shape (draws, frequencies).
+    """Phases of several loop transfer functions [rad], unwrapped so that they can be compared.
 
-    A phase is known up to whole turns. Each loop's own curve is continuous over frequency; the phase that its poles
-    turn through is taken exactly, since a light resonance turns it by half a turn between two frequencies of the grid.
-    The curves then agree at the frequency where most loops cross the gain 1. Where one still lies more than half a turn
-    from the median of all, as beyond a resonance that is unstable in some draws, it is shifted by whole turns.
+    A phase is known up to whole turns. Each curve is made continuous over frequency. The part of its phase that comes
+    from its poles is computed exactly, since a light resonance turns the phase by half a turn between two frequencies
+    of the grid. The curves are then shifted by whole turns until they agree at the frequency where most loops cross the
+    gain 1. Where a curve still lies more than half a turn from the median of all, as beyond a resonance that is
+    unstable in some draws, it is shifted there.
 
     Args:
         loop: L, shape (draws, frequencies).
         poles: Poles of L, shape (draws, states).
         angles: omega T_s, ascending, shape (frequencies,).
+
+    Returns:
+        Shape (draws, frequencies).
     """
-    turned = pole_phase(poles, angles)
-    phase = np.unwrap(np.angle(loop * np.exp(1j * turned)), axis=1) - turned
+    phase_of_poles = pole_phase(poles, angles)
+    phase = np.unwrap(np.angle(loop * np.exp(1j * phase_of_poles)), axis=1) - phase_of_poles
     with np.errstate(divide="ignore"):
         distance = np.median(np.abs(np.log(np.abs(loop))), axis=0)
     crossover_phase = phase[:, np.argmin(distance)]

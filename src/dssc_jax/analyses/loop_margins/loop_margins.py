@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.multiloop import multiloop_margins
-from dssc_jax.analyses.loop_margins.operation import operation
+from dssc_jax.analyses.loop_margins.operating_points import operating_points
 from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
-from dssc_jax.closed_loop.break_points import break_points
+from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -23,7 +23,7 @@ from dssc_jax.engine.linearisation.response import (
 )
 from dssc_jax.study import Study, takes_file
 
-NO_EFFECT = 1e-12  # response of a break point without effect
+NO_EFFECT = 1e-12  # largest response of a break point that counts as without effect
 
 
 @takes_file
@@ -57,45 +57,47 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     require_independent(study, "a tolerance limit")
     began = time.perf_counter()
     study = study.without_sweep()
-    operating_points, notes = operation(study, tuple(times))
-    for operating in operating_points.values():
+    points, notes = operating_points(study, tuple(times))
+    for operating in points.values():
         notes += operating.taken
-    parts = {name: parts_of(study, operating) for name, operating in operating_points.items()}
-    if not any(parts.values()):
+    matrices = {name: matrices_by_break_point(study, operating) for name, operating in points.items()}
+    if not any(matrices.values()):
         raise ConfigError(
             study.source,
             "no break point has an effect: the loop is open at its operating points, as where a command is at its "
             "limit; `times` takes others, along the flight",
         )
     poles = []
-    for by_loop in parts.values():
-        poles += [part.poles.ravel() for part in by_loop.values()]
+    for by_loop in matrices.values():
+        poles += [closed_loops.poles.ravel() for closed_loops in by_loop.values()]
     common_angles = common_grid(np.concatenate(poles))
     sample_time = study.config.loop.sample_time
     broken_loops: dict[str, dict[str, BrokenLoop]] = {}
-    for count, (name, by_loop) in enumerate(parts.items(), start=1):
+    for count, (name, by_loop) in enumerate(matrices.items(), start=1):
         broken_loops[name] = {}
-        for loop, part in by_loop.items():
-            broken = broken_loop(part, common_angles, sample_time)
+        for loop, closed_loops in by_loop.items():
+            broken = broken_loop(closed_loops, common_angles, sample_time)
             if broken is not None:
                 broken_loops[name][loop] = broken
         if progress:
-            progress(count * study.config.draws, len(parts) * study.config.draws)
+            progress(count * study.config.draws, len(matrices) * study.config.draws)
     dataset = margins_dataset(study, broken_loops, common_angles / sample_time)
-    multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in operating_points.items()}
+    multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in points.items()}
     dataset = dataset.merge(multiloop_columns(multiloop))
     return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
 
 
-class Part(NamedTuple):
-    """The states of a broken loop of n draws, which have an operating point within the limits; the loop is closed.
+class BrokenMatrices(NamedTuple):
+    """The closed loops of n draws as x_(k+1) = A x_k + b w_k, v_k = c x_k; w is added to the signal v at a break point.
+
+    Only draws with an operating point within the limits have such a loop, and only states between w and v are kept.
 
     Args:
-        closed: Which draws these are, shape (draws,).
+        closed: Whether each draw is one of these, shape (draws,).
         a: Shape (n, states, states).
         b: Shape (n, states).
         c: Shape (n, states).
-        poles: Eigenvalues of a, shape (n, states).
+        poles: Eigenvalues of A, shape (n, states).
     """
 
     closed: np.ndarray
@@ -105,30 +107,30 @@ class Part(NamedTuple):
     poles: np.ndarray
 
 
-def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
-    """The relevant part of the loop at each break point; break points without effect are left out."""
+def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, BrokenMatrices]:
+    """The closed loops at an operating point, for each break point by name; one without a loop is left out."""
     matrices = operating.matrices
     parts = {}
-    for point, name in enumerate(break_points(study.loop)):
+    for point, name in enumerate(place_names(study.loop.channels)):
         closed = operating.closed(point)
         state_indices = matrices.loop_states(point, closed)
         if state_indices.size:
             a = matrices.a[np.ix_(closed, state_indices, state_indices)]
             b = matrices.b[closed][:, state_indices, point]
             c = matrices.c[closed][:, point, state_indices]
-            parts[name] = Part(closed, a, b, c, np.linalg.eigvals(a))
+            parts[name] = BrokenMatrices(closed, a, b, c, np.linalg.eigvals(a))
     return parts
 
 
-def broken_loop(part: Part, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
-    """Margins and frequency response at one break point; None if the signal there has no effect.
+def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
+    """Compute margins and frequency responses of all draws at one break point; None if it has no effect.
 
     Args:
-        part: The broken loop.
-        common_angles: Angles of the frequency response, shape (frequencies,).
+        matrices: The closed loops of the draws that have one.
+        common_angles: omega T_s of the frequency response, shape (frequencies,).
         sample_time: T_s [s].
     """
-    has_closed_loop, a, b, c, poles = part
+    has_closed_loop, a, b, c, poles = matrices
     g = np.full((len(has_closed_loop), common_angles.size), np.nan, complex)
     g[has_closed_loop] = response_of(a, b, c)(np.broadcast_to(common_angles, (len(a), common_angles.size)))
     if np.nanmax(np.abs(g)) < NO_EFFECT:

@@ -1,4 +1,4 @@
-"""The disk margin of all loops at once: every channel's command is perturbed, each by a factor of its own.
+"""The disk margin of all loops at once: the command of every channel is perturbed by a separate factor.
 
 With G(z) from the signals added at all commands to the commands before the sums, and factors
 f_i = (1 + delta_i/2)/(1 - delta_i/2), the loop is singular where I - (G + I/2) Delta is. So the multiloop disk margin
@@ -13,28 +13,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, scaled_norms, upper_bounds
+from dssc_jax.analyses.loop_margins.structured import balancing_scales, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.response import golden_section_peak, grid_with_poles, loop_grids
 
-MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened
-REFINED_PEAKS = 2  # of these, around which the largest bound is looked for
+MOST_PEAKS = 8  # largest number of peaks of the balanced bound that are computed with the sharp bound
+REFINED_PEAKS = 2  # number of these peaks around which the largest bound is searched
 
 Bound = Callable[[np.ndarray], np.ndarray]
 """Matrices, shape (n, channels, channels) -> upper bounds of their structured singular values, shape (n,)."""
 
 
 class MultiloopMargins(NamedTuple):
-    """The disk margins of all loops at once, of all draws; NaN for a draw without a stable loop.
+    """The disk margin alpha of all loops at once, for each draw; NaN for a draw without a stable loop.
 
     Args:
         channels: The channels whose commands have an effect.
-        guaranteed: alpha that is guaranteed at all frequencies looked at, shape (draws,).
-        attained: alpha of a perturbation that makes the loop singular, shape (draws,).
-        frequency: The critical frequency [rad/s], shape (draws,).
-        factors: The factors of that perturbation, shape (draws, channels).
+        guaranteed: alpha that holds at all frequencies of the search, from an upper bound of mu, shape (draws,).
+        attained: alpha of a perturbation that makes the loop singular, from a lower bound of mu, shape (draws,).
+        frequency: Frequency at which that perturbation does so [rad/s], shape (draws,).
+        factors: Complex factor of each command in that perturbation, shape (draws, channels).
     """
 
     channels: tuple[str, ...]
@@ -45,12 +45,12 @@ class MultiloopMargins(NamedTuple):
 
 
 class JointLoops:
-    """Closed loops with inputs and outputs at several break points.
+    """n closed loops with an input and an output at each of several break points.
 
     Args:
-        a: Shape (n, states, states).
-        b: Shape (n, states, channels).
-        c: Shape (n, channels, states).
+        a: A, shape (n, states, states).
+        b: B, shape (n, states, channels).
+        c: C, shape (n, channels, states).
     """
 
     def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
@@ -59,7 +59,7 @@ class JointLoops:
         self.c = c
 
     def at(self, angles: np.ndarray) -> np.ndarray:
-        """G + I/2 at angles of shape (n, m), shape (n, m, channels, channels)."""
+        """G + I/2 with G = C (z I - A)^-1 B, at angles of z of shape (n, m); shape (n, m, channels, channels)."""
         identity = np.eye(self.a.shape[-1])
         responses = []
         for theta in angles.T:
@@ -69,12 +69,12 @@ class JointLoops:
 
 
 class JointPlaces(NamedTuple):
-    """Where the commands with an effect enter the loop.
+    """The commands that are perturbed together, and the part of the loop between them.
 
     Args:
-        channels: Indices of these channels.
-        points: Their break points, shape (channels,).
-        states: Indices of the states between them.
+        channels: Indices of the channels whose commands have an effect.
+        points: Index of the break point of each of these commands, shape (channels,).
+        states: Indices of the states that these commands influence and that influence them.
     """
 
     channels: list[int]
@@ -83,7 +83,7 @@ class JointPlaces(NamedTuple):
 
 
 class JointMargins(NamedTuple):
-    """Disk margins of n loops: fields of :class:`MultiloopMargins` without the names, for stable loops alone."""
+    """The disk margin of each of n stable loops: the fields of :class:`MultiloopMargins` besides the channels."""
 
     guaranteed: np.ndarray
     attained: np.ndarray
@@ -94,34 +94,35 @@ class JointMargins(NamedTuple):
 def joint_places(
     channels: Sequence[str], matrices: StateMatrices, has_operating_point: np.ndarray
 ) -> JointPlaces | None:
-    """Where the commands with an effect enter the loop; None if they are fewer than two.
+    """The commands that have an effect, and the states between them; None if they are fewer than two.
+
+    A command has an effect if some state is both influenced by it and influences it, in one draw at least.
 
     Args:
         channels: Names of the channels.
-        matrices: Matrices of all draws.
+        matrices: Matrices of the loops of all draws.
         has_operating_point: Whether each draw has an operating point, shape (draws,).
     """
     names = place_names(channels)
     places = np.array([names.index(f"{channel} {BreakPoint.INPUT}".strip()) for channel in channels])
-    influences = np.any(matrices.a[has_operating_point] != 0.0, axis=0)
-    forward = [closure(np.any(matrices.b[has_operating_point][:, :, p] != 0.0, axis=0), influences.T) for p in places]
-    backward = [closure(np.any(matrices.c[has_operating_point][:, p] != 0.0, axis=0), influences) for p in places]
-    states_of_channels = [ahead & reaching for ahead, reaching in zip(forward, backward, strict=True)]
-    effective = [i for i, states in enumerate(states_of_channels) if states.any()]
+    is_coupled = np.any(matrices.a[has_operating_point] != 0.0, axis=0)
+    is_driven = np.any(matrices.b[has_operating_point] != 0.0, axis=0)
+    is_read = np.any(matrices.c[has_operating_point] != 0.0, axis=0)
+    forward = np.array([closure(is_driven[:, place], is_coupled.T) for place in places])
+    backward = np.array([closure(is_read[place], is_coupled) for place in places])
+    effective = np.flatnonzero(np.any(forward & backward, axis=1))
     if len(effective) < 2:
         return None
-    states = np.flatnonzero(
-        np.any([forward[i] for i in effective], axis=0) & np.any([backward[i] for i in effective], axis=0)
-    )
-    return JointPlaces(effective, places[effective], states)
+    states = np.flatnonzero(np.any(forward[effective], axis=0) & np.any(backward[effective], axis=0))
+    return JointPlaces(effective.tolist(), places[effective], states)
 
 
 def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time: float) -> MultiloopMargins | None:
-    """The disk margins of all loops at once; None if fewer than two commands have an effect.
+    """Compute the disk margin of all loops at once, for each draw; None if fewer than two commands have an effect.
 
     Args:
         channels: Names of the channels.
-        operating: Matrices of all draws.
+        operating: Matrices of the loops of all draws at one operating point.
         sample_time: T_s [s].
     """
     matrices = operating.matrices
@@ -156,33 +157,40 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
 def joint_margins(
     loops: JointLoops, poles: np.ndarray, sample_time: float, bound: Bound = upper_bounds
 ) -> JointMargins:
-    """The disk margins of stable loops.
+    """Compute the disk margins of n stable loops.
 
     Args:
         loops: The loops.
         poles: Eigenvalues of A, shape (n, states).
         sample_time: T_s [s].
-        bound: The upper bound of mu whose peak is looked for.
+        bound: The upper bound of mu whose peak over frequency is searched.
     """
     angles = grid_with_poles(loop_grids(poles), poles)
-    place, largest = peak(loops, angles, bound)
-    lower, diagonals = lower_bounds(loops.at(place[:, None])[:, 0])
+    critical_angle, largest = peak_bound(loops, angles, bound)
+    lower, diagonals = lower_bounds(loops.at(critical_angle[:, None])[:, 0])
     factors = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)
-    return JointMargins(1.0 / largest, 1.0 / lower, place / sample_time, factors)
+    return JointMargins(1.0 / largest, 1.0 / lower, critical_angle / sample_time, factors)
 
 
 def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
-    """Upper bounds of mu by balancing, shape (n,): faster than :func:`upper_bounds`, and equal for two channels."""
-    return scaled_norms(matrices, balanced(matrices))[0]
+    """Upper bounds of mu by balancing, shape (n,): faster than :func:`upper_bounds`, and equal for two channels.
+
+    Args:
+        matrices: M, shape (n, channels, channels).
+    """
+    return scaled_norms(matrices, balancing_scales(matrices))[0]
 
 
-def peak(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Angle and value of the largest upper bound of mu, each of shape (n,).
+def peak_bound(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> tuple[np.ndarray, np.ndarray]:
+    """The angle at which an upper bound of mu has its peak, and the bound there, shape (n,) each.
+
+    The balanced bound shows the peaks on the grid. The given bound decides among the highest ones, around which a
+    golden-section search refines it.
 
     Args:
         loops: The loops.
-        angles: Ascending angles at which a peak is looked for, shape (n, m).
-        bound: The upper bound.
+        angles: Ascending angles of the grid, shape (n, m).
+        bound: The upper bound of mu.
     """
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape

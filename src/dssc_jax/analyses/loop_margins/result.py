@@ -1,4 +1,4 @@
-"""Classical margins of all draws: their statistics, figure and folder."""
+"""Classical margins of all draws: dataset, statistics and answer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.loop_margins.fans import FANS, LEVELS_OF_FAN, fan_of
+from dssc_jax.analyses.loop_margins.fans import FAN_LEVELS, FANS, fan_quantiles
 from dssc_jax.analyses.loop_margins.multiloop import MultiloopMargins
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
@@ -20,12 +20,12 @@ from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
 
 SHARE_WITHIN = 0.95  # share of all draws within the tolerance limit
-LINES = 60  # draws whose frequency responses are stored
+LINES = 60  # number of draws whose frequency responses are stored
 MARGIN_UNIT = "that of the margin"
 
 
 class Status(IntEnum):
-    """Whether a draw's linearised loop has margins."""
+    """Whether the linearised loop of a draw has margins: it does if it is stable."""
 
     STABLE = 0
     UNSTABLE = 1
@@ -33,11 +33,11 @@ class Status(IntEnum):
 
 
 class MarginKind(NamedTuple):
-    """Meaning of a classical margin.
+    """A kind of classical margin, such as the phase margin.
 
     Args:
-        unit: Its unit.
-        meaning: In words.
+        unit: Unit of the margin.
+        meaning: Its name in words.
         side: Side of the tolerance limit: ``lower`` if large values are good, ``upper`` if small ones are.
     """
 
@@ -57,16 +57,16 @@ MARGIN_KINDS = {
     "crossover": MarginKind("rad/s", "gain crossover frequency", "lower"),
     "bandwidth": MarginKind("rad/s", "bandwidth of T", "lower"),
 }
-"""The margins of every draw, operating point and break point."""
+"""The margins that are computed for every draw, operating point and break point, by name."""
 
 
 class BrokenLoop(NamedTuple):
-    """Margins of all draws at one break point and one operating point.
+    """Margins and frequency responses of all draws at one break point and one operating point.
 
     Args:
-        margins: Margins by name, each of shape (draws,); NaN for a draw without margins.
-        status: A :class:`Status` for each draw.
-        response: G on the common grid, shape (draws, frequencies).
+        margins: Margins by name, shape (draws,) each; NaN for a draw without margins.
+        status: A :class:`Status` for each draw, shape (draws,).
+        response: G = -T on the common grid, shape (draws, frequencies).
         poles: Poles of L, shape (draws, states); NaN for a draw without an operating point within the limits.
     """
 
@@ -144,7 +144,7 @@ class LoopMargins(Analysis):
     Args:
         times: Times of the operating points [s]; empty: the equilibrium.
         taken: What is taken for parts of the loop that have no derivative, in words.
-        seconds: Computing time.
+        seconds: Computing time [s].
     """
 
     kind = "loop"
@@ -156,14 +156,23 @@ class LoopMargins(Analysis):
     seconds: float
 
     def values(self, name: str, point: str, loop: str) -> np.ndarray:
-        """A margin of every draw; a draw without margins has the worst value. Shape (draws,)."""
+        """One margin of every draw, shape (draws,).
+
+        A draw without a stable loop has the worst value. A stable loop whose response has no crossing that would
+        define the margin has an infinite one.
+
+        Args:
+            name: Name of the margin.
+            point: Name of the operating point.
+            loop: Name of the break point.
+        """
         data = self.dataset.sel(operating_point=point, loop=loop)
         worst = -np.inf if MARGIN_KINDS[name].side == "lower" else np.inf
         values = np.where(data["status"].values == Status.STABLE, data[name].values, worst)
-        return np.where(np.isnan(values), np.inf, values)  # stable, and never with this crossing
+        return np.where(np.isnan(values), np.inf, values)
 
     def statistics(self, point: str, loop: str) -> LoopStatistics:
-        """Quantiles of every margin with exact limits at one break point."""
+        """Number of stable loops, and median, worst case and tolerance limit of every margin, at one break point."""
         status = self.dataset["status"].sel(operating_point=point, loop=loop).values
         stable = int(np.count_nonzero(status == Status.STABLE))
         low, high = clopper_pearson(stable, len(status))
@@ -178,10 +187,12 @@ class LoopMargins(Analysis):
         )
 
     def multiloop(self, point: str) -> MultiloopStatistics:
-        """Statistics of the disk margin of all loops at once."""
+        """Statistics of the disk margin of all loops at once, at one operating point."""
         data = self.dataset.sel(operating_point=point)
-        margins = np.where(np.isnan(data["multiloop_disk"].values), -np.inf, data["multiloop_disk"].values)
-        attained_margins = np.where(np.isnan(data["multiloop_found"].values), np.inf, data["multiloop_found"].values)
+        guaranteed = data["multiloop_disk"].values
+        attained = data["multiloop_found"].values
+        margins = np.where(np.isnan(guaranteed), -np.inf, guaranteed)
+        attained_margins = np.where(np.isnan(attained), np.inf, attained)
         worst = data.isel(draw=int(np.argmin(attained_margins)))
         channels = list(map(str, data["channel"].values))
         return MultiloopStatistics(
@@ -204,7 +215,7 @@ class LoopMargins(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """Phase and delay margin at the first break point and the worst operating point, in one line."""
         first = self.loops[0]
         statistics = [self.statistics(point, first) for point in self.points]
         worst = min(statistics, key=lambda point: point.margins["disk"].tolerance_limit)
@@ -220,12 +231,12 @@ class LoopMargins(Analysis):
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot Bode and Nyquist diagrams, sensitivities, and the distributions of phase and delay margin."""
         return plotting.loop_margins(self)
 
     @property
     def answer(self) -> LoopMarginsAnswer:
-        """The numbers that summary.json holds."""
+        """Statistics at every operating point and break point, as ``summary.json`` has them."""
         operating_points = {}
         for point in self.points:
             operating_points[point] = {loop: self.statistics(point, loop) for loop in self.loops}
@@ -244,7 +255,12 @@ class LoopMargins(Analysis):
 
 
 def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
-    """The statistics of a margin of every draw, with infinite values for draws without one; shape (draws,)."""
+    """Median, worst case and tolerance limit of one margin over the draws.
+
+    Args:
+        values: The margin of every draw, shape (draws,); infinite for a draw without one.
+        kind: The kind of margin.
+    """
     lower, upper = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, kind.side)
     large_is_good = kind.side == "lower"
     return MarginStatistics(
@@ -258,32 +274,31 @@ def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
 
 
 def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
-    """The disk margins of all loops at once as variables of a dataset; empty where one operating point has none."""
-    multiloop_margins = [margins for margins in multiloop.values() if margins is not None]
-    if len(multiloop_margins) < len(multiloop) or len({margins.channels for margins in multiloop_margins}) > 1:
+    """The disk margins of all loops at once as variables of a dataset, along ``operating_point`` and ``draw``.
+
+    The dataset is empty if one operating point has no such margin, or others have those of other channels.
+
+    Args:
+        multiloop: The margins of all draws, by operating point.
+    """
+    margins = [part for part in multiloop.values() if part is not None]
+    if len(margins) < len(multiloop) or len({part.channels for part in margins}) > 1:
         return xr.Dataset()
     dims = ("operating_point", "draw")
-    factors = np.stack([margins.factors for margins in multiloop_margins])
+    channel_dims = (*dims, "channel")
+    factors = np.stack([part.factors for part in margins])
+    of_perturbation = "of the perturbation that was found"
     columns = {
-        "multiloop_disk": (
-            [margins.guaranteed for margins in multiloop_margins],
-            "1",
-            "disk margin alpha of all loops at once",
-        ),
-        "multiloop_found": (
-            [margins.attained for margins in multiloop_margins],
-            "1",
-            "alpha of a perturbation that was found",
-        ),
-        "multiloop_frequency": ([margins.frequency for margins in multiloop_margins], "rad/s", "critical frequency"),
+        "disk": (dims, [part.guaranteed for part in margins], "1", "disk margin alpha of all loops at once"),
+        "found": (dims, [part.attained for part in margins], "1", "alpha of a perturbation that was found"),
+        "frequency": (dims, [part.frequency for part in margins], "rad/s", "critical frequency"),
+        "gain": (channel_dims, np.abs(factors), "1", f"gain {of_perturbation}"),
+        "phase": (channel_dims, np.angle(factors), "rad", f"phase {of_perturbation}"),
     }
     variables = {}
-    for name, (values, unit, meaning) in columns.items():
-        variables[name] = (dims, np.stack(values), {"units": unit, "long_name": meaning})
-    for name, values, unit in (("gain", np.abs(factors), "1"), ("phase", np.angle(factors), "rad")):
-        attributes = {"units": unit, "long_name": f"{name} of the perturbation that was found"}
-        variables[f"multiloop_{name}"] = ((*dims, "channel"), values, attributes)
-    return xr.Dataset(variables, coords={"channel": list(multiloop_margins[0].channels)})
+    for name, (dimensions, values, unit, meaning) in columns.items():
+        variables[f"multiloop_{name}"] = (dimensions, np.stack(values), {"units": unit, "long_name": meaning})
+    return xr.Dataset(variables, coords={"channel": list(margins[0].channels)})
 
 
 def margins_dataset(
@@ -293,8 +308,8 @@ def margins_dataset(
 
     Args:
         study: The study.
-        answers: The broken loops by operating point and break point.
-        frequencies: Frequencies of the responses [rad/s].
+        answers: Margins and responses of all draws, by operating point and break point.
+        frequencies: Frequencies of the responses [rad/s], shape (frequencies,).
     """
     points = list(answers)
     loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))
@@ -318,10 +333,10 @@ def margins_dataset(
     columns["status"] = (LoopMargins.table, status, {"long_name": "whether the loop has margins", **flags})
     angles = frequencies * study.config.loop.sample_time
     with np.errstate(all="ignore"):
-        fans = [fan_of(broken.response, broken.poles, angles) for broken in broken_loops]
+        fans = [fan_quantiles(broken.response, broken.poles, angles) for broken in broken_loops]
         plotted_responses = np.stack([(-broken.response / (1.0 + broken.response))[:LINES] for broken in broken_loops])
     for name, (unit, meaning) in FANS.items():
-        values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(LEVELS_OF_FAN), -1)
+        values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(FAN_LEVELS), -1)
         dims = (*LoopMargins.table[:2], "level", "frequency")
         columns[name] = (dims, values, {"units": unit, "long_name": f"{meaning}, quantile over the draws"})
     for name, part in (("real", np.real(plotted_responses)), ("imaginary", np.imag(plotted_responses))):
@@ -332,7 +347,7 @@ def margins_dataset(
         "operating_point": ("operating_point", np.array(points), {"long_name": "where the loop is linearised"}),
         "loop": ("loop", np.array(loops), {"long_name": "where the loop is broken"}),
         "draw": ("draw", np.arange(draws), {"long_name": "draw index"}),
-        "level": ("level", np.array(LEVELS_OF_FAN), {"units": "1", "long_name": "level of the quantile"}),
+        "level": ("level", np.array(FAN_LEVELS), {"units": "1", "long_name": "level of the quantile"}),
         "frequency": ("frequency", frequencies, {"units": "rad/s", "long_name": "frequency"}),
     }
     return xr.Dataset(columns, coords=coords, attrs={"title": study.name})

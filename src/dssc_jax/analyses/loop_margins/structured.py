@@ -16,15 +16,17 @@ import numpy as np
 
 BALANCING_STEPS = 30
 ELLIPSOID_STEPS = 300
-FIRST_RADIUS = 2.0  # of the search in log D, about the balanced one
+FIRST_RADIUS = 2.0  # radius of the first ellipsoid in log D, about the balanced D
 POWER_STEPS = 100
-STARTS = 8  # of the power iteration
+STARTS = 8  # starts of the power iteration
 TINY = 1e-300
 ONE_WAY = 1e-8  # least ratio of row and column in a step, so that a coupling in one direction is scaled away
 
 
-def balanced(matrices: np.ndarray) -> np.ndarray:
-    """log D that minimises the Frobenius norm of D M D^-1, shape (n, channels): exact for two channels.
+def balancing_scales(matrices: np.ndarray) -> np.ndarray:
+    """log D of the diagonal D that minimises the Frobenius norm of D M D^-1, shape (n, channels) (Osborne).
+
+    For two channels this D also minimises the largest singular value.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -44,14 +46,19 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
 
 
 def scaled_norms(matrices: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest singular values of D M D^-1, shape (n,), and a subgradient of their logarithms in log D."""
+    """Largest singular values of D M D^-1, shape (n,), and a subgradient of their logarithms, shape (n, channels).
+
+    Args:
+        matrices: M, shape (n, channels, channels).
+        logs: log D, shape (n, channels), by which the subgradient is taken.
+    """
     left_vectors, values, right_vectors = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
     slopes = np.abs(left_vectors[:, :, 0]) ** 2 - np.abs(right_vectors[:, 0, :]) ** 2
     return values[:, 0], slopes
 
 
 def upper_bounds(matrices: np.ndarray) -> np.ndarray:
-    """Upper bounds of mu, shape (n,); equal to mu up to three channels.
+    """Upper bounds of the structured singular value mu, shape (n,); equal to mu up to three channels.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -60,15 +67,15 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
 
 
 def best_scales(matrices: np.ndarray) -> np.ndarray:
-    """log D of the least largest singular value of D M D^-1, shape (n, channels).
+    """log D of the diagonal D that minimises the largest singular value of D M D^-1, shape (n, channels).
 
-    The minimisation is by the ellipsoid method, which needs no smoothness: the two largest singular values often meet
-    at the best D. Whatever it reaches is a bound.
+    The ellipsoid method finds it. It needs no smoothness: at the best D the two largest singular values are often
+    equal. Any D gives a valid bound of mu, so an inexact minimum is safe.
 
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    logs = balanced(matrices)
+    logs = balancing_scales(matrices)
     free = matrices.shape[1] - 1
     if free < 2:
         return logs
@@ -93,14 +100,14 @@ def best_scales(matrices: np.ndarray) -> np.ndarray:
 
 
 def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower bounds of mu, shape (n,), and perturbations that attain them, shape (n, channels).
+    """Lower bounds of the structured singular value mu, with perturbations that attain them.
 
     Args:
         matrices: M, shape (n, channels, channels).
 
     Returns:
-        The bounds, and the diagonals of Delta with abs(Delta_ii) = 1/bound for which I - M Delta is singular; NaN
-        where the bound is 0.
+        The bounds, shape (n,), and the diagonals of Delta with abs(Delta_ii) = 1/bound for which I - M Delta is
+        singular, shape (n, channels); NaN where the bound is 0.
     """
     count, channels, _ = matrices.shape
     random = np.random.default_rng(0)
@@ -118,8 +125,15 @@ def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return best, diagonals
 
 
-def power_iteration(matrices: np.ndarray, begin: np.ndarray) -> np.ndarray:
-    """Diagonals U of unit modulus, shape (n, channels), for which the spectral radius of M U is large."""
+def power_iteration(matrices: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Diagonals U of unit modulus for which the spectral radius of M U is large, shape (n, channels).
+
+    This is the power iteration of Packard and Doyle for diagonal complex perturbations.
+
+    Args:
+        matrices: M, shape (n, channels, channels).
+        start: Vectors with which the iteration starts, shape (n, channels).
+    """
 
     def unit(vectors: np.ndarray) -> np.ndarray:
         size = np.abs(vectors)
@@ -128,7 +142,7 @@ def power_iteration(matrices: np.ndarray, begin: np.ndarray) -> np.ndarray:
     def normalised(vectors: np.ndarray) -> np.ndarray:
         return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), TINY)
 
-    b = normalised(begin)
+    b = normalised(start)
     w = b
     a = b
     for _ in range(POWER_STEPS):

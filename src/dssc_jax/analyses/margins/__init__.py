@@ -5,7 +5,7 @@ found before the first failure. It is bracketed on a grid and refined by bisecti
 passes everywhere, or fails at the start, is censored: statistics count it as beyond the end or before the start.
 """
 
-from dssc_jax.analyses.margins.joined import join_margins, margin_parts, part_margins
+from dssc_jax.analyses.margins.joined import join_margins, margin_parts, split_margins
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import Censoring, Critical, Walk, search_critical
 from dssc_jax.analyses.margins.simulated import margin
@@ -18,6 +18,6 @@ __all__ = [
     "join_margins",
     "margin",
     "margin_parts",
-    "part_margins",
     "search_critical",
+    "split_margins",
 ]

@@ -1,6 +1,6 @@
 """Join several margins over one walk into one dataset, and separate them again."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
@@ -10,33 +10,45 @@ import xarray as xr
 from dssc_jax.analyses.margins.result import MarginAnswer, Margins
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.results.analysis import restored, settings
-from dssc_jax.results.fields import MERGED
+from dssc_jax.results.analysis import restored_analysis
+from dssc_jax.results.fields import MERGED, stored_fields
 from dssc_jax.study import Study
 
 
+def name_axis(dimension: str, names: Iterable[str], meaning: str) -> xr.DataArray:
+    """The coordinate of a dimension whose elements have names.
+
+    Args:
+        dimension: Name of the dimension.
+        names: Name of each element.
+        meaning: Meaning of the dimension.
+    """
+    return xr.DataArray(np.array(list(names)), dims=dimension, name=dimension, attrs={"long_name": meaning})
+
+
 def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
-    """Join margins into one dataset along a new dimension; a variable missing from one of them is NaN there.
+    """Join margins into one dataset along a new dimension of names.
+
+    A variable that one of the margins does not have is NaN there.
 
     Args:
         margins: Margins by name.
         dimension: Name of the new dimension.
         meaning: Meaning of the new dimension.
     """
-    axis = xr.DataArray(np.array(list(margins)), dims=dimension, name=dimension, attrs={"long_name": meaning})
     return xr.concat(
-        [margin.dataset for margin in margins.values()],
-        dim=axis, data_vars="all", coords="minimal", compat="override", join="override", combine_attrs="override",
+        [margin.dataset for margin in margins.values()], dim=name_axis(dimension, margins, meaning),
+        data_vars="all", coords="minimal", compat="override", join="override", combine_attrs="override",
     )  # fmt: skip
 
 
 class MarginPart(NamedTuple):
-    """The data of one margin that :func:`part_margins` needs besides the joined dataset.
+    """What a joined dataset does not say of one of its margins; :func:`split_margins` needs it.
 
     Args:
-        settings: The fields of the margins.
-        variables: Their variables of the dataset.
-        slack_unit: The unit of their slack.
+        settings: The fields of :class:`Margins` besides study and dataset, as JSON.
+        variables: Names of the margin's variables in the joined dataset.
+        slack_unit: Unit of the margin's slack, which may differ between margins.
     """
 
     settings: JsonObject
@@ -46,14 +58,14 @@ class MarginPart(NamedTuple):
 
 @dataclass(frozen=True)
 class NamedMargins:
-    """Margins as a part of an answer."""
+    """The margins of one study within an answer for several studies."""
 
     study: Annotated[str, Quantity("", "name of the study")]
     margins: MarginAnswer = field(metadata={MERGED: True})
 
 
-def median_texts(margins: Mapping[str, Margins]) -> str:
-    """Name and median of each of several margins, in one line."""
+def medians_text(margins: Mapping[str, Margins]) -> str:
+    """Name and median critical value of each of several margins, in one line: ``dssc 0.41, sta 0.2``."""
     texts = []
     for name, margin in margins.items():
         median = margin.median
@@ -62,28 +74,28 @@ def median_texts(margins: Mapping[str, Margins]) -> str:
 
 
 def margin_parts(margins: Mapping[str, Margins]) -> dict[str, MarginPart]:
-    """What :func:`part_margins` needs besides the joined dataset, by name."""
+    """What :func:`split_margins` needs besides the joined dataset, for each margin by its name."""
     parts = {}
     for name, margin in margins.items():
         variables = tuple(map(str, margin.dataset))
-        parts[name] = MarginPart(settings(margin), variables, margin.dataset["slack"].attrs["units"])
+        parts[name] = MarginPart(stored_fields(margin), variables, margin.dataset["slack"].attrs["units"])
     return parts
 
 
-def part_margins(
+def split_margins(
     dataset: xr.Dataset, dimension: str, parts: Mapping[str, MarginPart], study_of: Callable[[str], Study]
 ) -> dict[str, Margins]:
-    """Separate joined margins by name.
+    """Split a joined dataset into the margins that :func:`join_margins` was given, by name.
 
     Args:
-        dataset: The return value of :func:`join_margins`.
-        dimension: Its dimension of names.
-        parts: The return value of :func:`margin_parts`.
-        study_of: The study of each.
+        dataset: The joined dataset.
+        dimension: The dimension of the dataset along which the margins are joined.
+        parts: The return value of :func:`margin_parts` for these margins.
+        study_of: (name of a margin) -> its study.
     """
     margins = {}
     for name, part in parts.items():
         data = dataset.sel({dimension: name}, drop=True)[list(part.variables)]
         data = data.assign(slack=data["slack"].assign_attrs(units=part.slack_unit))
-        margins[name] = restored(Margins, study_of(name), data, part.settings)
+        margins[name] = restored_analysis(Margins, study_of(name), data, part.settings)
     return margins

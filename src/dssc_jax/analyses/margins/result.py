@@ -82,9 +82,9 @@ class Margins(Analysis):
         walk: The walk from the safe end to the other end.
         criterion: The condition for a draw to pass, in words.
         certificate: The range of the walk that Theorem 1 certifies, for all draws at once.
-        seconds: Computing time.
-        compile_seconds: Compile time within it.
-        proof: How far the sampled loop is proved, as :meth:`dssc_jax.ProvedReach.summary` says it; None if not asked.
+        seconds: Computing time [s].
+        compile_seconds: Compile time within it [s].
+        proof: How far the sampled loop is proved (:meth:`dssc_jax.ProvedReach.summary`); None if not asked.
     """
 
     kind = "margin"
@@ -112,7 +112,19 @@ class Margins(Analysis):
         compile_seconds: float = 0.0,
         unit: str = "1",
     ) -> Self:
-        """Combine the critical values of a search with the drawn numbers; ``unit`` is the slack's."""
+        """Create the margins of a study from the critical values that a search found.
+
+        Args:
+            study: The study.
+            parameter: The number that is varied.
+            walk: The walk that was searched.
+            critical: Critical value of each draw.
+            drawn_numbers: Value of each uncertain number in each draw, shape (draws,) each.
+            criterion: The conditions for a draw to pass, in words.
+            seconds: Computing time [s].
+            compile_seconds: Compile time within it [s].
+            unit: Unit of the slack.
+        """
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
         attributes = {"units": quantity.unit, "long_name": quantity.meaning}
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
@@ -136,28 +148,35 @@ class Margins(Analysis):
             attrs={"title": study.name, "parameter": parameter},
         )
         data["slack"] = (("value", "draw"), critical.slack, {"units": unit, "long_name": "signed slack"})
-        certificate = reach(study, parameter, walk.grid)
         return cls(
             study=study,
             dataset=data,
             parameter=parameter,
             walk=walk,
             criterion=criterion,
-            certificate=certificate,
+            certificate=reach(study, parameter, walk.grid),
             seconds=seconds,
             compile_seconds=compile_seconds,
         )
 
     @property
     def reached(self) -> np.ndarray:
-        """How far each draw goes, as a number that increases along the walk; infinite if censored. Shape (n,)."""
-        critical, censoring = self.dataset["critical"].values, self.dataset["censoring"].values
+        """How far along the walk each draw passes, shape (draws,).
+
+        It is the critical value, with its sign changed if the walk descends, so that a larger one is always farther.
+        Draws that fail at the start have -inf, draws that pass to the end inf.
+        """
+        critical = self.dataset["critical"].values
+        censoring = self.dataset["censoring"].values
         direction = 1.0 if self.walk.end > self.walk.start else -1.0
         outside = np.where(censoring == Censoring.BEYOND, np.inf, -np.inf)
         return np.where(censoring == Censoring.INSIDE, direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
-        """The rank-th critical value from the safe end; the walk's end if it lies beyond, None if before the start."""
+        """The critical value at a rank among the draws, counted from 1 at the safe end of the walk.
+
+        It is the walk's end if that draw passes to the end, and None if it fails at the start.
+        """
         value = np.sort(self.reached)[rank - 1]
         if np.isposinf(value):
             return self.walk.end
@@ -167,7 +186,7 @@ class Margins(Analysis):
 
     @property
     def median(self) -> float | None:
-        """The median critical value, as :meth:`at_rank` gives it."""
+        """The median critical value: the walk's end if it lies beyond, None if before the start."""
         return self.at_rank((self.dataset.sizes["draw"] + 1) // 2)
 
     def lower_tolerance(self, content: float = CONTENT, confidence: float = CONFIDENCE) -> float | None:
@@ -183,16 +202,17 @@ class Margins(Analysis):
         return self.at_rank(rank) if rank else None
 
     def degradation(self, confidence: float = CONFIDENCE) -> xr.Dataset:
-        """Failure probability along the walk, with a simultaneous confidence band for all values of the grid.
+        """Failure probability along the walk, with a confidence band for all values of the grid together.
 
-        The intervals are exact (Clopper-Pearson), each at 1 - (1 - confidence)/points (Bonferroni). Draws need not be
-        monotone.
+        The intervals are exact (Clopper-Pearson), each at 1 - (1 - confidence)/points (Bonferroni). A draw may pass
+        again beyond a value at which it fails.
 
         Returns:
             Dimension ``value``; variables ``probability``, ``lower``, ``upper``.
         """
         slack = self.dataset["slack"]
-        failures, draws = (slack < 0.0).sum("draw").values, slack.sizes["draw"]
+        failures = (slack < 0.0).sum("draw").values
+        draws = slack.sizes["draw"]
         band = clopper_pearson(failures, draws, 1.0 - (1.0 - confidence) / slack.sizes["value"])
         columns = {"probability": failures / draws, "lower": band[:, 0], "upper": band[:, 1]}
         return xr.Dataset(
@@ -203,31 +223,42 @@ class Margins(Analysis):
 
     @property
     def first_violated(self) -> dict[str, int]:
-        """How many draws violate each requirement first along the walk, most first; early ends count apart."""
+        """Number of draws whose first failure along the walk violates each requirement, the largest number first.
+
+        Draws that end early there are counted as ``ended early``. Empty if the margins come from no simulation.
+        """
         if "violated_first" not in self.dataset:
             return {}
         names = [*(requirement.short for requirement in self.study.requirements), "ended early"]
         violated = self.dataset["violated_first"].values
-        counts = {name: int(np.count_nonzero(violated == index)) for index, name in enumerate(names)}
-        return dict(sorted(((name, n) for name, n in counts.items() if n), key=lambda pair: -pair[1]))
+        counts = {}
+        for index, name in enumerate(names):
+            count = int(np.count_nonzero(violated == index))
+            if count:
+                counts[name] = count
+        return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
-        unit = self.dataset["critical"].attrs["units"]
-        middle, lower = (
-            "before the start" if value is None else f"{value:.4g}{'' if unit == '1' else f' {unit}'}"
-            for value in (self.median, self.lower_tolerance())
-        )
+        """The median critical value and its lower tolerance limit, in one line."""
+        middle = self.value_text(self.median)
+        lower = self.value_text(self.lower_tolerance())
         return f"median critical {self.parameter}: {middle}; 95 % of all draws pass up to: {lower}"
 
+    def value_text(self, value: float | None) -> str:
+        """A value of the walk with its unit; None is a value before the start."""
+        if value is None:
+            return "before the start"
+        unit = self.dataset["critical"].attrs["units"]
+        return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the critical values and the failure probability along the walk."""
         return plotting.margin(self)
 
     @property
     def answer(self) -> MarginAnswer:
-        """The numbers that summary.json holds."""
+        """The critical values and their statistics, as ``summary.json`` has them."""
         data = self.dataset
         curve = self.degradation()
         censoring = data["censoring"].values

@@ -14,13 +14,14 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"
+"""Dotted name of the sample time, which is fixed before a loop is traced."""
 
-SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+WalkSlack = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(indices of draws, a value for each) -> signed slacks, negative if the draw fails."""
 
 
 class Censoring(IntEnum):
-    """Where a critical value lies: before the first bound, inside, or beyond the second."""
+    """Where the critical value of a draw lies: before the start of the walk, within the walk, or beyond its end."""
 
     BEFORE = -1
     INSIDE = 0
@@ -34,9 +35,10 @@ class Walk:
     Args:
         start: The safe end.
         end: The other end, larger or smaller than the start.
-        log: Space the values evenly in the logarithm.
+        log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid, including both ends.
-        parted: A length that must be a whole multiple of every value; values move to the nearest such divisor.
+        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest one
+            that divides the duration into whole samples. None for any other number.
     """
 
     start: float
@@ -46,7 +48,7 @@ class Walk:
     parted: float | None = None
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """The value at a fraction of the walk in [0, 1]."""
+        """The values at fractions of the walk in [0, 1], of the same shape."""
         if self.log:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
@@ -56,20 +58,20 @@ class Walk:
 
     @property
     def grid(self) -> np.ndarray:
-        """The values of the grid."""
+        """The values of the bracketing grid, shape (points,)."""
         return self.at(np.linspace(0.0, 1.0, self.points))
 
 
 class Critical(NamedTuple):
-    """The critical value of each draw.
+    """Critical values of n draws, as a search along a walk found them.
 
     Args:
         value: The critical value; NaN if censored. Shape (n,).
-        censoring: A :class:`Censoring` code.
-        non_monotone: Whether the draw passes again beyond a value at which it fails.
-        slack: Signed slacks on the grid, shape (points, n).
+        censoring: A :class:`Censoring` code. Shape (n,).
+        non_monotone: Whether the draw passes again beyond a value at which it fails. Shape (n,).
+        slack: Signed slacks on the grid, negative where the draw fails, shape (points, n).
         violated: Index of the requirement that the draw violates first along the walk, as :class:`FirstViolated` counts
-            them; None if that is not known. Shape (n,).
+            them, shape (n,); None if that is not known.
     """
 
     value: np.ndarray
@@ -80,14 +82,15 @@ class Critical(NamedTuple):
 
 
 class FirstViolated:
-    """The requirement that each draw violates first along a walk, for values that are tried in any order.
+    """Record of the requirement that each of n draws violates at its failure nearest to the start of a walk.
 
+    A search tries the values of the walk in any order, so a nearer failure replaces the one recorded before.
     ``requirement`` has shape (n,): the index of the requirement; the number of requirements for a draw that ended
     early; -1 without a failure.
 
     Args:
-        draws: n.
-        start: The walk's start.
+        draws: Number n of draws.
+        start: The value at which the walk starts.
     """
 
     def __init__(self, draws: int, start: float) -> None:
@@ -96,7 +99,14 @@ class FirstViolated:
         self.distance = np.full(draws, np.inf)
 
     def slack(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
-        """The signed slack of draws at values of the walk; records the failures nearest to the start."""
+        """The signed slack of some draws, shape (m,); what they violate is recorded.
+
+        Args:
+            draws: Indices of the draws, shape (m,).
+            values: The value of the walk at which each was simulated, shape (m,).
+            study: The study, for its requirements.
+            results: Results of these simulations.
+        """
         requirements = study.requirements
         slack = worst_slack(requirements, results)
         distance = np.abs(values - self.start)
@@ -110,17 +120,17 @@ class FirstViolated:
         return slack
 
 
-def search_critical(slack_at: SlackFunction, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
-    """Find the critical values of all draws at once.
+def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
+    """Find the critical values of all draws at once: the last passing value before the first failure.
 
     Args:
-        slack_at: The signed slack of draws at values of the walk.
-        draws: The number of draws.
+        slack_at: (indices of draws, a value of the walk for each) -> signed slacks, negative where the draw fails.
+        draws: Number of draws.
         walk: The walk to search.
         bisections: Number of bisections of the grid cell that contains the first failure.
 
     Returns:
-        Critical values at which the draw passes, with a failure at most a cell/2^bisections further along.
+        Critical values. The draw passes there, and fails at most one cell/2^bisections further along the walk.
     """
     indices = np.arange(draws)
     slack = np.stack([slack_at(indices, np.full(draws, value)) for value in walk.grid])

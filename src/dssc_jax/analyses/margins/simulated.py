@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
 from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, search_critical
@@ -24,7 +25,7 @@ from dssc_jax.study.laws import SPREAD
 
 SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
 CriticalDraws: TypeAlias = tuple[Critical, Arrays]
-"""Critical values of draws, and the drawn numbers by name."""
+"""Critical values of n draws, and the drawn numbers by name, shape (n,) each."""
 
 
 @takes_file
@@ -79,17 +80,16 @@ def margin(
     walk = admissible_walk(over, bounds, log, points, bisections, parted)
     report = progress or (lambda done, total: None)
     if over == CLOCK:
-        critical, values = sample_time_margins(study, walk, clock, report)
+        critical, values = critical_sample_times(study, walk, clock, report)
     else:
-        critical, values = number_margins(study, over, walk, bisections, clock, report)
+        critical, values = critical_numbers(study, over, walk, bisections, clock, report)
     seconds = time.perf_counter() - began
-    criterion = tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
-    margins = Margins.of(study, over, walk, critical, values, criterion, seconds, clock.compile_seconds)
-    return replace(margins, proof=proof_along(study, walk, over)) if prove else margins
+    margins = Margins.of(study, over, walk, critical, values, criterion_of(study), seconds, clock.compile_seconds)
+    return replace(margins, proof=prove_along(study, walk, over)) if prove else margins
 
 
-def proof_along(study: Study, walk: Walk, over: str) -> JsonObject:
-    """How far along a walk the sampled loop is proved, or why a proof does not cover it."""
+def prove_along(study: Study, walk: Walk, over: str) -> JsonObject:
+    """Prove the sampled loop along a walk: how far it is proved, or why no proof covers it."""
     from dssc_jax.proofs.reach import proved_up_to
 
     try:
@@ -106,7 +106,15 @@ def admissible_walk(
     bisections: int,
     parted: float | None = None,
 ) -> Walk:
-    """The walk of a search.
+    """The walk of a search, if its settings are admissible.
+
+    Args:
+        over: Dotted name of the number.
+        bounds: The safe end, then the other end.
+        log: Whether the values are even in the logarithm.
+        points: Number of values in the bracketing grid.
+        bisections: Number of bisections of a grid cell.
+        parted: See :class:`Walk`.
 
     Raises:
         ConfigError: the bounds are equal, not finite, or not positive where they must be, or a count is out of range.
@@ -125,18 +133,27 @@ def admissible_walk(
     return Walk(float(start), float(end), log, points, parted)
 
 
-def lane_numbers(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """(drawn numbers, values of the walk) -> the numbers of each lane: a value replaces the law, or widens all laws."""
-    if over != SPREAD:
-        return lambda numbers, values: {**numbers, over: values}
-    return lambda numbers, values: {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
+def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
+    """The function from drawn numbers and values of a walk, shape (n,) each, to the numbers of n lanes.
+
+    A value of the walk replaces the law of its number. A value of ``spread`` widens all laws about their medians.
+    """
+
+    def with_number(numbers: Arrays, values: np.ndarray) -> Arrays:
+        return {**numbers, over: values}
+
+    def with_spread(numbers: Arrays, values: np.ndarray) -> Arrays:
+        return {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
+
+    return with_spread if over == SPREAD else with_number
 
 
 def require_spread(study: Study, bounds: tuple[float, float]) -> None:
-    """Require that the laws can be widened over the given bounds.
+    """Require laws that can be widened by every factor within the bounds.
 
     Raises:
-        ConfigError: there is no law, or a draw leaves a number's range.
+        ConfigError: there is no law, or widened draws leave the admissible range of a number; the message has the
+            largest factor at which all stay inside.
     """
     if not any(law.movable for law in study.laws.values()):
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
@@ -145,58 +162,93 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
     columns = values_of_draws(study, slice(0, study.config.draws))
     widest = max(bounds)
     violations = range_violations(study, columns, widest)
-    if violations:
-        share, _ = bisect(
-            lambda share: not range_violations(study, columns, float(share) * widest), 0.0, 1.0, SPREAD_HALVINGS
-        )
-        rule = f"{'; '.join(violations)} at {SPREAD} = {widest:g}"
-        limit = f"all stay in their ranges up to {SPREAD} = {widest * float(share):.4g}"
-        raise ConfigError(SPREAD, f"{rule}; {limit}; loguniform and lognormal laws never reach 0")
+    if not violations:
+        return
+
+    def stays_inside(share: np.ndarray) -> bool:
+        return not range_violations(study, columns, float(share) * widest)
+
+    share, _ = bisect(stays_inside, 0.0, 1.0, SPREAD_HALVINGS)
+    rule = f"{'; '.join(violations)} at {SPREAD} = {widest:g}"
+    limit = f"all stay in their ranges up to {SPREAD} = {widest * float(share):.4g}"
+    raise ConfigError(SPREAD, f"{rule}; {limit}; loguniform and lognormal laws never reach 0")
 
 
 def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
-    """The numbers that leave their ranges if the laws are widened, in words."""
+    """The numbers that leave their admissible ranges if all laws are widened by a factor, in words.
+
+    Args:
+        study: The study.
+        columns: Value of each uncertain number in each draw, shape (draws,) each.
+        spread: The factor.
+    """
     widened = {name: study.laws[name].spread(column, spread) for name, column in columns.items()}
     return [f"{name} {rule}" for name, rule in study.violations(widened).items()]
 
 
-def number_margins(
+def critical_numbers(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
 ) -> CriticalDraws:
-    """Critical values of a traced number, and the drawn numbers: one program for all blocks of draws."""
+    """Find the critical values of a number that is an input of the compiled program, block by block of draws."""
     if over == SPREAD:
         require_spread(study, (walk.start, walk.end))
     draws = study.config.draws
     total = (walk.points + bisections) * draws
-    numbers_at = lane_numbers(study, over)
+    numbers_at = numbers_along(study, over)
     extents = {} if over == SPREAD else {over: (walk.start, walk.end)}
     evaluator = Evaluator(study, extents, min(draws, BLOCK))
     evaluator.engine.clock = clock
+
+    def report() -> None:
+        progress(clock.lanes, total)
+
     blocks: list[CriticalDraws] = []
     for begin in range(0, draws, evaluator.lanes):
-        indices = np.arange(begin, min(begin + evaluator.lanes, draws))
-        laws = evaluator.values_of_draws(slice(begin, begin + len(indices)))
-        violated = FirstViolated(len(indices), walk.start)
-
-        def slack_at(
-            lanes: np.ndarray, values: np.ndarray, indices=indices, laws=laws, violated=violated
-        ) -> np.ndarray:
-            drawn_numbers = {name: column[lanes] for name, column in laws.items()}
-            results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
-            slack = violated.slack(lanes, values, evaluator.swept, results)
-            progress(clock.lanes, total)
-            return slack
-
-        critical = search_critical(slack_at, len(indices), walk, bisections)
-        blocks.append((critical._replace(violated=violated.requirement), laws))
+        block = slice(begin, min(begin + evaluator.lanes, draws))
+        blocks.append(critical_block(evaluator, block, numbers_at, walk, bisections, report))
     fields = zip(*(critical for critical, _ in blocks), strict=True)
     critical = Critical(*(np.concatenate(arrays, axis=-1) for arrays in fields))
     numbers = {name: np.concatenate([laws[name] for _, laws in blocks]) for name in blocks[0][1]}
     return critical, numbers
 
 
-def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
-    """Critical sample times on the grid: the clock is fixed before tracing, so each value needs a separate program.
+def critical_block(
+    evaluator: Evaluator,
+    block: slice,
+    numbers_at: Callable[[Arrays, np.ndarray], Arrays],
+    walk: Walk,
+    bisections: int,
+    report: Callable[[], None],
+) -> CriticalDraws:
+    """Find the critical values of one block of draws.
+
+    Args:
+        evaluator: The compiled study.
+        block: The draws, from the first index to the one after the last.
+        numbers_at: See :func:`numbers_along`.
+        walk: The walk to search.
+        bisections: Number of bisections of the grid cell.
+        report: Called after each batch of simulations.
+    """
+    indices = np.arange(block.start, block.stop)
+    laws = evaluator.values_of_draws(block)
+    violated = FirstViolated(len(indices), walk.start)
+
+    def slack_at(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        drawn_numbers = {name: column[lanes] for name, column in laws.items()}
+        results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
+        slack = violated.slack(lanes, values, evaluator.swept, results)
+        report()
+        return slack
+
+    critical = search_critical(slack_at, len(indices), walk, bisections)
+    return critical._replace(violated=violated.requirement), laws
+
+
+def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: ProgressCallback) -> CriticalDraws:
+    """Find critical sample times on the grid of a walk.
+
+    The sample time is fixed before tracing, so each value needs a program of its own, and there is no bisection.
 
     Raises:
         ConfigError: two values of the grid fall on the same number of samples, or it follows from parameters.

@@ -12,12 +12,12 @@ FEWEST_SEGMENTS = 4
 
 
 def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr.Dataset:
-    """Estimate the gain from the error of the measured sigma to the robust command u over frequency.
+    """Estimate the gain from the error n of the measured sigma to the robust command u over frequency.
 
     The gain is |S_nu|/S_nn with Welch's estimates of the spectra (Hann window, half overlap, mean removed), so motion
-    that is uncorrelated with the noise, such as the answer to a disturbance, averages out. In a linear loop it is the
-    magnitude of the transfer function. Where the coherence is far below 1, u depends on the noise nonlinearly, or on
-    something else.
+    that is uncorrelated with the noise, such as the answer to a disturbance, averages out. In a linear loop the gain is
+    the magnitude of the transfer function. Where the coherence is far below 1, u depends on the noise nonlinearly, or
+    on something else.
 
     Args:
         run: A trajectory with every sample, from :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`.

@@ -9,19 +9,16 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.conditions import require_laws
 from dssc_jax.analyses.defaults import MOST_STRATIFIED, WIDTH
 from dssc_jax.analyses.probability.strata import StratifiedEstimate, stratified_probability
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.analyses.slacks import StudySlacks
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Engine, evaluate
-from dssc_jax.engine.sampling import values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, draws_as_narrow
 from dssc_jax.study import Study, takes_file
-
-LANES = 2048  # lanes of a batch
 
 
 @dataclass(frozen=True)
@@ -46,8 +43,8 @@ class ProbabilityAnswer:
 class FailureProbability(Analysis):
     """The failure probability of a study, from strata along a predicted border of failure.
 
-    Along ``stratum``, the dataset has ``draws``, ``failures`` and the ``upper`` edge of each stratum; along ``net`` and
-    ``stratum``, the stratum's probability, ``weight``.
+    The dataset has along ``stratum`` the number of ``draws`` and of ``failures``, and the ``upper`` edge of the
+    predicted slack. Along ``net`` and ``stratum`` it has ``weight``, the probability of the stratum by that Sobol net.
 
     Args:
         width: Width of the interval that was asked for.
@@ -75,7 +72,7 @@ class FailureProbability(Analysis):
 
     @cached_property
     def estimate(self) -> StratifiedEstimate:
-        """The probability and how it was estimated."""
+        """The estimate, read from the dataset."""
         data = self.dataset
         return StratifiedEstimate(
             simulations=self.simulations,
@@ -87,17 +84,17 @@ class FailureProbability(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The failure probability with its interval, in one line."""
         low, high = self.estimate.interval()
         return f"failure probability {self.estimate.probability:.4g} in [{low:.4g}, {high:.4g}]"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot probability and draws of each stratum, and the share of its draws that failed."""
         return plotting.strata(self)
 
     @property
     def answer(self) -> ProbabilityAnswer:
-        """The numbers that summary.json holds."""
+        """The failure probability, its interval and its cost, as ``summary.json`` has them."""
         estimate = self.estimate
         low, high = estimate.interval()
         return ProbabilityAnswer(
@@ -139,18 +136,7 @@ def probability(
         raise ConfigError("probability", f"needs width in (0, 1) and most >= 1000, got {width:g} and {most}")
     if not study.requirements:
         raise ConfigError(study.source, "probability needs at least one [[requirement]], whose slack it predicts")
-    if not study.laws:
-        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
-    engine = Engine(study, LANES)
-    simulation_count = 0
-
-    def slacks(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        nonlocal simulation_count
-        results = evaluate(engine, values_at(study, points), noise)
-        simulation_count += len(points)
-        if progress:
-            progress(simulation_count, None)
-        return worst_slack(study.requirements, results)
-
+    require_laws(study)
+    slacks = StudySlacks(study, progress)
     estimate = stratified_probability(slacks, len(study.laws), (study.config.seed,), width, most)
     return FailureProbability.of(study, width, estimate)

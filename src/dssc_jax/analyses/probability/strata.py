@@ -11,24 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssc_jax.analyses.probability.surrogate import Surrogate
-from dssc_jax.analyses.rare_events.estimate import Counter, SlackFunction
+from dssc_jax.analyses.slacks import SlackCounter, SlackFunction
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator, inside_cube, sobol_points
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 
-PILOT = 256  # plain draws
-MOST_EXTRA_DRAWS = 512  # largest number of draws near the border that improve the prediction
-DRAWS_PER_EXTRA_DRAW = 8  # planned draws in the strata for each of these
-BAND = 4  # ratio of the sample's points nearest to the border to these, which are spread over them
+PILOT = 256  # plain draws from which the slack is predicted
+MOST_EXTRA_DRAWS = 512  # largest number of extra draws near the border, which improve the prediction
+DRAWS_PER_EXTRA_DRAW = 8  # planned draws in the strata for each extra draw
+BAND = 4  # number of points near the border from which each extra draw is one
 SAMPLE = 2**14  # points whose predictions decide the strata
 NETS = 16
 NET_POINTS = 2**12  # points of a net
-NARROW_NET_POINTS = 2**14  # the same for a narrow interval
-NARROW_WIDTH = 0.01  # an interval asked to be narrower is narrow
-FIRST_MASS = 0.01  # probability of the two strata at the border
-GROWTH = 2.5  # ratio of a stratum's probability to that of its neighbour at the border
-RESERVE = 1.0  # ratio of the width that the draws aim at to the one asked
+NARROW_NET_POINTS = 2**14  # points of a net, if the interval is to be narrower than NARROW_WIDTH
+NARROW_WIDTH = 0.01
+FIRST_MASS = 0.01  # probability of each of the two strata at the border
+GROWTH = 2.5  # ratio of a stratum's probability to that of its neighbour nearer to the border
+RESERVE = 1.0  # ratio of the width that the draws aim at to the one asked for
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,20 @@ class StratifiedEstimate:
 
     @property
     def probability(self) -> float:
-        """The failure probability."""
+        """The failure probability: the sum of the strata's shares of failures, weighted by their probabilities."""
         return float(self.weights.mean(axis=0) @ (self.failures / self.draws))
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Its interval; see :func:`dssc_jax.statistics.stratified.stratified_interval`."""
+        """The interval of the failure probability (:func:`dssc_jax.statistics.stratified.stratified_interval`)."""
         return stratified_interval(self.weights, self.failures, self.draws, confidence)
 
 
 def strata_edges(predictions: np.ndarray) -> np.ndarray:
-    """Edges of strata whose probabilities grow on both sides of a prediction of 0."""
+    """Edges of strata that are narrow near a predicted slack of 0, and more probable the farther they are from it.
+
+    Args:
+        predictions: Predicted slacks of a plain sample, shape (n,).
+    """
     sorted_predictions = np.sort(predictions)
     count = len(sorted_predictions)
     border = int(np.searchsorted(sorted_predictions, 0.0))
@@ -82,23 +86,23 @@ def stratified_probability(
     """Estimate a failure probability with an interval of about a given width.
 
     Args:
-        slack: Computes slacks of points of the unit cube, shape (n, d), with noise indices (n,).
-        dimension: d.
+        slack: Computes slacks at points of the unit cube.
+        dimension: Number d of coordinates of a point.
         seeds: Seeds of the random numbers.
         width: Upper minus lower limit for which the number of draws is chosen.
         most: Largest number of draws in the strata, which may leave the interval wider.
     """
-    counter = Counter(slack)
+    counter = SlackCounter(slack)
     rng = generator(*seeds, stream("strata"))
     points = inside_cube(rng.random((PILOT, dimension)))
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside_cube(rng.random((SAMPLE, dimension)))
-    edges, draws = planned_strata(surrogate, surrogate(sample), width, most)
+    edges, draws = plan_strata(surrogate, surrogate(sample), width, most)
     extra_draws = min(MOST_EXTRA_DRAWS, int(draws.sum()) // DRAWS_PER_EXTRA_DRAW)
     if extra_draws > PILOT // 4:  # otherwise they would add at most a quarter to the pilot
-        surrogate = improved(surrogate, sample, extra_draws, counter)
+        surrogate = improve_surrogate(surrogate, sample, extra_draws, counter)
         sample = inside_cube(rng.random((SAMPLE, dimension)))
-        edges, draws = planned_strata(surrogate, surrogate(sample), width, most)
+        edges, draws = plan_strata(surrogate, surrogate(sample), width, most)
     strata = len(draws)
     size = NARROW_NET_POINTS if width < NARROW_WIDTH else NET_POINTS
     weights = np.empty((NETS, strata))
@@ -111,10 +115,17 @@ def stratified_probability(
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
 
 
-def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: Counter) -> Surrogate:
-    """The prediction with further draws near the predicted border, chosen from a plain sample.
+def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: SlackCounter) -> Surrogate:
+    """Fit the prediction again, with further draws near the predicted border.
 
-    Within the band from which they are chosen, all draws together count as often as the pilot's are expected to.
+    They are every :data:`BAND`-th of the sample's points that are nearest to the border. In this band all draws
+    together get the weight that the pilot's are expected to have there, so that dense draws do not count too much.
+
+    Args:
+        surrogate: The prediction from the pilot's draws.
+        sample: Plain points of the unit cube, shape (n, d).
+        extra_draws: Number of further draws.
+        counter: Computes their slacks.
     """
     distances = np.abs(surrogate(sample))
     nearest = np.argsort(distances)[: BAND * extra_draws]
@@ -126,21 +137,44 @@ def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter
     return Surrogate(points, slacks, np.where(in_band, expected_in_band / (expected_in_band + extra_draws), 1.0))
 
 
-def planned_strata(
+def plan_strata(
     surrogate: Surrogate, predictions: np.ndarray, width: float, most: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of the strata, and the number of draws in each."""
+    """Plan the strata of a prediction.
+
+    Args:
+        surrogate: The prediction.
+        predictions: Predicted slacks of a plain sample, shape (n,).
+        width: Width of the interval to reach.
+        most: Largest number of draws.
+
+    Returns:
+        The edges of the strata, shape (strata - 1,), and the number of draws in each, shape (strata,).
+    """
     edges = strata_edges(predictions)
     stratum = np.searchsorted(edges, predictions)
     weights = np.bincount(stratum, minlength=len(edges) + 1) / len(predictions)
-    shares = np.bincount(stratum, surrogate.failing(predictions), len(edges) + 1) / (weights * len(predictions))
+    shares = np.bincount(stratum, surrogate.failure_probability(predictions), len(edges) + 1) / (
+        weights * len(predictions)
+    )
     return edges, allocate_draws(weights, shares, RESERVE * width, most)
 
 
 def points_in_strata(
     surrogate: Surrogate, edges: np.ndarray, draws: np.ndarray, dimension: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Independent points of the unit cube, a fixed number in each stratum, and their strata."""
+    """Draw independent points of the unit cube, a fixed number in each stratum.
+
+    Args:
+        surrogate: The prediction.
+        edges: Edges of the strata, shape (strata - 1,).
+        draws: Number of points in each stratum, shape (strata,).
+        dimension: Number d of coordinates.
+        rng: Random generator.
+
+    Returns:
+        The points, shape (n, d), and the index of the stratum of each, shape (n,).
+    """
     missing = draws.copy()
     points = []
     strata = []

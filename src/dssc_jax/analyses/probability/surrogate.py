@@ -1,6 +1,6 @@
-"""A prediction of the slack from some simulated draws, and of how likely a draw with a predicted slack fails.
+"""A prediction of the slack from some simulated draws, and the probability of failure at a predicted slack.
 
-Nothing rests on the prediction but the number of draws: the strata that it makes are sampled, whatever it is worth.
+The prediction only decides how many draws an answer takes. A bad one leaves the answer valid.
 """
 
 from dataclasses import dataclass, field
@@ -11,15 +11,17 @@ from scipy import linalg, optimize, special
 from scipy.spatial.distance import cdist
 
 ROWS = 4096  # points of a batch
-SMOOTHING = 1e-3  # of the interpolation, which does not follow in-loop noise
-FOLDS = 4  # of the cross-validation
-PRIOR = 0.05  # weight of the logistic curve's prior
+SMOOTHING = 1e-3  # smoothing of the interpolation, so that it does not follow in-loop noise
+FOLDS = 4  # folds of the cross-validation
+PRIOR = 0.05  # weight of the prior of the logistic curve
 
 
-def scaled(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
-    """Slacks on a scale that is linear up to a quantile of their sizes, and logarithmic beyond.
+def scale_slacks(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
+    """Slacks on a scale that is linear near 0 and logarithmic far from it, arcsinh(s/scale), shape (n,) both.
 
-    A slack without a value (-inf) becomes the smallest.
+    Args:
+        slacks: The slacks, shape (n,); one without a value, -inf, becomes the smallest.
+        level: The scale is this quantile of the slacks' sizes.
     """
     finite = np.isfinite(slacks)
     sizes = np.abs(slacks[finite])
@@ -29,9 +31,9 @@ def scaled(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
 
 
 class Interpolation(NamedTuple):
-    """A smooth function sum_i c_i |x - x_i|^3 + a + b.x of points of the unit cube.
+    """A smooth function sum_i c_i |x - x_i|^3 + a + b.x of points x of the unit cube.
 
-    SciPy's RBFInterpolator gives the same values; this one takes a fifth of its time for many points.
+    SciPy's RBFInterpolator gives the same values, in five times the time for many points.
 
     Args:
         centres: x_i, shape (n, d).
@@ -53,8 +55,8 @@ class Interpolation(NamedTuple):
         return values
 
 
-def interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
-    """The interpolation of values, shape (n,), at points, shape (n, d), smoothed.
+def fit_interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
+    """Fit a smoothed interpolation to values, shape (n,), at points, shape (n, d).
 
     Reference:
         G. Wahba, Spline Models for Observational Data (1990), chapter 2.
@@ -66,7 +68,15 @@ def interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
 
 
 def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
-    """The symmetric matrix whose solution is an interpolation of points, shape (n, d); shape (n + d + 1, n + d + 1)."""
+    """The symmetric matrix of the linear equations whose solution are the coefficients of an interpolation.
+
+    Args:
+        points: Points x_i, shape (n, d).
+        smoothing: Added to the diagonal of the first n equations; 0: the function passes through all values.
+
+    Returns:
+        Shape (n + d + 1, n + d + 1), for the coefficients c_i, a and b of :class:`Interpolation`.
+    """
     count, dimension = points.shape
     matrix = np.zeros((count + dimension + 1, count + dimension + 1))
     matrix[:count, :count] = cdist(points, points) ** 3 + smoothing * np.eye(count)
@@ -78,13 +88,15 @@ def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
 
 @dataclass
 class Surrogate:
-    """A prediction of the slack.
+    """A prediction of the slack at any point of the unit cube, from simulated points.
+
+    A logistic curve gives the probability of failure at a predicted slack. It is fitted to predictions by
+    cross-validation, whose errors are those of new points.
 
     Args:
         points: Simulated points of the unit cube, shape (n, d).
-        slacks: Their slacks, shape (n,).
-        counts: How many points each stands for, shape (n,): less than 1 where points were chosen densely. The curve
-            would otherwise be that of the chosen points, among which more predictions are in doubt.
+        slacks: Slack at each point, shape (n,).
+        counts: Weight of each point in the logistic curve, shape (n,): below 1 where points were chosen densely.
     """
 
     points: np.ndarray
@@ -94,28 +106,37 @@ class Surrogate:
     curve: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        values = scaled(self.slacks)
-        self.function = interpolation(self.points, values)
+        values = scale_slacks(self.slacks)
+        self.function = fit_interpolation(self.points, values)
         predicted = np.empty(len(values))
         fold = np.arange(len(values)) % FOLDS
         for part in range(FOLDS):
             left_out = fold == part
-            function = interpolation(self.points[~left_out], values[~left_out])
+            function = fit_interpolation(self.points[~left_out], values[~left_out])
             predicted[left_out] = function(self.points[left_out])
         self.curve = logistic_curve(predicted, self.slacks < 0.0, self.counts)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Predicted slacks, scaled, of points of shape (n, d)."""
+        """Predicted slacks at points of shape (n, d), on the scale of :func:`scale_slacks`, shape (n,)."""
         return self.function(points)
 
-    def failing(self, predictions: np.ndarray) -> np.ndarray:
-        """Probability that a draw with a prediction fails, by the logistic curve."""
+    def failure_probability(self, predictions: np.ndarray) -> np.ndarray:
+        """Probability that a draw with each predicted slack fails, by the logistic curve, shape (n,) both."""
         intercept, slope = self.curve
         return special.expit(intercept - slope * predictions)
 
 
 def logistic_curve(predictions: np.ndarray, failed: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Intercept a and slope b of the curve 1/(1 + exp(-(a - b s))) of failures over predictions s, counted so often."""
+    """Fit the probability of failure 1/(1 + exp(-(a - b s))) over predicted slacks s.
+
+    Args:
+        predictions: Predicted slacks s, shape (n,).
+        failed: Whether each draw failed, shape (n,).
+        counts: Weight of each draw, shape (n,).
+
+    Returns:
+        Intercept a and slope b, shape (2,).
+    """
     signs = np.where(failed, 1.0, -1.0)
 
     def loss(curve: np.ndarray) -> float:

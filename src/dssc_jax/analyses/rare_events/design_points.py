@@ -1,4 +1,4 @@
-"""Design points: the failures nearest to the median draw in standard normal space, and approximations made at them.
+"""Design points: the failures nearest to the median draw in standard normal space, and approximations there.
 
 The most probable failures of one kind lie near a design point. Searches from several starts find several design points.
 FORM replaces the limit state, the border of failure, by its tangent there, and SORM by a paraboloid. Both are
@@ -18,7 +18,7 @@ import numpy as np
 from scipy import special
 
 SlopeFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d)."""
+"""(points, shape (n, d)) -> slacks, shape (n,), and their derivatives by the coordinates, shape (n, d)."""
 
 ITERATIONS = 100
 SHORTER = 0.4  # factor of a step after failure
@@ -33,12 +33,12 @@ CURVATURE_STEP = 0.05  # step of a difference of slopes
 
 
 class DesignPoint(NamedTuple):
-    """A failure that is, locally, nearest to the median draw.
+    """The failure that is nearest to the median draw, at least locally.
 
     Args:
-        point: In standard normal space, shape (d,).
-        distance: beta, its distance from the origin.
-        second_order: SORM's factor beside FORM's probability Phi(-beta); NaN if it does not exist.
+        point: Coordinates in standard normal space, shape (d,).
+        distance: Distance beta from the origin, the median draw.
+        second_order: Ratio of SORM's probability to FORM's, which is Phi(-beta); NaN if SORM does not exist.
     """
 
     point: np.ndarray
@@ -98,26 +98,37 @@ def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> 
     border_indices = [index for index in np.argsort(distances) if on_border[index]]
     return [
         DesignPoint(points[index], float(distances[index]), second_order=np.nan)  # with_curvature adds it
-        for index in distinct(points, border_indices, SAME, len(points))
+        for index in distinct_points(points, border_indices, SAME, len(points))
         if distances[index] <= distances[border_indices[0]] + FARTHER
     ]
 
 
-def distinct(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
-    """Indices, in the order given, of the first points that lie farther than a distance from all earlier ones."""
-    distinct_indices: list[int] = []
+def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
+    """Indices of points that lie apart from each other, taken one after the other in a given order.
+
+    Args:
+        points: Shape (n, d).
+        order: Indices of points.
+        distance: Distance that a point must exceed from all that were taken before.
+        most: Largest number of indices.
+    """
+    taken: list[int] = []
     for index in order:
-        if len(distinct_indices) == most:
+        if len(taken) == most:
             break
-        if np.all(np.sum((points[distinct_indices] - points[index]) ** 2, axis=1) > distance**2):
-            distinct_indices.append(index)
-    return distinct_indices
+        if np.all(np.sum((points[taken] - points[index]) ** 2, axis=1) > distance**2):
+            taken.append(index)
+    return taken
 
 
 def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
-    """Add SORM's factor prod (1 + beta kappa_i)^(-1/2), with the border's principal curvatures kappa_i.
+    """The design point with SORM's factor prod (1 + beta kappa_i)^(-1/2), kappa_i being the border's curvatures.
 
-    The second derivatives are differences of slopes.
+    Second derivatives are differences of slopes. The factor stays NaN where it does not exist.
+
+    Args:
+        slacks_and_slopes: Computes the slacks and slopes of points.
+        design_point: The design point.
     """
     point = design_point.point
     dimension = len(point)

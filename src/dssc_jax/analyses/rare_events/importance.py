@@ -23,37 +23,38 @@ import numpy as np
 from dssc_jax.analyses.defaults import FEWER_PLAIN, MOST_WEIGHTED, VARIATION
 from dssc_jax.analyses.rare_events.design_points import (
     DesignPoint,
-    distinct,
+    distinct_points,
     find_design_points,
     with_curvature,
 )
-from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
-from dssc_jax.analyses.rare_events.mixture import WIDE, fitted, mixture_of, mixture_sample
-from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, predicted
+from dssc_jax.analyses.rare_events.estimate import Estimate, make_plain_draws
+from dssc_jax.analyses.rare_events.mixture import WIDE, fit_mixture, mixture_sample, weighted_mixture
+from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, fit_prediction
+from dssc_jax.analyses.slacks import SlackCounter, SlackFunction
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
-LEARNT = 128  # plain draws, those with the least slacks, that the prediction learns
-EXPLORED = 256  # points of the wide law
-STARTS = 16  # of the searches for design points
-START_DISTANCE = 1.5  # between starts
+LEARNT = 128  # plain draws in the prediction: those with the smallest slacks
+EXPLORED = 256  # points of the wide law in the prediction
+STARTS = 16  # starts of the searches for design points
+START_DISTANCE = 1.5  # least distance between two starts
 ROUNDS = 3  # least number of rounds that improve the prediction
 MOST_ROUNDS = 8
 ADDED = 24  # points of a round besides the design points
 MOST_DESIGNS = 8  # design points that a round simulates
-ENOUGH = 256  # points of the answer from which further rounds may save simulations
-FIT_CANDIDATES = 512  # for each fit of the mixture
-FITS = 2
-CANDIDATES = 4096  # least number of candidates for the answer's points
+ENOUGH = 256  # rounds end when the answer is expected to take no more points than this
+FIT_CANDIDATES = 512  # candidates for each fit of the mixture
+FITS = 2  # fits of the mixture
+CANDIDATES = 4096  # least number of candidates for the points of the answer
 BLIND = 0.4  # share of the points whose chance does not depend on the prediction
-RESERVE = 1.15  # ratio of points to the number that the prediction expects
-LEAST_SAMPLED = 64
-MOST_AT_FIRST = 1024  # points of the first batch, which a bad prediction would make too large
-UNSEEN = 0.05  # expected number of failures with larger weights than the largest one that the interval allows for
-LEAST_EFFECTIVE = 20  # effective number of failing points of an answer
+RESERVE = 1.15  # ratio of points to the number that the prediction expects to be needed
+LEAST_SAMPLED = 64  # least number of points of the answer
+MOST_AT_FIRST = 1024  # most points of the first batch, since a bad prediction may ask for too many
+UNSEEN = 0.05  # expected number of failures with a larger weight than the largest one that the interval allows for
+LEAST_EFFECTIVE = 20  # least effective number of failing points of an answer
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class ImportanceSampling:
     """The settings of importance sampling around design points.
 
     Args:
-        variation: Coefficient of variation to reach; 0.1 leaves a factor of about 1.2 between estimate and truth.
+        variation: Coefficient of variation to reach; with 0.1 the estimate is within a factor of about 1.2.
         most: Largest number of weighted points of the answer.
         plain: Number of plain draws, which bound the failures that the method may miss.
 
@@ -95,26 +96,26 @@ class WeightedEstimate(Estimate):
 
     @property
     def mean(self) -> float:
-        """Sum of the failing points' weights."""
+        """The failure probability: the sum of the failing points' weights."""
         return float(self.weights.sum())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Interval of a weighted sum; see :func:`dssc_jax.statistics.weighted.weighted_interval`."""
+        """The interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
         return weighted_interval(self.weights, 1, self.largest, confidence)
 
     @property
     def variation(self) -> float:
-        """Coefficient of variation of :attr:`mean`."""
+        """Coefficient of variation of the sum of weights."""
         return variation_of(self.weights)
 
     @property
     def reached(self) -> bool:
-        """Whether enough failing points carry the sum."""
+        """Whether the effective number of failing points is large enough for an answer."""
         return effective_size(self.weights) >= LEAST_EFFECTIVE
 
     @property
     def interval_name(self) -> str:
-        """See :class:`Estimate`."""
+        """Name of the interval: importance sampling around so many design points."""
         count = len(self.design_points)
         return f"importance sampling around {count} design {'point' if count == 1 else 'points'}"
 
@@ -126,12 +127,12 @@ def variation_of(weights: np.ndarray) -> float:
 
 
 class Candidates(NamedTuple):
-    """Points that may be simulated.
+    """Points of the mixture, some of which are simulated.
 
     Args:
-        points: Shape (n, d).
-        masses: Probability that each stands for, shape (n,).
-        failing: Predicted probability that each fails, shape (n,).
+        points: Coordinates in standard normal space, shape (n, d).
+        masses: Probability that each point stands for, shape (n,).
+        failing: Predicted probability that each point fails, shape (n,).
     """
 
     points: np.ndarray
@@ -139,21 +140,26 @@ class Candidates(NamedTuple):
     failing: np.ndarray
 
     def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
-        """Chance of each point to be simulated, ``count`` in all: a share ``BLIND`` equally, the rest by the scores."""
+        """Chance of each point to be simulated, shape (n,): a share ``BLIND`` is equal, the remainder follows scores.
+
+        Args:
+            scores: How useful each point is, shape (n,).
+            count: Expected number of simulated points.
+        """
         total = float(scores.sum())
         shares = scores / total if total else np.full(len(scores), 1.0 / len(scores))
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
 
     def informative_chances(self, count: int) -> np.ndarray:
-        """Chances that improve the prediction."""
+        """Chances that prefer points whose failure is in doubt, to improve the prediction; see :meth:`chances`."""
         return self.chances(self.masses * np.sqrt(self.failing * (1.0 - self.failing)), count)
 
     def efficient_chances(self, count: int) -> np.ndarray:
-        """Chances with the least variance of the sum."""
+        """Chances that give the estimate its least variance, if the prediction is right; see :meth:`chances`."""
         return self.chances(self.masses * np.sqrt(self.failing), count)
 
     def sample_size(self, variation: float) -> int:
-        """Number of points with which the predicted coefficient of variation is as small as ``variation``."""
+        """Number of points to simulate so that the estimate has a given coefficient of variation, as predicted."""
         failing_masses = self.masses * self.failing
         total = float(failing_masses.sum())
         if total == 0.0:
@@ -163,24 +169,24 @@ class Candidates(NamedTuple):
 
 
 def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices of a systematic sample in random order, each drawn with its chance."""
+    """Indices of a systematic sample in random order: each point is in it with its chance, shape (n,)."""
     order = rng.permutation(len(chances))
     cumulative_counts = np.floor(np.cumsum(chances[order]) + rng.random())
     return order[np.diff(cumulative_counts, prepend=0.0) > 0.0]
 
 
 @dataclass
-class Search:
-    """The simulated points, and what they predict.
+class DesignSearch:
+    """The search for design points: simulated points, the prediction from them, and the design points it leads to.
 
     Args:
         counter: Computes slacks.
         rng: Random generator.
         points: Simulated points, shape (n, d).
-        slacks: Their slacks, shape (n,).
+        slacks: Slack at each point, shape (n,).
     """
 
-    counter: Counter
+    counter: SlackCounter
     rng: np.random.Generator
     points: np.ndarray
     slacks: np.ndarray
@@ -188,31 +194,36 @@ class Search:
     design_points: list[DesignPoint] = field(init=False)
 
     def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
-        """Add simulated points to the prediction, which chooses a smoothing, and search its design points.
+        """Fit the prediction with further simulated points, and search for its design points.
 
-        The searches start from failing points nearest to the median, then from the least slacks.
+        The searches start from the failing points nearest to the median draw, then from those with the least slacks.
+
+        Args:
+            points: The further points, shape (n, d).
+            slacks: Slack at each of them, shape (n,).
+            smoothings: Smoothings among which the prediction takes the likeliest.
         """
         self.points = np.concatenate([self.points, points])
         self.slacks = np.concatenate([self.slacks, slacks])
-        self.prediction = predicted(self.points, self.slacks, smoothings)
+        self.prediction = fit_prediction(self.points, self.slacks, smoothings)
         lengths = np.linalg.norm(self.points, axis=1)
         order = np.lexsort((np.where(self.slacks < 0.0, lengths, self.slacks), self.slacks >= 0.0))
-        starts = self.points[distinct(self.points, order, START_DISTANCE, STARTS)]
-        self.design_points = find_design_points(self.prediction.slope, starts)
+        starts = self.points[distinct_points(self.points, order, START_DISTANCE, STARTS)]
+        self.design_points = find_design_points(self.prediction.slacks_and_slopes, starts)
 
     def candidates(self, count: int) -> Candidates:
-        """Points of the mixture that fits the predicted failures around the design points."""
+        """Points of a mixture that is fitted to the predicted failures around the design points."""
         means = np.array([design_point.point for design_point in self.design_points])
         probabilities = np.array([design_point.first_order_probability for design_point in self.design_points])
-        components = mixture_of(means, [np.eye(means.shape[1])] * len(means), probabilities)
+        components = weighted_mixture(means, [np.eye(means.shape[1])] * len(means), probabilities)
         for _ in range(FITS):
             points, ratios = mixture_sample(components, FIT_CANDIDATES, self.rng)
-            components = fitted(components, points, ratios * self.prediction.failing(points))
+            components = fit_mixture(components, points, ratios * self.prediction.failure_probability(points))
         points, ratios = mixture_sample(components, count, self.rng)
-        return Candidates(points, ratios / len(points), self.prediction.failing(points))
+        return Candidates(points, ratios / len(points), self.prediction.failure_probability(points))
 
-    def simulated(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slacks and noise indices of points."""
+    def simulate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate points with fresh in-loop noise; return the slacks and the indices of the noise, shape (n,) each."""
         noise = self.counter.fresh(len(points))
         return self.counter(points, noise), noise
 
@@ -223,21 +234,21 @@ def importance_sampling(
     """Estimate a failure probability by importance sampling around predicted design points.
 
     Args:
-        slack: Computes slacks; -inf or NaN if there is none.
-        dimension: d of the standard normal space.
+        slack: Computes slacks in standard normal space; -inf or NaN if there is none.
+        dimension: Number d of coordinates of that space.
         seeds: Seeds of the random numbers.
         settings: The settings.
 
     Returns:
         The estimate, or the reason why there is none.
     """
-    counter = Counter(slack)
-    plain, points, slacks = plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
+    counter = SlackCounter(slack)
+    plain, points, slacks = make_plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
     least = np.argsort(slacks, kind="stable")[:LEARNT]
-    search = Search(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
+    search = DesignSearch(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
     new_points = WIDE * search.rng.standard_normal((EXPLORED, dimension))
     for round_index in range(MOST_ROUNDS):
-        slacks, _ = search.simulated(new_points)
+        slacks, _ = search.simulate(new_points)
         is_middle_round = 0 < round_index < ROUNDS
         search.learn(new_points, slacks, (search.prediction.smoothing,) if is_middle_round else SMOOTHINGS)
         if not search.design_points:
@@ -248,7 +259,7 @@ def importance_sampling(
         informative = candidates.points[systematic_sample(candidates.informative_chances(ADDED), search.rng)]
         designs = [design_point.point for design_point in search.design_points[:MOST_DESIGNS]]
         new_points = np.concatenate([informative, designs])
-    sample = sampled(search, settings)
+    sample = weigh_failures(search, settings)
     size = effective_size(sample.weights)
     if size < LEAST_EFFECTIVE:
         return f"few failures carry the sum, as if {size:.0f} points failed"
@@ -259,17 +270,19 @@ def importance_sampling(
         weights=sample.weights,
         plain=plain,
         largest=sample.largest,
-        design_points=[with_curvature(search.prediction.slope, design_point) for design_point in search.design_points],
+        design_points=[
+            with_curvature(search.prediction.slacks_and_slopes, design_point) for design_point in search.design_points
+        ],
     )
 
 
 class Sample(NamedTuple):
-    """Failing points of the answer.
+    """The failing points of the answer.
 
     Args:
-        points: Shape (n, d).
-        noise: Their noise indices, shape (n,).
-        weights: Probability that each stands for, shape (n,).
+        points: Coordinates in standard normal space, shape (n, d).
+        noise: Index of the in-loop noise of each point, shape (n,).
+        weights: Probability that each point stands for, shape (n,).
         largest: The largest weight that a failing point could be expected to have.
     """
 
@@ -279,11 +292,16 @@ class Sample(NamedTuple):
     largest: float
 
 
-def sampled(search: Search, settings: ImportanceSampling) -> Sample:
-    """Simulate the points of the answer.
+def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample:
+    """Simulate the points of the answer in batches, and weight those that fail.
 
-    Their number follows from the prediction. While it is too small for the coefficient of variation, as many points
-    again follow. Each batch counts in proportion to its planned number, which does not depend on its slacks.
+    The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
+    batch doubles the number of points. Each batch counts in proportion to its planned size, which does not depend on
+    its own slacks, so that the estimate has no bias.
+
+    Args:
+        search: The prediction and the design points; updated after each batch.
+        settings: The coefficient of variation to reach, and the largest number of points.
     """
     count = 0
     batch_size = 0
@@ -293,7 +311,7 @@ def sampled(search: Search, settings: ImportanceSampling) -> Sample:
         batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)
         chances = candidates.efficient_chances(batch_size)
         indices = systematic_sample(chances, search.rng)
-        slacks, noise = search.simulated(candidates.points[indices])
+        slacks, noise = search.simulate(candidates.points[indices])
         failed = indices[slacks < 0.0]
         share = batch_size / (count + batch_size)
         weights = share * candidates.masses / chances

@@ -17,9 +17,9 @@ class Component(NamedTuple):
     """A normal law of the mixture.
 
     Args:
-        mean: Shape (d,).
-        root: Lower triangular root of its covariance, shape (d, d).
-        share: Its share of the mixture.
+        mean: Mean, shape (d,).
+        root: Lower triangular root of the covariance, shape (d, d).
+        share: Share of the law in the mixture.
     """
 
     mean: np.ndarray
@@ -27,19 +27,21 @@ class Component(NamedTuple):
     share: float
 
     def log_density(self, points: np.ndarray) -> np.ndarray:
-        """Logarithm of the density, without the constant that all normal laws have, shape (n,)."""
+        """Logarithm of the density at points of shape (n, d), up to a constant that all normal laws share; (n,)."""
         scores = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
         return -0.5 * np.sum(scores**2, axis=0) - float(np.log(np.diag(self.root)).sum())
 
 
-def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:
-    """A mixture of normal laws with shares proportional to weights, none too small, and of the wide law.
+def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:
+    """The mixture of some normal laws and the wide law, with shares that are proportional to weights.
+
+    No share is below :data:`LEAST_SHARE`, before they are made to add up to 1.
 
     Args:
-        means: Shape (laws, d).
+        means: Means of the laws, shape (laws, d).
         roots: Roots of their covariances, each of shape (d, d).
-        weights: Shape (laws,). All of them are 0 where the design points are so far away that probabilities underflow;
-            the laws then have equal shares.
+        weights: Weights of the laws, shape (laws,). All of them are 0 where the design points are so far away that
+            probabilities underflow; the laws then have equal shares.
     """
     dimension = means.shape[1]
     total = float(weights.sum())
@@ -50,10 +52,11 @@ def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) 
 
 
 def mixture_sample(components: list[Component], count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """About ``count`` points of a mixture, a fixed number from each component, at least 2.
+    """Draw about ``count`` points of a mixture: a fixed number from each law, at least 2.
 
     Returns:
-        The points, shape (n, d), and the density of the standard normal law over that of the mixture, shape (n,).
+        The points, shape (n, d), and at each the ratio of the standard normal density to that of the mixture,
+        shape (n,).
     """
     numbers = [max(2, round(component.share * count)) for component in components]
     parts = []
@@ -66,12 +69,15 @@ def mixture_sample(components: list[Component], count: int, rng: np.random.Gener
     return points, np.exp(-0.5 * np.sum(points**2, axis=1) - mixture)
 
 
-def fitted(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
-    """The mixture whose laws have the mean and, where it is wider, the covariance of the failures near them.
+def fit_mixture(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
+    """Fit a mixture to weighted failures, by one step of expectation and maximisation.
+
+    Each law gets the mean of the failures near it, and their covariance where that is wider than the unit matrix. A
+    law with few failures stays as it is.
 
     Args:
-        components: The mixture before.
-        points: Shape (n, d).
+        components: The mixture to start from; its last law is the wide one, which stays.
+        points: Points in standard normal space, shape (n, d).
         weights: Probability of the failures that each point stands for, shape (n,).
     """
     narrow = components[:-1]
@@ -94,11 +100,20 @@ def fitted(components: list[Component], points: np.ndarray, weights: np.ndarray)
         roots.append(root_of_failures(points - mean, shares / total, size))
     if not sum(totals):
         return components
-    return mixture_of(np.array(means), roots, np.array(totals))
+    return weighted_mixture(np.array(means), roots, np.array(totals))
 
 
 def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-    """Root of the covariance of weighted points, shrunk towards the unit matrix, in no direction narrower than that."""
+    """Root of the covariance of weighted points, shape (d, d).
+
+    The covariance is shrunk towards the unit matrix, the more so the fewer points there are. In no direction is it
+    narrower than the unit matrix.
+
+    Args:
+        deviations: Points less their mean, shape (n, d).
+        weights: Weight of each point, which add up to 1, shape (n,).
+        size: Effective number of points.
+    """
     dimension = deviations.shape[1]
     covariance = (weights[:, None] * deviations).T @ deviations
     doubt = (dimension + 1.0) / (dimension + 1.0 + size)

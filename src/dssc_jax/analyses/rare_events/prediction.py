@@ -1,6 +1,6 @@
 """A prediction of the slack in standard normal space with its uncertainty, from simulated points.
 
-No answer rests on it. It decides where to simulate, and hence how many simulations an answer takes.
+It decides where to simulate, and hence how many simulations an answer takes. A bad prediction leaves the answer valid.
 
 Reference:
     G. Matheron, "The intrinsic random functions and their applications", Advances in Applied Probability 5 (1973)
@@ -13,24 +13,24 @@ import numpy as np
 from scipy import special
 from scipy.spatial.distance import cdist
 
-from dssc_jax.analyses.probability.surrogate import ROWS, scaled, spline_matrix
+from dssc_jax.analyses.probability.surrogate import ROWS, scale_slacks, spline_matrix
 
 SMOOTHINGS = (1e-6, 1e-3, 0.1, 10.0)
-NOISY = 0.1  # a smoothing from which in-loop noise, or a jump, is part of the slack
-LOGISTIC_SCALE = np.sqrt(3.0) / np.pi  # of the logistic law with standard deviation 1
+NOISY = 0.1  # least smoothing at which the slack is taken to contain in-loop noise or a jump
+LOGISTIC_SCALE = np.sqrt(3.0) / np.pi  # scale of the logistic law with standard deviation 1
 LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A spline sum_i c_i |u - u_i|^3 + a + b.u of the scaled slack, and the variance of its error by kriging.
+    """A spline sum_i c_i |u - u_i|^3 + a + b.u of the scaled slack, with the variance of its error by kriging.
 
     Args:
-        centres: u_i, shape (n, d).
+        centres: Simulated points u_i, shape (n, d).
         inverse: Inverse of the spline's matrix, shape (n + d + 1, n + d + 1).
         coefficients: c_i, a and b, shape (n + d + 1,).
         smoothing: Variance of the noise, relative to ``variance``.
-        variance: Scale of the error's variance.
+        variance: Factor of the error's variance.
     """
 
     centres: np.ndarray
@@ -39,11 +39,11 @@ class Prediction:
     smoothing: float
     variance: float
 
-    def failing(self, points: np.ndarray) -> np.ndarray:
+    def failure_probability(self, points: np.ndarray) -> np.ndarray:
         """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
 
-        The error of a smooth slack is taken for normal. That of a noisy one, such as the largest of many readings, has
-        longer tails and is taken for logistic: a failure far from the predicted border carries much weight there.
+        The error of a smooth slack is assumed to be normal. That of a noisy one, such as the largest of many readings,
+        has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
         """
         probabilities = np.empty(len(points))
         for start in range(0, len(points), ROWS):
@@ -56,7 +56,7 @@ class Prediction:
             probabilities[part] = special.expit(scores / LOGISTIC_SCALE) if is_noisy else special.ndtr(scores)
         return probabilities
 
-    def slope(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slacks_and_slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predicted slacks, shape (n,), and their slopes, shape (n, d), at points of shape (n, d)."""
         count, dimension = self.centres.shape
         basis = self.basis(points)
@@ -65,17 +65,17 @@ class Prediction:
         return basis @ self.coefficients, slopes
 
     def basis(self, points: np.ndarray) -> np.ndarray:
-        """The functions whose sum is the spline, shape (n, number of centres + 1 + d)."""
+        """The values at points of shape (m, d) that the coefficients multiply, shape (m, n + 1 + d)."""
         return np.column_stack([cdist(points, self.centres) ** 3, np.ones(len(points)), points])
 
 
-def predicted(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
-    """The prediction from slacks, shape (n,), at points, shape (n, d).
+def fit_prediction(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
+    """Fit a prediction to slacks, shape (n,), at points, shape (n, d).
 
-    Of the smoothings it takes the one under which the points, each predicted from all others, are most likely.
+    The smoothing is the one under which the points, each predicted from all others, are most likely.
     """
     count, dimension = points.shape
-    values = np.concatenate([scaled(slacks, 0.5), np.zeros(dimension + 1)])
+    values = np.concatenate([scale_slacks(slacks, 0.5), np.zeros(dimension + 1)])
     candidates = []
     for smoothing in smoothings:
         inverse = np.linalg.inv(spline_matrix(points, smoothing))

@@ -1,6 +1,5 @@
 """A failure probability that is too small for plain draws, by importance sampling or by splitting."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Annotated, Self, TypeAlias
@@ -11,27 +10,26 @@ from matplotlib.figure import Figure
 from scipy import special
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.conditions import require_laws
 from dssc_jax.analyses.rare_events.design_points import DesignPoint
-from dssc_jax.analyses.rare_events.estimate import Estimate, Plain
+from dssc_jax.analyses.rare_events.estimate import Estimate, PlainDraws
 from dssc_jax.analyses.rare_events.importance import ImportanceSampling, WeightedEstimate, importance_sampling
-from dssc_jax.analyses.rare_events.splitting import USUAL, Splitting, SplittingEstimate, split
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.analyses.rare_events.splitting import DEFAULT_SPLITTING, Splitting, SplittingEstimate, split
+from dssc_jax.analyses.slacks import StudySlacks
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Engine, evaluate, is_noisy
 from dssc_jax.engine.sampling import Arrays, inside_cube, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
-LANES = 2048  # lanes of a batch
 
 Method: TypeAlias = ImportanceSampling | Splitting
 """The settings of a method."""
 
-USUAL_IMPORTANCE = ImportanceSampling()
+DEFAULT_IMPORTANCE = ImportanceSampling()
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class MethodProbability:
 
 @dataclass(frozen=True)
 class ApproximatedFailures:
-    """The failures around one design point, and two approximations of their probability, without interval."""
+    """The failures around one design point, with two approximations of their probability that have no interval."""
 
     distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal space")]
     first_order: Annotated[float, Quantity("1", "probability behind the tangent of the border (FORM)")]
@@ -64,7 +62,7 @@ class PlainFailures:
 
 @dataclass(frozen=True)
 class FailingRange:
-    """Range of a number at failures."""
+    """Values of an uncertain number in draws that fail."""
 
     median: Annotated[float, Quantity("that of the number", "median of its law")]
     failing: Annotated[np.ndarray | None, Quantity("that of the number", "5 %, 50 % and 95 % quantile at failures")]
@@ -96,17 +94,19 @@ class RareAnswer:
 
 @dataclass(eq=False)
 class RareEvent(Analysis):
-    """The probability of a study's rare failure.
+    """The probability of a rare failure.
 
-    Along ``failure``, the dataset has the failing points of the method and then the plain draws that failed: every
-    uncertain number; ``plain``, which of the two it is; ``weight``, a point's weight; and ``noise``, its index of the
-    in-loop noise. Along ``failure`` and ``number`` it has their ``point`` in standard normal space. Of a splitting it
-    has along ``repeat``: ``estimate`` and ``levels``. Of importance sampling it has along ``design_point`` its
-    ``distance`` and ``second_order`` (SORM's factor), and along ``number``, too, the ``design``.
+    The dataset has along ``failure``, for the failing points of the method and then for the plain draws that failed:
+
+    * every uncertain number, and along ``number``, too, the ``point`` in standard normal space;
+    * ``plain``, whether it is a plain draw, ``weight``, and ``noise``, the index of the in-loop noise.
+
+    A splitting adds along ``repeat`` its ``estimate`` and its ``levels``. Importance sampling adds along
+    ``design_point`` the ``distance`` and ``second_order``, SORM's factor, and along ``number``, too, the ``design``.
 
     Args:
         method: The settings of the method.
-        simulations: Number of evaluations of the slack besides those of the plain draws.
+        simulations: Number of simulations besides the plain draws.
         largest: The largest weight that a failing point could be expected to have; 0 for a splitting.
         noisy: Whether the loop has in-loop noise.
         refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
@@ -124,25 +124,25 @@ class RareEvent(Analysis):
 
     @classmethod
     def of(cls, study: Study, settings: Method, estimate: Estimate, noisy: bool, refusal: str = "") -> Self:
-        """Create the analysis from an estimate."""
+        """Create the analysis from an estimate.
+
+        Args:
+            study: The study without a sweep.
+            settings: The settings of the method.
+            estimate: The estimate.
+            noisy: Whether the loop has in-loop noise.
+            refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
+        """
         plain = estimate.plain
         points = np.concatenate([estimate.points, plain.points])
+        is_plain = np.arange(len(points)) >= len(estimate.points)
+        noise = np.concatenate([estimate.noise, np.full(plain.failures, -1)])
+        weights = np.concatenate([estimate.weights, np.ones(plain.failures)])
+        noise_meaning = "index of the in-loop noise; -1: of a plain draw"
         columns = {
-            "plain": (
-                "failure",
-                np.arange(len(points)) >= len(estimate.points),
-                {"long_name": "a plain draw, not a point of the method"},
-            ),
-            "noise": (
-                "failure",
-                np.concatenate([estimate.noise, np.full(plain.failures, -1)]),
-                {"units": "1", "long_name": "index of the in-loop noise; -1: of a plain draw"},
-            ),
-            "weight": (
-                "failure",
-                np.concatenate([estimate.weights, np.ones(plain.failures)]),
-                {"units": "1", "long_name": "weight of the failure"},
-            ),
+            "plain": ("failure", is_plain, {"long_name": "a plain draw, not a point of the method"}),
+            "noise": ("failure", noise, {"units": "1", "long_name": noise_meaning}),
+            "weight": ("failure", weights, {"units": "1", "long_name": "weight of the failure"}),
             "point": (("failure", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
         }
         largest = 0.0
@@ -151,7 +151,7 @@ class RareEvent(Analysis):
             columns["levels"] = ("repeat", estimate.levels, {"units": "1", "long_name": "levels passed"})
         if isinstance(estimate, WeightedEstimate):
             largest = estimate.largest
-            columns |= columns_of(estimate.design_points)
+            columns |= design_point_columns(estimate.design_points)
         for name, values in values_at(study, inside_cube(special.ndtr(points))).items():
             quantity = study.quantities[name]
             columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
@@ -169,61 +169,58 @@ class RareEvent(Analysis):
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The probability and how it was estimated."""
+        """The estimate, read from the dataset."""
         data = self.dataset
-        plain = data["plain"].values
+        is_plain = data["plain"].values
         points = data["point"].values
-        noise = data["noise"].values[~plain]
-        weights = data["weight"].values[~plain]
-        draws = Plain(self.method.plain, points[plain])
+        noise = data["noise"].values[~is_plain]
+        weights = data["weight"].values[~is_plain]
+        plain = PlainDraws(self.method.plain, points[is_plain])
         if isinstance(self.method, Splitting):
-            estimates = data["estimate"].values
-            levels = data["levels"].values
             return SplittingEstimate(
                 simulations=self.simulations,
-                points=points[~plain],
+                points=points[~is_plain],
                 noise=noise,
                 weights=weights,
-                plain=draws,
-                estimates=estimates,
-                levels=levels,
+                plain=plain,
+                estimates=data["estimate"].values,
+                levels=data["levels"].values,
             )
-        design_points = design_points_of(data)
         return WeightedEstimate(
             simulations=self.simulations,
-            points=points[~plain],
+            points=points[~is_plain],
             noise=noise,
             weights=weights,
-            plain=draws,
+            plain=plain,
             largest=self.largest,
-            design_points=design_points,
+            design_points=read_design_points(data),
         )
 
     @property
     def failing(self) -> xr.Dataset:
-        """The failures: those of the plain draws if they answer, else the method's."""
+        """The failures behind the answer: the method's points, or the plain draws if the method has no valid answer."""
         return self.dataset.isel(failure=self.dataset["plain"].values != self.estimate.answered)
 
     @property
     def failing_values(self) -> Arrays:
-        """Values of each uncertain number at :attr:`failing`."""
+        """Value of each uncertain number at the failures :attr:`failing`, by name, shape (failures,) each."""
         failing = self.failing
         return {name: failing[name].values for name in self.study.laws}
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The failure probability with its interval and method, in one line."""
         low, high = self.estimate.interval()
         return (
             f"failure probability {self.estimate.probability:.3g} in [{low:.3g}, {high:.3g}] ({self.estimate.method})"
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the estimates of the method beside the plain draws, and where failures lie within the laws."""
         return plotting.rare(self)
 
-    def approximated(self, design_point: DesignPoint) -> ApproximatedFailures:
-        """The failures around a design point."""
+    def approximate_failures(self, design_point: DesignPoint) -> ApproximatedFailures:
+        """Approximate the probability of the failures around a design point, by FORM and SORM."""
         values = values_at(self.study, inside_cube(special.ndtr(design_point.point[None])))
         return ApproximatedFailures(
             design_point.distance,
@@ -234,14 +231,16 @@ class RareEvent(Analysis):
 
     @property
     def answer(self) -> RareAnswer:
-        """The numbers that summary.json holds."""
+        """The failure probability, its cost, and where the failures are, as ``summary.json`` has them."""
         estimate = self.estimate
         plain = estimate.plain
         splits = isinstance(estimate, SplittingEstimate)
         weights = self.failing["weight"].values
         ranges = {}
         for name, values in self.failing_values.items():
-            quantiles = weighted_quantiles(values, weights, QUANTILE_LEVELS) if len(values) else None
+            quantiles = None
+            if len(values):
+                quantiles = np.quantile(values, QUANTILE_LEVELS, weights=weights, method="inverted_cdf")
             ranges[name] = FailingRange(self.study.laws[name].median, quantiles)
         design_points = estimate.design_points if isinstance(estimate, WeightedEstimate) else []
         return RareAnswer(
@@ -256,8 +255,8 @@ class RareEvent(Analysis):
             plain=PlainFailures(plain.draws, plain.failures, plain.interval(), estimate.contradicted),
             variation=estimate.variation,
             simulations=estimate.simulations,
-            plain_draws=estimate.plain_draws,
-            design_points=tuple(self.approximated(design_point) for design_point in design_points),
+            plain_draws=estimate.equivalent_draws,
+            design_points=tuple(self.approximate_failures(design_point) for design_point in design_points),
             estimates=estimate.estimates if splits else np.empty(0),
             levels=estimate.levels if splits else np.empty(0),
             in_loop_noise=self.noisy,
@@ -266,8 +265,8 @@ class RareEvent(Analysis):
         )
 
 
-def columns_of(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
-    """Variables of a dataset that hold design points."""
+def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
+    """Design points as variables of a dataset, along ``design_point``."""
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
     factors = np.array([design_point.second_order for design_point in design_points])
@@ -278,8 +277,8 @@ def columns_of(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.n
     }
 
 
-def design_points_of(dataset: xr.Dataset) -> list[DesignPoint]:
-    """The design points that a dataset holds."""
+def read_design_points(dataset: xr.Dataset) -> list[DesignPoint]:
+    """The design points that :func:`design_point_columns` stored in a dataset."""
     design_points = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)
@@ -287,16 +286,11 @@ def design_points_of(dataset: xr.Dataset) -> list[DesignPoint]:
     return design_points
 
 
-def weighted_quantiles(values: np.ndarray, weights: np.ndarray, levels: Sequence[float]) -> np.ndarray:
-    """Quantiles of weighted values: with equal weights those of NumPy's inverted distribution function."""
-    return np.quantile(values, levels, weights=weights, method="inverted_cdf")
-
-
 @takes_file
 def rare(
     study: Study,
-    importance: ImportanceSampling | None = USUAL_IMPORTANCE,
-    splitting: Splitting | None = USUAL,
+    importance: ImportanceSampling | None = DEFAULT_IMPORTANCE,
+    splitting: Splitting | None = DEFAULT_SPLITTING,
     progress: ProgressCallback | None = None,
 ) -> RareEvent:
     """Estimate a failure probability that is too small for plain draws, at the study's own values.
@@ -317,50 +311,21 @@ def rare(
     study = study.without_sweep()
     if not study.requirements:
         raise ConfigError(study.source, "rare needs at least one [[requirement]]: its slack leads to the failures")
-    if not study.laws:
-        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
-    slacks = Slacks(study, progress)
+    require_laws(study)
+    slacks = StudySlacks(study, progress)
+
+    def slacks_at(points: np.ndarray, noise: np.ndarray) -> np.ndarray:  # in standard normal space
+        return slacks(inside_cube(special.ndtr(points)), noise)
+
     seeds = (study.config.seed,)
     dimension = len(study.laws)
     refusal = ""
     if importance is not None:
-        estimate_or_reason = importance_sampling(slacks, dimension, seeds, importance)
+        estimate_or_reason = importance_sampling(slacks_at, dimension, seeds, importance)
         if not isinstance(estimate_or_reason, str):
             return RareEvent.of(study, importance, estimate_or_reason, slacks.noisy)
         refusal = estimate_or_reason
     if splitting is None:
         raise ConfigError(study.source, f"importance sampling has no answer: {refusal or 'it is off'}; try `splitting`")
-    estimate = split(slacks, dimension, seeds, splitting)
+    estimate = split(slacks_at, dimension, seeds, splitting)
     return RareEvent.of(study, splitting, estimate, slacks.noisy, refusal)
-
-
-class Slacks:
-    """The worst requirement's slack of a study at points of the standard normal space.
-
-    Args:
-        study: The study, without a sweep.
-        progress: Called with the simulations done.
-    """
-
-    def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
-        self.study = study
-        self.progress = progress
-        self.engine = Engine(study, LANES)
-        self.finished = 0
-
-    @property
-    def noisy(self) -> bool:
-        """Whether the loop has in-loop noise."""
-        return is_noisy(self.engine)
-
-    def advance(self, simulations: int) -> None:
-        """Report progress."""
-        self.finished += simulations
-        if self.progress:
-            self.progress(self.finished, None)
-
-    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """See :data:`dssc_jax.analyses.rare_events.estimate.SlackFunction`."""
-        results = evaluate(self.engine, values_at(self.study, inside_cube(special.ndtr(points))), noise)
-        self.advance(len(points))
-        return worst_slack(self.study.requirements, results)

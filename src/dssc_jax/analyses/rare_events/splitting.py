@@ -18,15 +18,16 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import LEAST_PARTICLES, LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
-from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
+from dssc_jax.analyses.rare_events.estimate import Estimate, make_plain_draws
+from dssc_jax.analyses.slacks import SlackCounter, SlackFunction
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE, lognormal_interval
 
-FIRST_STEP = 0.7  # size of a move in standard normal space; it adapts to what is accepted
+FIRST_STEP = 0.7  # size of the first moves in standard normal space; it adapts to the share of accepted moves
 SMALLEST_STEP = 0.02
-ACCEPTED = 0.35  # share of moves to accept
+ACCEPTED = 0.35  # share of accepted moves at which the size of a move stays
 REFRESHED = 0.5  # share of moves that redraw the in-loop noise
 MOST_LEVELS = 100_000
 
@@ -65,23 +66,23 @@ class Splitting:
             raise ConfigError("rare", f"needs plain >= 1, got {self.plain}")
 
 
-USUAL = Splitting()
+DEFAULT_SPLITTING = Splitting()
 """The default settings."""
 
 
 @dataclass
 class Repeat:
-    """One repeat of the splitting.
+    """One repeat of the splitting: a population of N particles on its way to failure.
 
     Args:
-        rng: Its random generator.
+        rng: Random generator.
         points: Particles in standard normal space, shape (N, d).
-        noise: Their noise indices, shape (N,).
-        slacks: Their slacks, shape (N,).
+        noise: Index of the in-loop noise of each particle, shape (N,).
+        slacks: Slack of each particle, shape (N,).
         step: Size of a move.
-        estimate: Product over the levels passed.
+        estimate: Product of the shares of particles that passed each level.
         levels: Number of levels passed.
-        dead: Every particle was at the same level, or the estimate became too small: the repeat's answer is 0.
+        dead: Whether the repeat's answer is 0: no particle passed a level, or the estimate became too small.
     """
 
     rng: np.random.Generator
@@ -95,22 +96,22 @@ class Repeat:
 
     @property
     def failing(self) -> np.ndarray:
-        """Which particles fail, shape (N,)."""
+        """Whether each particle fails, shape (N,)."""
         return self.slacks < 0.0
 
     @property
     def answer(self) -> float:
-        """The repeat's failure probability."""
+        """The failure probability by this repeat."""
         return 0.0 if self.dead else self.estimate * float(self.failing.mean())
 
 
 class Clones(NamedTuple):
-    """The particles of a repeat that a level has replaced by clones.
+    """The particles of a repeat that were replaced by clones at a level.
 
     Args:
         repeat: The repeat.
-        level: The level, below which they have to stay.
-        places: Their indices in the population, shape (clones,).
+        level: The slack below which the clones have to stay.
+        places: Indices of the clones in the population, shape (clones,).
     """
 
     repeat: Repeat
@@ -132,11 +133,11 @@ class SplittingEstimate(Estimate):
 
     @property
     def mean(self) -> float:
-        """Mean over the repeats."""
+        """The failure probability: the mean over the repeats."""
         return float(self.estimates.mean())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Interval from the repeats alone; [0, 1] if fewer than two of them reach a failure.
+        """The interval of the mean over the repeats; [0, 1] if fewer than two of them reach a failure.
 
         An estimate is a product of shares, so its logarithm is nearly normal: :func:`lognormal_interval`.
         """
@@ -145,32 +146,32 @@ class SplittingEstimate(Estimate):
 
     @property
     def reached(self) -> bool:
-        """Whether repeats reached failures by levels; without a level they amount to fewer plain draws."""
+        """Whether repeats reached failures by levels; without a level the particles are plain draws, but fewer."""
         return self.mean > 0.0 and bool(self.levels.any())
 
     @property
     def interval_name(self) -> str:
-        """See :class:`Estimate`."""
+        """Name of the interval: that of a lognormal mean over so many repeats."""
         return f"lognormal mean over {len(self.estimates)} independent repeats"
 
     @property
     def variation(self) -> float:
-        """Coefficient of variation of :attr:`mean`, from the scatter of the repeats."""
+        """Coefficient of variation of the mean, from the scatter of the repeats; infinite without a failure."""
         if self.mean == 0.0:
             return np.inf
         return float(self.estimates.std(ddof=1) / np.sqrt(len(self.estimates)) / self.mean)
 
 
 def split(
-    slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = USUAL
+    slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = DEFAULT_SPLITTING
 ) -> SplittingEstimate:
-    """Run adaptive multilevel splitting, and additional plain draws.
+    """Estimate a failure probability by adaptive multilevel splitting, and make plain draws beside it.
 
     All repeats advance together, so that slacks are computed in large batches.
 
     Args:
-        slack: Computes the slacks; -inf if there is none.
-        dimension: d of the standard normal space.
+        slack: Computes slacks in standard normal space; -inf if there is none.
+        dimension: Number d of coordinates of that space.
         seeds: Seeds of the random numbers.
         splitting: The settings.
 
@@ -179,24 +180,22 @@ def split(
         S.-K. Au, J. L. Beck, Probabilistic Engineering Mechanics 16 (2001) 263-277; moves after
         I. Papaioannou et al., Probabilistic Engineering Mechanics 41 (2015) 89-103.
     """
-    counter = Counter(slack)
-    repeats = [started(generator(*seeds, index), dimension, splitting, counter) for index in range(splitting.repeats)]
-    for repeat, slacks in zip(repeats, np.split(slacks_of(repeats, counter), splitting.repeats), strict=True):
-        repeat.slacks = slacks
+    counter = SlackCounter(slack)
+    repeats = first_populations(dimension, seeds, splitting, counter)
     for _ in range(MOST_LEVELS):
         moving = []
         for repeat in repeats:
             repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
             if not is_finished(repeat, splitting):
-                clones = raised(repeat, splitting)
+                clones = raise_level(repeat, splitting)
                 if clones is not None:
                     moving.append(clones)
         if not moving:
             break
         for _ in range(splitting.moves):
-            move(moving, counter)
+            move_clones(moving, counter)
     simulations = counter.simulations
-    plain, _, _ = plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
+    plain, _, _ = make_plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
     failing = np.concatenate([repeat.points[repeat.failing] for repeat in repeats])
     return SplittingEstimate(
         simulations=simulations,
@@ -209,38 +208,36 @@ def split(
     )
 
 
-def slacks_of(repeats: list[Repeat], counter: Counter) -> np.ndarray:
-    """Compute the slacks of the particles of all repeats, in one batch."""
-    points = np.concatenate([repeat.points for repeat in repeats])
-    return counter(points, np.concatenate([repeat.noise for repeat in repeats]))
-
-
-def started(rng: np.random.Generator, dimension: int, splitting: Splitting, counter: Counter) -> Repeat:
-    """Create a repeat before its first level."""
-    points = rng.standard_normal((splitting.particles, dimension))
-    return Repeat(
-        rng=rng,
-        points=points,
-        noise=counter.fresh(splitting.particles),
-        slacks=np.full(splitting.particles, np.nan),  # computed before the first level
-    )
+def first_populations(
+    dimension: int, seeds: Sequence[int], splitting: Splitting, counter: SlackCounter
+) -> list[Repeat]:
+    """The repeats before their first levels, each with plain draws as particles; arguments as of :func:`split`."""
+    generators = [generator(*seeds, index) for index in range(splitting.repeats)]
+    points = [rng.standard_normal((splitting.particles, dimension)) for rng in generators]
+    noise = [counter.fresh(splitting.particles) for _ in generators]
+    slacks = np.split(counter(np.concatenate(points), np.concatenate(noise)), splitting.repeats)
+    return [Repeat(*parts) for parts in zip(generators, points, noise, slacks, strict=True)]
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
-    """Whether a repeat is dead, or its next level would be at failure or beyond."""
-    return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
+    """Whether a repeat is dead, or has so many failing particles that its next level would be a failure."""
+    return repeat.dead or next_level(repeat, splitting) < 0.0
 
 
-def raised(repeat: Repeat, splitting: Splitting) -> Clones | None:
-    """Raise a repeat to its next level, at which clones replace the particles that do not pass.
+def next_level(repeat: Repeat, splitting: Splitting) -> float:
+    """The next level of a repeat: the k-th largest slack of its particles."""
+    return float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
 
-    Ties die together. Particles that already fail are never killed, so the level is at least 0: at the last level, the
-    particles that do not fail die.
+
+def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
+    """Replace the particles of a repeat at its next level or above by clones of the others.
+
+    Particles with equal slacks die together. The level is not negative, so particles that fail survive.
 
     Returns:
-        The clones; None if no particle survives.
+        The clones; None if no particle survives, which makes the repeat dead.
     """
-    level = float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
+    level = next_level(repeat, splitting)
     dies = repeat.slacks >= level
     survivors = np.flatnonzero(~dies)
     if not len(survivors):
@@ -255,11 +252,15 @@ def raised(repeat: Repeat, splitting: Splitting) -> Clones | None:
     return Clones(repeat, level, clones)
 
 
-def move(moving: list[Clones], counter: Counter) -> None:
-    """Make one step of every clone's chain: z' = sqrt(1 - s^2) z + s xi, accepted below the level.
+def move_clones(moving: list[Clones], counter: SlackCounter) -> None:
+    """Make one step of every clone's Markov chain: z' = sqrt(1 - s^2) z + s xi, accepted if it lies below the level.
 
     The step s adapts to the acceptance rate, separately in each repeat. It adapts slowly if few particles move, since a
     step that depends on the last move of the same particle would change the limit distribution of the chain.
+
+    Args:
+        moving: The clones of all repeats; updated.
+        counter: Computes slacks.
     """
     proposals = []
     indices = []

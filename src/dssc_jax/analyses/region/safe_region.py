@@ -20,6 +20,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
+from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import HALVINGS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.flag_runs import flag_runs
@@ -41,7 +42,7 @@ MOST_RANGES = 9  # lines of the lattice whose safe ranges are listed
 
 
 class PairVerdict(IntEnum):
-    """What the draws say of a point, with the simultaneous confidence."""
+    """Whether enough of all plants meet the requirements at a pair of values, with confidence for all pairs at once."""
 
     NOT_SIMULATED = -1
     MEETS = 0
@@ -50,12 +51,12 @@ class PairVerdict(IntEnum):
 
 
 class RegionAxis(NamedTuple):
-    """One of the two numbers.
+    """One of the two numbers over which a region is searched.
 
     Args:
-        name: Its dotted name.
-        low: Lower end.
-        high: Upper end.
+        name: Dotted name of the number.
+        low: Lower end of the range.
+        high: Upper end of the range.
         log: Whether the lattice is even in the logarithm.
     """
 
@@ -65,8 +66,10 @@ class RegionAxis(NamedTuple):
     log: bool = False
 
     def values(self, count: int) -> np.ndarray:
-        """The lattice's values, shape (count,)."""
-        return (np.geomspace if self.log else np.linspace)(self.low, self.high, count)
+        """The values of the lattice from the lower to the upper end, shape (count,)."""
+        if self.log:
+            return np.geomspace(self.low, self.high, count)
+        return np.linspace(self.low, self.high, count)
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,11 @@ class SafeRegion(Analysis):
     ``failures`` (-1 where nothing was simulated) and ``certified`` (whether Theorem 1 certifies the point).
 
     Args:
-        names: The two numbers.
-        log: Whether each one's lattice is even in the logarithm.
+        names: Dotted names of the two numbers.
+        log: Whether the lattice of each number is even in the logarithm.
         simulations: Number of simulations.
-        certificate: What Theorem 1 says.
-        seconds: Computing time.
+        certificate: What Theorem 1 says, in words.
+        seconds: Computing time [s].
     """
 
     kind = "region"
@@ -132,7 +135,10 @@ class SafeRegion(Analysis):
         return int(np.count_nonzero(self.dataset["verdict"].values == verdict))
 
     def safe_ranges(self) -> list[SafeRange]:
-        """Between which values of the second number all simulated pairs meet, for some values of the first."""
+        """Ranges of the second number in which all simulated pairs meet, at some values of the first number.
+
+        If there are more than :data:`MOST_RANGES` such values, these are spread evenly among them.
+        """
         first_values, second_values = (self.dataset[name].values for name in self.table)
         rows = []
         for value, column in zip(first_values, self.dataset["verdict"].values, strict=True):
@@ -144,29 +150,32 @@ class SafeRegion(Analysis):
         return [rows[k] for k in row_indices]
 
     @property
+    def simulated_points(self) -> int:
+        """Number of lattice points that were simulated."""
+        return self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED)
+
+    @property
     def headline(self) -> str:
-        """The answer in one line."""
-        simulated = self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED)
+        """At how many of the simulated pairs enough of all plants meet the requirements, in one line."""
         return (
-            f"at {self.points(PairVerdict.MEETS)} of {simulated} simulated pairs of "
+            f"at {self.points(PairVerdict.MEETS)} of {self.simulated_points} simulated pairs of "
             f"{' and '.join(self.names)} at least {100 * PASSING:g} % of all plants meet the requirements"
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the verdict of every simulated pair, and what Theorem 1 certifies."""
         return plotting.region(self)
 
     @property
     def answer(self) -> RegionAnswer:
-        """The numbers that summary.json holds."""
+        """The number of points with each verdict, and the safe ranges, as ``summary.json`` has them."""
         draws = self.study.config.draws
         low, high = thresholds(draws, self.dataset["verdict"].size)
-        requirements = tuple(requirement.text for requirement in self.study.requirements)
         first, second = self.table
         return RegionAnswer(
             names=self.names,
             units=(self.dataset[first].attrs["units"], self.dataset[second].attrs["units"]),
-            requirements=requirements or ("the draw stays finite",),
+            requirements=criterion_of(self.study),
             draws=draws,
             passing=PASSING,
             confidence=CONFIDENCE,
@@ -174,7 +183,7 @@ class SafeRegion(Analysis):
             failures_allowed=low,
             failures_refuting=high,
             lattice=self.dataset["verdict"].shape,
-            simulated_points=self.dataset["verdict"].size - self.points(PairVerdict.NOT_SIMULATED),
+            simulated_points=self.simulated_points,
             simulations=self.simulations,
             meets=self.points(PairVerdict.MEETS),
             undecided=self.points(PairVerdict.UNDECIDED),
@@ -187,13 +196,13 @@ class SafeRegion(Analysis):
 
 
 def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
-    """First and last place of each run of simulated pairs that meet, along one line of the lattice.
+    """First and last index of each run of simulated pairs that meet, along one line of the lattice.
 
     Args:
-        verdicts: A :class:`PairVerdict` for each place, shape (count,).
+        verdicts: A :class:`PairVerdict` for each point of the line, shape (count,).
 
     Returns:
-        Nothing if the line is simulated so sparsely that a run has no known end.
+        The runs; none if the first or the last one may go on where the line is not simulated.
     """
     places = np.flatnonzero(verdicts != PairVerdict.NOT_SIMULATED)
     meets = verdicts[places] == PairVerdict.MEETS
@@ -204,10 +213,15 @@ def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
 
 
 def thresholds(draws: int, points: int) -> tuple[int, int]:
-    """The most failures with which a point meets, and the fewest with which it fails, simultaneously for all points.
+    """The most failures with which a point meets, and the fewest with which it fails, with confidence for all points.
+
+    Args:
+        draws: Number of draws at each point.
+        points: Number of points of the lattice.
 
     Returns:
-        -1 for the former if even no failure is not enough; draws + 1 for the latter if even all failures are not.
+        The former is -1 if not even a point without a failure meets. The latter is draws + 1 if not even a point at
+        which all draws fail does fail.
     """
     intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
     meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
@@ -244,8 +258,31 @@ def region(
         >>> dj.region(study, over=(gain, lag), halvings=0).summary()["simulated_points"]
         81
     """
+    began = time.perf_counter()
     require_independent(study, "a binomial interval")
-    study, began = study.without_sweep(), time.perf_counter()
+    study = study.without_sweep()
+    count = lattice_size(study, over, halvings)
+    lattice = Lattice(study, over, count, progress)
+    lattice.follow_boundary(2**halvings)
+    certified, text = certify_points(study, lattice)
+    return SafeRegion(
+        study=study,
+        dataset=lattice.dataset(certified),
+        names=(over[0].name, over[1].name),
+        log=(over[0].log, over[1].log),
+        simulations=lattice.simulations,
+        certificate=text,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: int) -> int:
+    """Number of values of each number on the finest lattice, if all settings are admissible.
+
+    Raises:
+        ConfigError: a range or the number of halvings is not admissible, the numbers are the same, or there are too
+            few draws to decide any point.
+    """
     for axis in over:
         if not np.isfinite([axis.low, axis.high]).all() or not axis.low < axis.high or (axis.log and axis.low <= 0.0):
             rule = "needs finite LO < HI" + (", above 0 for a logarithmic lattice" if axis.log else "")
@@ -253,42 +290,29 @@ def region(
     if over[0].name == over[1].name or not 0 <= halvings <= MOST_HALVINGS:
         raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
     count = COARSE * 2**halvings + 1
-    if thresholds(study.config.draws, count**2)[0] < 0:
-        least_draws = first_integer(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
-        raise ConfigError(
-            "draws", f"must be at least {least_draws} to decide a point of {count**2}, got {study.config.draws}"
-        )
-    lattice = Lattice(study, over, count, progress)
-    lattice.follow_boundary(2**halvings)
-    certified, text = certified_points(study, over, lattice)
-    dataset = lattice.dataset(certified)
-    simulations = int(np.count_nonzero(lattice.failures >= 0)) * study.config.draws
-    names, log = (over[0].name, over[1].name), (over[0].log, over[1].log)
-    return SafeRegion(
-        study=study,
-        dataset=dataset,
-        names=names,
-        log=log,
-        simulations=simulations,
-        certificate=text,
-        seconds=time.perf_counter() - began,
-    )
+    draws = study.config.draws
+    if thresholds(draws, count**2)[0] < 0:
+        least_draws = first_integer(lambda number: thresholds(number, count**2)[0] >= 0, draws)
+        raise ConfigError("draws", f"must be at least {least_draws} to decide a point of {count**2}, got {draws}")
+    return count
 
 
 class Lattice:
-    """Failures at the points of a lattice, simulated on demand.
+    """The points of a lattice over two numbers, with the failed draws at each point that was simulated.
 
     Args:
         study: The study without a sweep.
         over: The two numbers.
-        count: Values of each.
+        count: Number of values of each number.
         progress: Called with the simulations done.
     """
 
     def __init__(
         self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
     ) -> None:
-        self.study, self.over, self.progress = study, over, progress
+        self.study = study
+        self.over = over
+        self.progress = progress
         self.axes = [axis.values(count) for axis in over]
         self.failures = np.full((count, count), -1)
         self.meets, self.fails = thresholds(study.config.draws, count**2)
@@ -297,13 +321,18 @@ class Lattice:
         self.drawn = self.evaluator.values_of_draws(slice(0, study.config.draws))
 
     def verdicts(self) -> np.ndarray:
-        """The verdict at each point, shape (count, count)."""
-        decided = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
-        decided = np.where(self.failures >= self.fails, PairVerdict.FAILS, decided)
-        return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, decided)
+        """The :class:`PairVerdict` at each point, shape (count, count)."""
+        verdicts = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
+        verdicts = np.where(self.failures >= self.fails, PairVerdict.FAILS, verdicts)
+        return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, verdicts)
+
+    @property
+    def simulations(self) -> int:
+        """Number of simulations done."""
+        return int(np.count_nonzero(self.failures >= 0)) * self.study.config.draws
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate those of the points that have not been simulated yet."""
+        """Simulate the points, given by their two indices, that have not been simulated yet."""
         new_points = sorted({point for point in points if self.failures[point] < 0})
         if not new_points:
             return
@@ -316,10 +345,14 @@ class Lattice:
         for point, count in zip(new_points, np.count_nonzero(failed, axis=1), strict=True):
             self.failures[point] = count
         if self.progress:
-            self.progress(int(np.count_nonzero(self.failures >= 0)) * draws, None)
+            self.progress(self.simulations, None)
 
     def follow_boundary(self, stride: int) -> None:
-        """Simulate the coarse lattice, then the boundary at every finer stride down to 1."""
+        """Simulate the coarse lattice, then its boundary at ever finer strides down to 1.
+
+        Args:
+            stride: Distance of neighbouring points of the coarse lattice, in points of the finest one.
+        """
         count = len(self.failures)
         places = range(0, count, stride)
         self.simulate((i, j) for i in places for j in places)
@@ -331,7 +364,7 @@ class Lattice:
             self.close_boundary(stride)
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
-        """Lower corners of the cells whose corners have been simulated and differ."""
+        """Lower corners of the cells with this stride whose corners are all simulated and have different verdicts."""
         verdicts = self.verdicts()
         end = len(self.failures) - 1
         cells = []
@@ -344,26 +377,46 @@ class Lattice:
 
     def close_boundary(self, stride: int) -> None:
         """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
-        end = len(self.failures) - 1
         while True:
-            verdicts = self.verdicts()
             points: set[tuple[int, int]] = set()
-            for i, j in np.argwhere(verdicts >= 0)[:, :].tolist():
-                if i % stride or j % stride:
-                    continue
-                for a, b in ((stride, 0), (0, stride)):
-                    if max(i + a, j + b) > end or not 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
-                        continue
-                    for side in (-stride, stride):
-                        p, q = (i, j + side) if a else (i + side, j)
-                        if 0 <= p <= end and 0 <= q <= end:
-                            points |= {(p, q), (p + a, q + b)}
+            for i, j, a, b in self.boundary_sides(stride):
+                points |= self.corners_beside(i, j, a, b)
             if not any(self.failures[point] < 0 for point in points):
                 return
             self.simulate(points)
 
+    def boundary_sides(self, stride: int) -> list[tuple[int, int, int, int]]:
+        """The sides of cells with this stride whose ends are simulated and have different verdicts.
+
+        Returns:
+            i, j, a and b of each side, which goes from the point (i, j) to (i + a, j + b).
+        """
+        verdicts = self.verdicts()
+        end = len(self.failures) - 1
+        sides = []
+        for i, j in np.argwhere(verdicts >= 0).tolist():
+            if i % stride or j % stride:
+                continue
+            for a, b in ((stride, 0), (0, stride)):
+                if max(i + a, j + b) <= end and 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
+                    sides.append((i, j, a, b))
+        return sides
+
+    def corners_beside(self, i: int, j: int, a: int, b: int) -> set[tuple[int, int]]:
+        """The other corners of the two cells that have the side from (i, j) to (i + a, j + b) in common."""
+        end = len(self.failures) - 1
+        corners: set[tuple[int, int]] = set()
+        for p, q in ((i - b, j - a), (i + b, j + a)):
+            if 0 <= p <= end and 0 <= q <= end:
+                corners |= {(p, q), (p + a, q + b)}
+        return corners
+
     def dataset(self, certified: np.ndarray) -> xr.Dataset:
-        """The dataset of :class:`SafeRegion`."""
+        """The dataset of :class:`SafeRegion`.
+
+        Args:
+            certified: Whether Theorem 1 certifies each point, shape (count, count).
+        """
         flags = {
             "flag_values": [v.value for v in PairVerdict],
             "flag_meanings": " ".join(v.name.lower() for v in PairVerdict),
@@ -380,8 +433,13 @@ class Lattice:
         return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})
 
 
-def certified_points(study: Study, over: tuple[RegionAxis, RegionAxis], lattice: Lattice) -> tuple[np.ndarray, str]:
-    """Which points Theorem 1 certifies, for all draws at once, and what it says; shape (count, count)."""
+def certify_points(study: Study, lattice: Lattice) -> tuple[np.ndarray, str]:
+    """Check Theorem 1 at every point of a lattice, for all draws at once.
+
+    Returns:
+        Whether it certifies each point, shape (count, count), and what it says, in words.
+    """
+    over = lattice.over
     sweep = {axis.name: values.tolist() for axis, values in zip(over, lattice.axes, strict=True)}
     swept = study.override({"sweep": sweep})
     certified, reason = mark(swept)

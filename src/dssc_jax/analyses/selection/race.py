@@ -21,31 +21,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dssc_jax.core.bisection import bisect
 from dssc_jax.statistics import CONFIDENCE, log_evidence_of_less
 
 FIRST = 24
-"""Draws before the first look."""
+"""Draws of each candidate before the first look."""
 GROWTH = 1.3
-"""Draws at a look, relative to the one before."""
+"""Ratio of the draws at a look to those at the look before."""
 HOPEFUL = 0.25
-"""Share of ``within`` up to which a candidate's share of failures may lead to a small failure probability."""
+"""A candidate whose share of failures is larger than this share of ``within`` is not tried as rarely failing."""
 TRIED = 4
-"""Candidates that are tried as such, in numbers of those to find."""
-HALVINGS = 20  # halvings of the interval in which the proved difference is sought
+"""Candidates that are tried as rarely failing, as a multiple of those to find."""
+HALVINGS = 20  # bisections of the proved difference
 
 Failing = Callable[[np.ndarray, slice], np.ndarray]
 """(candidates, draws) -> whether each candidate fails on each draw, shape (candidates, draws)."""
 
 
 @dataclass(frozen=True)
-class Race:
-    """How a race ended.
+class RaceResult:
+    """The result of a race of N candidates.
 
     Args:
-        chosen: The chosen candidates, the best first.
-        draws: Draws of each candidate, shape (N,).
-        failures: How many of them failed, shape (N,).
-        within: Each chosen one fails at most this much more often than any not chosen, with the confidence.
+        chosen: Indices of the chosen candidates, the best first.
+        draws: Number of draws of each candidate, shape (N,).
+        failures: Number of failed draws of each candidate, shape (N,).
+        within: With the confidence, each chosen candidate fails at most this much more often than any not chosen.
         remaining: Number of candidates that were still in the race at its end.
         simulations: Number of simulations.
     """
@@ -62,7 +63,7 @@ class Tally:
     """Draws and failures of each candidate so far, and the number of simulations.
 
     Args:
-        failing: Simulates candidates on draws.
+        failing: (candidates, draws) -> whether each candidate fails on each draw.
         count: Number of candidates.
     """
 
@@ -73,23 +74,23 @@ class Tally:
         self.simulations = 0
 
     def simulate(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
-        """Whether candidates fail on draws, shape (candidates, draws)."""
+        """Simulate candidates on draws: whether each fails on each, shape (candidates, draws)."""
         failed = self.failing(candidates, draws)
         self.simulations += failed.size
         return failed
 
     def extend(self, candidates: np.ndarray, goal: int) -> None:
-        """Simulate candidates, which have as many draws as each other, on further draws."""
+        """Simulate candidates on further draws, until each has ``goal`` draws; before, all have equally many."""
         failed = self.simulate(candidates, slice(int(self.draws[candidates[0]]), goal))
         self.failures[candidates] += np.count_nonzero(failed, axis=1)
         self.draws[candidates] = goal
 
 
-def race(failing: Failing, count: int, keep: int, within: float, most: int) -> Race:
-    """Find the candidates that fail least often.
+def race(failing: Failing, count: int, keep: int, within: float, most: int) -> RaceResult:
+    """Find the K candidates that fail least often; the module tells how.
 
     Args:
-        failing: Simulates candidates on draws.
+        failing: (candidates, draws) -> whether each candidate fails on each draw.
         count: Number N of candidates.
         keep: Number K of those to find, less than ``count``.
         within: Difference of failure probabilities that does not matter, in (0, 1).
@@ -105,19 +106,20 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
         failed = np.concatenate([failed, new_outcomes], axis=1)
         tally.draws[running] = goal
         tally.failures[running] = failed.sum(axis=1)
-        sole_failures = only_first(failed)
+        sole_failures = sole_failure_counts(failed)
         worse_than = log_evidence_of_less(sole_failures, sole_failures.T, goal, 0.0) >= evidence_threshold
         is_racing = worse_than.sum(axis=0) < keep
         running = running[is_racing]
         failed = failed[is_racing]
         sole_failures = sole_failures[np.ix_(is_racing, is_racing)]
         order = np.argsort(tally.failures[running], kind="stable")
-        best, rivals = order[:keep], order[keep:]
+        best = order[:keep]
+        rivals = order[keep:]
         counts_against = (sole_failures[np.ix_(best, rivals)], sole_failures[np.ix_(rivals, best)].T, goal)
         winners = running[best]
         proved_within = within
         if rivals.size and not np.all(log_evidence_of_less(*counts_against, within) >= evidence_threshold):
-            safe_candidates = hardly_failing(tally, running[order], keep, within, evidence_threshold)
+            safe_candidates = rarely_failing(tally, running[order], keep, within, evidence_threshold)
             if safe_candidates is not None:
                 winners = safe_candidates
             elif tally.simulations >= most:
@@ -125,7 +127,7 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
             else:
                 goal = math.ceil(GROWTH * goal)
                 continue
-        return Race(
+        return RaceResult(
             chosen=winners,
             draws=tally.draws,
             failures=tally.failures,
@@ -135,24 +137,28 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
         )
 
 
-def hardly_failing(
+def rarely_failing(
     tally: Tally, order: np.ndarray, keep: int, within: float, evidence_threshold: float
 ) -> np.ndarray | None:
-    """``keep`` candidates whose failure probability is surely small, the best first; None if there are too few.
+    """Find candidates whose failure probability is proved to be below ``within``, by further draws.
 
     Args:
-        tally: Draws and failures of all; updated.
+        tally: Draws and failures of all candidates; updated.
         order: The candidates of the race, the best first; all have the same draws.
         keep: Number of candidates to find.
-        within: What is small.
-        evidence_threshold: Logarithm of the evidence that counts.
+        within: Upper limit of the failure probability.
+        evidence_threshold: Logarithm of the evidence that counts as a proof.
+
+    Returns:
+        ``keep`` candidates, the best first; None if there are not so many.
     """
-    most = math.ceil(2.0 * evidence_threshold / within)  # some more than it takes without a failure
+    most = math.ceil(2.0 * evidence_threshold / within)  # about twice the draws that a proof takes without a failure
     proved_candidates: list[int] = []
     for begin in range(0, TRIED * keep, keep):
         contenders = order[begin : begin + keep]
         while True:
-            failures, draws = tally.failures[contenders], tally.draws[contenders]
+            failures = tally.failures[contenders]
+            draws = tally.draws[contenders]
             is_proved = log_evidence_of_less(failures, 0, draws, within) >= evidence_threshold
             proved_candidates += contenders[is_proved].tolist()
             contenders = contenders[~is_proved & (failures <= HOPEFUL * within * draws) & (draws < most)]
@@ -165,19 +171,28 @@ def hardly_failing(
     return None
 
 
-def only_first(failed: np.ndarray) -> np.ndarray:
-    """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N)."""
+def sole_failure_counts(failed: np.ndarray) -> np.ndarray:
+    """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N).
+
+    Args:
+        failed: Whether each candidate fails on each draw, shape (N, draws).
+    """
     failures = failed.astype(np.float32)  # exact up to 2^24 draws
     return failures @ (1.0 - failures.T)
 
 
 def proved_difference(counts_against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
-    """The smallest difference that the evidence excludes for every pair, by bisection; at most 1."""
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if np.all(log_evidence_of_less(*counts_against, middle) >= evidence_threshold):
-            high = middle
-        else:
-            low = middle
-    return high
+    """The smallest difference of failure probabilities that is excluded for every pair of a winner and a rival.
+
+    Args:
+        counts_against: Draws on which the winner of a pair alone fails, shape (winners, rivals); those on which the
+            rival alone fails, of the same shape; the number of draws.
+        evidence_threshold: Logarithm of the evidence that counts as a proof.
+    """
+
+    def is_excluded(difference: np.ndarray) -> bool:
+        evidence = log_evidence_of_less(*counts_against, float(difference))
+        return bool(np.all(evidence >= evidence_threshold))
+
+    smallest, _ = bisect(is_excluded, 1.0, 0.0, HALVINGS)
+    return float(smallest)

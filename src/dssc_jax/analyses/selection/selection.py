@@ -10,9 +10,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.tuning import candidate_points, derived_medians, ranges
+from dssc_jax.analyses.comparison.tuning import candidate_points, derived_medians, gain_ranges
+from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST_RACED, RACED
-from dssc_jax.analyses.selection.race import Race, race
+from dssc_jax.analyses.selection.race import RaceResult, race
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
@@ -53,16 +54,16 @@ class SelectionAnswer:
 class Selection(Analysis):
     """The candidates among many that fail least often.
 
-    The dataset has along ``candidate`` the value of each number under its dotted name, ``draws``, ``failures``, and
-    ``place``: 0 for the best, -1 for a candidate that was not chosen.
+    The dataset has along ``candidate`` the value of each number by its dotted name, the number of ``draws`` and of
+    ``failures``, and ``place``: 0 for the best candidate, -1 for one that was not chosen.
 
     Args:
         ranges: Where the candidates lie, by dotted name of the number.
         within: A chosen candidate fails at most this much more often than any that was not chosen.
         wanted_within: The difference that was asked for.
-        left: Candidates that had not left the race at its end.
+        left: Number of candidates that were still in the race at its end.
         simulations: Number of simulations.
-        seconds: Computing time.
+        seconds: Computing time [s].
     """
 
     kind = "select"
@@ -84,28 +85,27 @@ class Selection(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """How many candidates were chosen, and what is claimed of them, in one line."""
         return (
             f"the best {len(self.chosen)} of {self.dataset.sizes['candidate']} candidates: each fails at most "
             f"{self.within:.3g} more often than any not chosen"
         )
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the candidates' values and shares of failed draws, and how many got how many draws."""
         return plotting.selection(self)
 
     @property
     def answer(self) -> SelectionAnswer:
-        """The numbers that summary.json holds."""
+        """The chosen candidates, what is claimed of them, and the cost, as ``summary.json`` has them."""
         columns = {str(name): array.values for name, array in self.dataset.items()}
-        draws, failures = columns["draws"], columns["failures"]
-        chosen = [
-            Chosen({name: float(columns[name][i]) for name in self.ranges}, int(draws[i]), int(failures[i]))
-            for i in self.chosen
-        ]
-        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        draws = columns["draws"]
+        chosen = []
+        for candidate in self.chosen:
+            values = {name: float(columns[name][candidate]) for name in self.ranges}
+            chosen.append(Chosen(values, int(draws[candidate]), int(columns["failures"][candidate])))
         return SelectionAnswer(
-            requirements=requirements or ("the draw stays finite",),
+            requirements=criterion_of(self.study),
             ranges=self.ranges,
             candidates=len(draws),
             chosen=chosen,
@@ -164,7 +164,7 @@ def select(
         rule = f"needs 1 <= `keep` < `candidates` <= {MOST_CANDIDATES}"
         raise ConfigError("select", f"{rule}, got {keep} and {candidates}")
     study = study.without_sweep()
-    extents = extents_of(study, over)
+    extents = selection_ranges(study, over)
     seed = (study.config.seed + 1) % 2**32
     trial = study.override({"seed": seed, **derived_medians(study, extents)})
     points = candidate_points(trial, extents, candidates, seed)
@@ -191,30 +191,30 @@ def select(
                 progress(simulation_count, goal)
         return np.concatenate(rows)
 
-    race_result = race(failing, candidates, keep, within, most)
-    dataset = selection_dataset(study, points, race_result)
-    seconds = time.perf_counter() - began
+    result = race(failing, candidates, keep, within, most)
     return Selection(
         study=study,
-        dataset=dataset,
+        dataset=selection_dataset(study, points, result),
         ranges=extents,
-        within=race_result.within,
+        within=result.within,
         wanted_within=within,
-        left=race_result.remaining,
-        simulations=race_result.simulations,
-        seconds=seconds,
+        left=result.remaining,
+        simulations=result.simulations,
+        seconds=time.perf_counter() - began,
     )
 
 
-def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """The range of each number; raises ConfigError if there is none."""
+def selection_ranges(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """The range of each number whose values are candidates; by default the tunable gains of the controller.
+
+    Raises:
+        ConfigError: a range is not admissible, or the controller has no gain that can be tuned.
+    """
     if over is None:
-        extents = ranges(study, {}) if len(study.loop.controller) == 1 else {}
+        extents = gain_ranges(study, {}) if len(study.loop.controller) == 1 else {}
         if not extents:
-            raise ConfigError(
-                "select",
-                "finds no gains of the controller that can be tuned; state numbers and their ranges with `over`",
-            )
+            rule = "finds no gains of the controller that can be tuned; state numbers and their ranges with `over`"
+            raise ConfigError("select", rule)
         return extents
     for name, (low, high) in over.items():
         if not 0.0 < low < high < np.inf:
@@ -222,19 +222,22 @@ def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> 
     return dict(over)
 
 
-def selection_dataset(study: Study, points: Mapping[str, np.ndarray], race_result: Race) -> xr.Dataset:
-    """The dataset of :class:`Selection`."""
-    place = np.full(len(race_result.draws), -1)
-    place[race_result.chosen] = np.arange(len(race_result.chosen))
+def selection_dataset(study: Study, points: Mapping[str, np.ndarray], result: RaceResult) -> xr.Dataset:
+    """The dataset of :class:`Selection`.
+
+    Args:
+        study: The study.
+        points: Value of each number of the candidates, by dotted name, shape (candidates,) each.
+        result: The result of the race.
+    """
+    place = np.full(len(result.draws), -1)
+    place[result.chosen] = np.arange(len(result.chosen))
     columns = {}
     for name, column in points.items():
         quantity = study.quantities[name]
         columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
-    columns["draws"] = ("candidate", race_result.draws, {"units": "1", "long_name": "number of draws"})
-    columns["failures"] = ("candidate", race_result.failures, {"units": "1", "long_name": "draws that failed"})
-    columns["place"] = (
-        "candidate",
-        place,
-        {"units": "1", "long_name": "place among the chosen, 0: the best, -1: none"},
-    )
+    place_meaning = "place among the chosen, 0: the best, -1: none"
+    columns["draws"] = ("candidate", result.draws, {"units": "1", "long_name": "number of draws"})
+    columns["failures"] = ("candidate", result.failures, {"units": "1", "long_name": "draws that failed"})
+    columns["place"] = ("candidate", place, {"units": "1", "long_name": place_meaning})
     return xr.Dataset(columns, attrs={"title": study.name})

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.analyses.conditions import require_laws, require_share
 from dssc_jax.analyses.sensitivity.morris import morris_design, trajectory_count
-from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_of, row_count
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_values, row_count
 from dssc_jax.analyses.sensitivity.result import Sensitivity, sensitivity_dataset
 from dssc_jax.analyses.sensitivity.shapley import shapley_design
 from dssc_jax.analyses.sensitivity.sobol import sobol_design, sobol_rows
@@ -18,13 +19,13 @@ from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 
-class MethodOfDesign(NamedTuple):
-    """A method of sensitivity analysis.
+class SensitivityDesign(NamedTuple):
+    """The functions of one method of sensitivity analysis.
 
     Args:
-        design: ``(study, whether in-loop noise is a factor, confidence) -> RowDesign``.
-        require: ``(study)`` raises ConfigError where the method cannot treat it, before anything is compiled. It may be
-            the function that counts the method's rows; its result does not matter here.
+        design: (study, whether in-loop noise is a factor, confidence) -> the design of the method.
+        require: Raises ConfigError for a study that the method cannot treat, before anything is compiled. Its result
+            does not matter, so it may be the function that counts the rows.
     """
 
     design: Callable[[Study, bool, float], RowDesign]
@@ -32,9 +33,9 @@ class MethodOfDesign(NamedTuple):
 
 
 SENSITIVITY_METHODS = {
-    "sobol": MethodOfDesign(sobol_design, sobol_rows),
-    "shapley": MethodOfDesign(shapley_design, row_count),
-    "morris": MethodOfDesign(morris_design, trajectory_count),
+    "sobol": SensitivityDesign(sobol_design, sobol_rows),
+    "shapley": SensitivityDesign(shapley_design, row_count),
+    "morris": SensitivityDesign(morris_design, trajectory_count),
 }
 
 
@@ -64,10 +65,8 @@ def sensitivity(
     study = study.without_sweep()
     if method not in SENSITIVITY_METHODS:
         raise ConfigError("method", f"must be one of {', '.join(SENSITIVITY_METHODS)}, got {method!r}")
-    if not study.laws:
-        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
-    if not 0.0 < confidence < 1.0:
-        raise ConfigError("confidence", f"must lie in (0, 1), got {confidence:g}")
+    require_laws(study)
+    require_share("confidence", confidence)
     procedure = SENSITIVITY_METHODS[method]
     procedure.require(study)
     engine = Engine(study, min(BLOCK, study.config.draws))
@@ -83,7 +82,7 @@ def sensitivity(
     reasons = {}
     missing = {}
     for name in [*(measure.name for measure in study.measures), FAILURE]:
-        values = np.stack([output_of(result, name) for result in results])
+        values = np.stack([output_values(result, name) for result in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(values)))
         reason = f"has no value on {missing[name]:,} simulations" if missing[name] else design.refusal(values)
         if reason:

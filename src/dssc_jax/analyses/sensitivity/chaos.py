@@ -2,8 +2,8 @@
 
 The polynomials are products of at most two Legendre polynomials of the numbers' levels. They are orthonormal, so that
 the indices of a prediction are sums of squared coefficients, without a simulation. An index of the output is that of
-the prediction and a correction, which the simulations tell. The better the prediction, the less the correction
-scatters. Coefficients for a replicate's rows come from all other replicates, so that the correction has no bias.
+the prediction plus a correction from the simulations. The better the prediction, the less the correction scatters.
+The coefficients for the rows of a replicate come from all other replicates, so that the correction has no bias.
 
 Reference:
     B. Sudret, Reliability Engineering and System Safety 93 (2008) 964-979.
@@ -19,14 +19,21 @@ DEGREES = ((3, 0), (5, 2), (8, 4), (MOST_DEGREE, 8))
 """Nested sets of polynomials: the largest degree in one number, and that in two numbers together."""
 MOST_TERMS = 700
 SIMULATIONS_OF_TERM = 5
-"""Simulations of a fit for each of its polynomials."""
-FIT_ROWS = 512  # rows that a fit takes, at most
+"""Least number of simulations in a fit for each polynomial."""
+FIT_ROWS = 512  # largest number of rows of each sample in a fit
 FEWEST_EXPLAINED = 0.3  # share of the variance that a prediction must explain to be used
-RIDGE = 1.0  # added to the diagonal of a fit's squares, which is about the number of simulations
+RIDGE = 1.0  # added to the diagonal of the normal equations of a fit, which is about the number of simulations
 
 
 class Term(NamedTuple):
-    """A product of Legendre polynomials of two numbers; the second degree is 0 where it is of one number."""
+    """A product of Legendre polynomials of two numbers, or a polynomial of one number.
+
+    Args:
+        first: Index of the first number.
+        first_degree: Degree in the first number, at least 1.
+        second: Index of the second number; the first one again in a polynomial of one number.
+        second_degree: Degree in the second number; 0 in a polynomial of one number.
+    """
 
     first: int
     first_degree: int
@@ -34,13 +41,13 @@ class Term(NamedTuple):
     second_degree: int
 
 
-class Predicted(NamedTuple):
-    """A prediction with mean 0, and its variances for each replicate's coefficients.
+class ChaosPrediction(NamedTuple):
+    """A prediction of an output with mean 0, and its exact variances, with the coefficients of each replicate.
 
     Args:
         values: Predicted values at A, B and each AB_i, shape (2 + factors, rows).
         alone: Variance that each number explains alone, shape (replicates, d).
-        total: Variance of all terms with the number, shape (replicates, d).
+        total: Variance of all terms that contain the number, shape (replicates, d).
         variance: Variance of the prediction, shape (replicates,).
     """
 
@@ -51,25 +58,31 @@ class Predicted(NamedTuple):
 
 
 def nested_terms(dimension: int) -> tuple[list[Term], list[int]]:
-    """The terms in d numbers, and how many of the first terms each nested set has."""
-    terms: dict[Term, None] = {}
+    """The terms in d numbers, sorted so that each set of :data:`DEGREES` consists of the first terms.
+
+    Returns:
+        All terms, and the number of terms of each set.
+    """
+    terms: dict[Term, None] = {}  # a dictionary keeps the order, and each term once
     counts = []
     for alone, joint in DEGREES:
         for first in range(dimension):
-            terms.update(dict.fromkeys(Term(first, degree, first, 0) for degree in range(1, alone + 1)))
+            for degree in range(1, alone + 1):
+                terms[Term(first, degree, first, 0)] = None
             for second in range(first + 1, dimension):
                 for p in range(1, joint):
-                    terms.update(dict.fromkeys(Term(first, p, second, q) for q in range(1, joint - p + 1)))
+                    for q in range(1, joint - p + 1):
+                        terms[Term(first, p, second, q)] = None
         counts.append(len(terms))
     return list(terms), counts
 
 
 class Chaos:
-    """Fits polynomials to outputs on the samples of one design.
+    """Fits polynomials to outputs on the samples of one design; what all outputs share is computed once.
 
     Args:
         samples: Points of the unit cube of A, B and each AB_i, shape (2 + factors, rows, d).
-        replicates: Row i belongs to replicate i mod this.
+        replicates: Number of replicates; row i belongs to replicate i mod this number.
     """
 
     def __init__(self, samples: np.ndarray, replicates: int) -> None:
@@ -88,7 +101,7 @@ class Chaos:
         self.factors = {count: self.factors_of(squares[:, : count + 1, : count + 1]) for count in self.counts}
 
     def basis(self, points: np.ndarray) -> np.ndarray:
-        """The constant and the terms at points of shape (n, d); shape (n, 1 + terms)."""
+        """Values of the constant and of all terms at points of the unit cube, shape (n, d); shape (n, 1 + terms)."""
         symmetric_points = 2.0 * points - 1.0
         table = np.ones((MOST_DEGREE + 1, *points.shape))
         table[1] = symmetric_points
@@ -99,18 +112,27 @@ class Chaos:
         return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T
 
     def factors_of(self, squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-        """Cholesky factors of the squares of all other replicates, for each; from shape (replicates, n, n)."""
+        """Cholesky factors of the normal equations for each replicate, which use the rows of all other replicates.
+
+        Args:
+            squares: Sums of products of the basis over the rows of each replicate, shape (replicates, n, n).
+        """
         matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
         return [linalg.cho_factor(matrix) for matrix in matrices]
 
     def coefficients(self, products: np.ndarray, count: int) -> np.ndarray:
-        """Coefficients of the constant and the first terms for each replicate, from all others."""
+        """Coefficients of the constant and the first terms for each replicate, shape (replicates, 1 + count).
+
+        Args:
+            products: Sums of basis times output over the rows of each replicate, shape (replicates, 1 + terms).
+            count: Number of terms.
+        """
         targets = (products.sum(axis=0) - products)[:, : count + 1]
         pairs = zip(self.factors[count], targets, strict=True)
         return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
 
-    def predict(self, values: np.ndarray) -> Predicted | None:
-        """Predict an output by the set of polynomials with the smallest error; None if no set explains much of it.
+    def predict(self, values: np.ndarray) -> ChaosPrediction | None:
+        """Predict an output by the set of polynomials with the smallest error; None if no set explains enough of it.
 
         Args:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).
@@ -128,11 +150,12 @@ class Chaos:
                 for rows, coefficients in zip(self.replicates, coefficient_sets, strict=True):
                     error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
             if error < smallest:
-                best, smallest = coefficient_sets, error
-        return None if best is None else self.predicted(best[:, 1:])
+                best = coefficient_sets
+                smallest = error
+        return None if best is None else self.prediction_from(best[:, 1:])
 
-    def predicted(self, coefficients: np.ndarray) -> Predicted:
-        """The prediction from coefficients of the first terms, shape (replicates, terms), at all points."""
+    def prediction_from(self, coefficients: np.ndarray) -> ChaosPrediction:
+        """The prediction at all points of the samples, from coefficients of the first terms, (replicates, terms)."""
         count = coefficients.shape[1]
         values = np.empty(self.samples.shape[:2])
         for points, column in zip(self.samples, values, strict=True):
@@ -145,4 +168,4 @@ class Chaos:
         contains[np.arange(count), second] = 1.0
         energies = coefficients**2
         single = contains * (second_degree == 0)[:, None]
-        return Predicted(values, energies @ single, energies @ contains, energies.sum(axis=1))
+        return ChaosPrediction(values, energies @ single, energies @ contains, energies.sum(axis=1))

@@ -1,4 +1,4 @@
-"""Morris screening of every metric and of failure: which of many numbers matter at all, from few simulations.
+"""Morris screening of every metric and of failure: which of many numbers matter at all, by few simulations.
 
 A trajectory moves one factor after the other, in random order, by half of its law's probability. The change of the
 output is the factor's elementary effect. The mean of its absolute values, mu*, says how much a factor matters; the
@@ -27,7 +27,7 @@ FEWEST = 10  # trajectories, for intervals of some use
 
 
 def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Random trajectories through the grid of levels.
+    """Random trajectories through the grid of levels; each moves one factor after the other.
 
     Args:
         count: Number of trajectories.
@@ -47,12 +47,12 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
 
 
 def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """The change of the output when a factor moves up by half of its probability, shape (factors, trajectories).
+    """The change of an output when each factor moves up by half of its probability, shape (factors, trajectories).
 
     Args:
-        values: Outputs along the trajectories, shape (factors + 1, trajectories).
-        levels: See :func:`trajectories`.
-        order: See :func:`trajectories`.
+        values: Output at each point of each trajectory, shape (factors + 1, trajectories).
+        levels: Levels of the factors there, shape (factors + 1, trajectories, factors).
+        order: The order in which the factors move, shape (trajectories, factors).
     """
     effects = np.empty_like(values[1:])
     np.put_along_axis(effects, order.T, np.diff(values, axis=0), axis=0)
@@ -60,17 +60,17 @@ def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray
 
 
 def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
-    """mu* and sigma with Student's t intervals over trajectories, for sigma by the jackknife.
+    """mu* and sigma of each factor with Student's t intervals over the trajectories, for sigma by the jackknife.
 
     The effects of an indicator, such as failure, are -1, 0 or 1: its mu* has the exact interval of a proportion, whose
     upper end bounds sigma^2 too.
 
     Args:
-        effects: Shape (factors, trajectories).
+        effects: Elementary effects, shape (factors, trajectories).
         confidence: Confidence of the intervals.
 
     Returns:
-        Two arrays of estimate, lower and upper end, shape (factors, 3).
+        Estimate, lower and upper end of mu*, shape (factors, 3), and those of sigma.
     """
     count = effects.shape[1]
     reach = special.stdtrit(count - 1, 0.5 * (1.0 + confidence)) / math.sqrt(count)
@@ -79,21 +79,26 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
     variances_without_one = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
     parts = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # sigma without one trajectory, (n - 1) times
-    size_table = with_interval(sizes.mean(1), reach * sizes.std(1, ddof=1))
-    spread_table = with_interval(spread, reach * parts.std(1, ddof=1))
+    size_table = interval_table(sizes.mean(1), reach * sizes.std(1, ddof=1))
+    spread_table = interval_table(spread, reach * parts.std(1, ddof=1))
     if np.all(np.isin(sizes, (0.0, 1.0))):
         size_table[:, 1:] = clopper_pearson(np.count_nonzero(sizes, axis=1), count, confidence)
         spread_table[:, 2] = np.sqrt(size_table[:, 2])
     return size_table, spread_table
 
 
-def with_interval(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Estimates of a number that is not negative, with an interval of this half length; shape (factors, 3)."""
+def interval_table(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Estimates of nonnegative numbers with symmetric intervals, cut at 0; shape (factors, 3).
+
+    Args:
+        estimate: Shape (factors,).
+        half: Half length of each interval, shape (factors,).
+    """
     return np.stack([estimate, np.maximum(estimate - half, 0.0), estimate + half], axis=1)
 
 
 def trajectory_count(study: Study, noisy: bool = False) -> int:
-    """The number of trajectories, if the study can be screened.
+    """The number of trajectories that the study's draws allow, if the study can be screened.
 
     Args:
         study: The study.
@@ -115,7 +120,7 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of a screening: as many trajectories as the study's number of draws allows.
 
     Args:
-        study: The study; its number of draws is at least the total number of simulations.
+        study: The study; its number of draws is the largest number of simulations.
         noisy: Whether in-loop noise is a factor.
         confidence: Confidence of the intervals.
 

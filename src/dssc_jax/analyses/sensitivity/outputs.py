@@ -18,16 +18,16 @@ from dssc_jax.study import Study
 NOISE = "in-loop noise"
 FAILURE = "failure"
 REPLICATES = 8
-SMALLEST = 256  # rows
+SMALLEST = 256  # least number of rows
 FEWEST_ROWS = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
-PLANNED_ROWS = 30  # what a refusal plans for, so that the next run is not refused by chance
+PLANNED_ROWS = 30  # carrying rows that a refusal plans for, so that the next run is not refused by chance
 
 
 class RowSample(NamedTuple):
-    """Points to simulate.
+    """Points to simulate, one for each row of a design.
 
     Args:
-        levels: Levels of the laws, correlations included, shape (rows, laws).
+        levels: Quantile levels of the laws, correlations included, shape (rows, laws).
         indices: Draw indices, which decide the in-loop noise, shape (rows,).
     """
 
@@ -36,13 +36,13 @@ class RowSample(NamedTuple):
 
 
 class RowDesign(NamedTuple):
-    """The simulations of a method and what follows from an output's values, shape (samples, rows).
+    """The simulations of a method of sensitivity analysis, and what it computes from them.
 
     Args:
-        rows: Number of rows.
-        samples: The samples.
-        refusal: The reason why an output gets no quantities; None if it gets them.
-        quantities: The quantities, each with estimate, lower and upper end, shape (factors, 3).
+        rows: Number of rows of each sample.
+        samples: The samples to simulate.
+        refusal: (values of an output, shape (samples, rows)) -> why it gets no quantities; None if it gets them.
+        quantities: (values of an output) -> the quantities, each with estimate, lower and upper end, (factors, 3).
     """
 
     rows: int
@@ -51,31 +51,31 @@ class RowDesign(NamedTuple):
     quantities: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
 
-def carrying(f_a: np.ndarray, f_b: np.ndarray) -> float:
-    """The effective number of rows that carry the variance of a varying output, from its kurtosis.
+def effective_row_count(f_a: np.ndarray, f_b: np.ndarray) -> float:
+    """The effective number of rows from which the variance of an output comes, by its kurtosis.
 
     For an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
 
     Args:
-        f_a: Output at A, shape (rows,).
-        f_b: Output at B, shape (rows,).
+        f_a: A varying output at the rows of sample A, shape (rows,).
+        f_b: The same output at sample B, shape (rows,).
     """
     deviations = np.stack([f_a, f_b]) - 0.5 * (f_a.mean() + f_b.mean())
     squares = np.square(deviations / np.abs(deviations).max())
     return float(len(f_a) * squares.mean() ** 2 / np.mean(squares**2))
 
 
-def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
-    """The reason why an output gets no indices, in words; None if it gets them.
+def refusal_reason(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
+    """Why the samples of an output do not suffice for indices, in words; None if they do.
 
     Args:
-        f_a: Output at A, shape (rows,).
-        f_b: Output at B, shape (rows,).
+        f_a: Output at the rows of sample A, shape (rows,).
+        f_b: Output at sample B, shape (rows,).
     """
     if np.ptp([f_a, f_b]) == 0.0:
         return "does not vary"
     rows = len(f_a)
-    effective_rows = carrying(f_a, f_b)
+    effective_rows = effective_row_count(f_a, f_b)
     if effective_rows < FEWEST_ROWS:
         sufficient_rows = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / effective_rows))
         carriers = f"about {effective_rows:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
@@ -83,18 +83,18 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
     return None
 
 
-def output_of(results: Arrays, name: str) -> np.ndarray:
-    """The values of a metric, or 1 if the draw failed."""
+def output_values(results: Arrays, name: str) -> np.ndarray:
+    """The values of an output, shape (n,): a metric by its name, or for ``failure`` 1 if the draw failed, else 0."""
     if name == FAILURE:
         return (results["outcome"] != Outcome.OK).astype(float)
     return results[name].astype(float)
 
 
 def row_count(study: Study) -> int:
-    """The study's number of draws, rounded down to a power of two.
+    """The number of rows of a design: the study's number of draws, rounded down to a power of two.
 
     Raises:
-        ConfigError: there are too few.
+        ConfigError: there are too few draws.
     """
     rows = 2 ** int(math.log2(study.config.draws))
     if rows < SMALLEST:
@@ -103,14 +103,14 @@ def row_count(study: Study) -> int:
 
 
 def require_uncorrelated(study: Study, claim: str) -> None:
-    """Require numbers that are not correlated.
+    """Require uncertain numbers that are independent.
 
     Args:
         study: The study.
-        claim: Why, as the beginning of the refusal, which goes on with "independent inputs, but".
+        claim: Beginning of the refusal, which goes on with "independent inputs, but".
 
     Raises:
-        ConfigError: some are.
+        ConfigError: some numbers are correlated.
     """
     if study.correlated:
         raise ConfigError(

@@ -53,7 +53,7 @@ Factor: TypeAlias = SobolFactor | ShapleyFactor | MorrisFactor
 
 @dataclass(frozen=True)
 class SensitivityMeasure:
-    """A quantity of a factor, in words."""
+    """A quantity that a method computes for each factor, in words."""
 
     meaning: Annotated[str, Quantity("", "in a few words")]
     legend: Annotated[str, Quantity("", "text for tables and figures")]
@@ -61,14 +61,14 @@ class SensitivityMeasure:
 
 
 class SensitivityMethod(NamedTuple):
-    """A method, in words.
+    """A method of sensitivity analysis, in words.
 
     Args:
-        title: What the quantities are called together.
-        quantities: By name.
-        factor: (estimate and interval of each quantity) -> the answer of a factor.
-        ranking: The quantity that says what matters most.
-        interval: Name of the intervals.
+        title: Name of its quantities together.
+        quantities: The quantities by name.
+        factor: Type of the answer for a factor; its arguments are estimate and interval of each quantity.
+        ranking: Name of the quantity by which factors are ranked.
+        interval: Name of the intervals' method.
     """
 
     title: str
@@ -107,9 +107,9 @@ class Sensitivity(Analysis):
 
     Args:
         method: Name of the method, see :func:`dssc_jax.sensitivity`.
-        rows: Number of rows of the design; trajectories for ``morris``.
+        rows: Number of rows of the design; for ``morris`` number of trajectories.
         simulations: Total number of simulations.
-        reasons: The reason for each output without quantities.
+        reasons: Why an output has no quantities, by the name of the output.
         confidence: Confidence of the intervals.
     """
 
@@ -135,14 +135,15 @@ class Sensitivity(Analysis):
 
     @property
     def outputs(self) -> dict[str, dict[str, np.ndarray] | None]:
-        """The quantities of each output by name: estimate, lower and upper end, shape (factors, 3); None if none.
+        """The quantities of each output by name, with estimate, lower and upper end, shape (factors, 3) each.
 
-        Estimates of indices are not clipped: below 0 means about 0.
+        An output without quantities has None. Estimates of indices are not clipped: below 0 means about 0.
         """
         names = map(str, self.dataset["output"].values)
         return {name: None if name in self.reasons else self._quantities(name) for name in names}
 
     def _quantities(self, output: str) -> dict[str, np.ndarray]:
+        """The quantities of one output by name, with estimate, lower and upper end, shape (factors, 3) each."""
         data = self.dataset.sel(output=output)
         quantities = {}
         for name in self.description.quantities:
@@ -151,7 +152,7 @@ class Sensitivity(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The factor on which the main output depends most, in one line."""
         answered_outputs = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
         if not answered_outputs:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
@@ -162,12 +163,12 @@ class Sensitivity(Analysis):
         return f"{answered_outputs[0]} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot what failure and the headline metric depend on, with intervals."""
         return plotting.sensitivity(self)
 
     @property
     def answer(self) -> SensitivityAnswer:
-        """The numbers that summary.json holds."""
+        """The quantities of every output and factor, as ``summary.json`` has them."""
         outputs = {}
         for name, quantities in self.outputs.items():
             outputs[name] = None if quantities is None else self._factor_answers(quantities)
@@ -187,6 +188,7 @@ class Sensitivity(Analysis):
         )
 
     def _factor_answers(self, quantities: Mapping[str, np.ndarray]) -> dict[str, Factor]:
+        """The answer for each factor, from the quantities of one output."""
         answers = {}
         for factor, estimates in zip(self.factors, np.stack(list(quantities.values()), axis=1), strict=True):
             numbers = []
@@ -234,7 +236,15 @@ def sensitivity_dataset(
     outputs: Mapping[str, tuple[np.ndarray, ...] | None],
     missing: Mapping[str, int],
 ) -> xr.Dataset:
-    """Store the quantities of each output in a dataset: see :class:`Sensitivity`."""
+    """The dataset of :class:`Sensitivity`.
+
+    Args:
+        study: The study.
+        method: Name of the method.
+        factors: Names of the factors.
+        outputs: The quantities of each output in the method's order, shape (factors, 3) each; None: no quantities.
+        missing: Number of simulations without a value, by output.
+    """
     blank = np.full((len(factors), len(ENDS)), np.nan)
     columns = {}
     for place, (name, measure) in enumerate(DESCRIPTIONS[method].quantities.items()):
@@ -253,7 +263,12 @@ def sensitivity_dataset(
 
 
 def shown_outputs(study: Study, refused: Collection[str]) -> list[str]:
-    """The main outputs: failure, and the study's headline metric, or the first required one where that is refused."""
+    """The main outputs: failure, and the headline metric, or if that has no quantities the first required metric.
+
+    Args:
+        study: The study.
+        refused: Names of the outputs without quantities.
+    """
     headline = headline_measure(study).name
     metrics = [headline, *(requirement.measure.name for requirement in study.requirements)]
     answered = [name for name in metrics if name not in refused]

@@ -1,4 +1,4 @@
-"""Shapley effects of every metric and of failure: the variance shared out among numbers that may be correlated.
+"""Shapley effects of every metric and of failure: shares of the variance for numbers that may be correlated.
 
 The effect of a factor is the variance that it explains when it becomes known after some others, averaged over all
 orders in which the factors may become known. The effects are never negative and sum to 1. For independent factors each
@@ -19,7 +19,14 @@ Reference:
 import numpy as np
 from scipy import special
 
-from dssc_jax.analyses.sensitivity.outputs import REPLICATES, RowDesign, RowSample, carrying, refusal, row_count
+from dssc_jax.analyses.sensitivity.outputs import (
+    REPLICATES,
+    RowDesign,
+    RowSample,
+    effective_row_count,
+    refusal_reason,
+    row_count,
+)
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator, inside_cube, mixing
@@ -27,15 +34,19 @@ from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
 
-def orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray:
-    """A random order of the factors for each row, shape (rows, factors); in each replicate every second is reversed."""
-    free = generator(*seeds).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
-    pairs = np.stack([free.reshape(-1, REPLICATES, factors), free[:, ::-1].reshape(-1, REPLICATES, factors)], axis=1)
-    return pairs.reshape(rows, factors)
+def random_orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray:
+    """A random order of the factors for each row, shape (rows, factors).
+
+    The orders come in pairs, one the reverse of the other, which lowers the variance. Both are of one replicate.
+    """
+    orders = generator(*seeds).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
+    reverses = orders[:, ::-1]
+    shape = (-1, REPLICATES, factors)
+    return np.stack([orders.reshape(shape), reverses.reshape(shape)], axis=1).reshape(rows, factors)
 
 
 def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Correlated normal scores of the chained simulations.
+    """Correlated normal scores of the chained simulations: the module tells how they are mixed.
 
     Args:
         correlation: Correlation of the scores, shape (factors, factors).
@@ -58,7 +69,7 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
 
 
 def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Shapley effects with their intervals.
+    """Shapley effects of one output with their intervals.
 
     With f_k the value of the k-th simulation of a row, the factor at place k of its order gets
     ((f_last - f_(k-1))^2 - (f_last - f_k)^2)/2, whose mean is the variance that it adds to what is explained. Relative
@@ -79,12 +90,12 @@ def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = C
     variance = squares[0]
     effects = shares.mean(1, keepdims=True) / variance.mean()
     low, high = replicate_interval((shares - effects * variance) / variance.mean(), REPLICATES, confidence).T
-    half = np.hypot(0.5 * (high - low), unseen(carrying(values[0], values[-1]), confidence))[:, None]
+    half = np.hypot(0.5 * (high - low), unseen(effective_row_count(values[0], values[-1]), confidence))[:, None]
     return np.concatenate([effects, effects - half, effects + half], axis=1)
 
 
 def normal_scores(points: np.ndarray, noisy: bool) -> np.ndarray:
-    """Normal scores of points of the unit cube, with a column of 0 for the in-loop noise; shape (rows, factors)."""
+    """Normal scores of points of the unit cube, shape (rows, laws); with a further column of 0 for in-loop noise."""
     return np.pad(special.ndtri(inside_cube(points)), ((0, 0), (0, int(noisy))))
 
 
@@ -102,7 +113,7 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     rows = row_count(study)
     laws = len(study.laws)
     seeds = (study.config.seed, stream("shapley"))
-    order = orders(rows, laws + noisy, seeds)
+    order = random_orders(rows, laws + noisy, seeds)
     correlation = np.eye(laws + noisy)
     matrix = mixing(study)
     correlation[:laws, :laws] = matrix @ matrix.T
@@ -116,6 +127,6 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     return RowDesign(
         rows,
         [RowSample(*pair) for pair in zip(levels, indices, strict=True)],
-        refusal=lambda values: refusal(values[-1], values[0]),
+        refusal=lambda values: refusal_reason(values[-1], values[0]),
         quantities=lambda values: (shapley_effects(values, order, confidence),),
     )

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.sensitivity.chaos import Chaos, Predicted
+from dssc_jax.analyses.sensitivity.chaos import Chaos, ChaosPrediction
 from dssc_jax.analyses.sensitivity.outputs import (
     REPLICATES,
     RowDesign,
     RowSample,
-    carrying,
-    refusal,
+    effective_row_count,
+    refusal_reason,
     require_uncorrelated,
     row_count,
 )
@@ -27,12 +27,17 @@ from dssc_jax.engine.sampling import inside_cube, sobol_points
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
-JOINT = 10  # rows that must carry two independent outputs' variances at once, for control variates: products
-SINGULAR = 1e-10  # relative size of what is 0 in a matrix of control variates
+JOINT = 10  # rows that must carry the variances of two independent outputs at once, for products as control variates
+SINGULAR = 1e-10  # relative size of a singular value that counts as 0 in the equations of control variates
 
 
-class Indices(NamedTuple):
-    """Indices of one output; estimate, lower and upper end, shape (factors, 3). Not clipped: below 0 means about 0."""
+class SobolIndices(NamedTuple):
+    """Sobol indices of one output, each with estimate, lower and upper end; below 0 means about 0.
+
+    Args:
+        first: First-order indices, shape (factors, 3).
+        total: Total indices, shape (factors, 3).
+    """
 
     first: np.ndarray
     total: np.ndarray
@@ -54,8 +59,8 @@ def sobol_indices(
     f_ab: np.ndarray,
     confidence: float = CONFIDENCE,
     chaos: Chaos | None = None,
-) -> Indices:
-    """First-order and total indices with their intervals.
+) -> SobolIndices:
+    """First-order and total indices of one output with their intervals.
 
     With centred outputs, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), with V the variance over A and B.
     The ratio is linearised. The half length of the interval adds two parts as squares: Student's t interval over the
@@ -66,14 +71,14 @@ def sobol_indices(
         f_b: Output at B, shape (rows,).
         f_ab: Output at AB_i, shape (factors, rows).
         confidence: Confidence of the intervals.
-        chaos: Predicts the output from the rows' points, if they are known.
+        chaos: Predicts the output from the points of the rows; None: there is no prediction.
 
     Reference:
         M. J. W. Jansen, Computer Physics Communications 117 (1999) 35-43; A. Saltelli et al., Computer Physics
         Communications 181 (2010) 259-270; A. B. Owen, Monte Carlo theory, methods and examples, section 17.2, on
         replicates.
     """
-    effective_rows = carrying(f_a, f_b)
+    effective_rows = effective_row_count(f_a, f_b)
     middle = 0.5 * (f_a.mean() + f_b.mean())
     f_a = f_a - middle
     f_b = f_b - middle
@@ -82,43 +87,55 @@ def sobol_indices(
     shares = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # a row's share of each numerator
     predicted = None if chaos is None else chaos.predict(np.stack([f_a, f_b, *f_ab]))
     if predicted is not None:
-        shares, variance = corrected(shares, variance, predicted)
+        shares, variance = correct_shares(shares, variance, predicted)
     if effective_rows**2 / len(f_a) >= JOINT:
         pairs = zip(shares, [*f_ab, *f_ab], strict=True)
-        shares = np.stack([controlled(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
+        shares = np.stack([control_shares(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
     indices = shares.mean(1, keepdims=True) / variance.mean()
     low, high = replicate_interval((shares - indices * variance) / variance.mean(), REPLICATES, confidence).T
     half = np.hypot(0.5 * (high - low), unseen(effective_rows, confidence))[:, None]
     table = np.concatenate([indices, indices - half, indices + half], axis=1)
-    return Indices(table[: len(f_ab)], table[len(f_ab) :])
+    return SobolIndices(table[: len(f_ab)], table[len(f_ab) :])
 
 
-def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) -> tuple[np.ndarray, np.ndarray]:
-    """Numerators and variance, in which the prediction's parts are replaced by their exact means.
+def correct_shares(
+    shares: np.ndarray, variance: np.ndarray, predicted: ChaosPrediction
+) -> tuple[np.ndarray, np.ndarray]:
+    """Replace the predicted part of numerators and variance by its exact mean, which lowers their scatter.
 
     Args:
-        shares: A row's share of each numerator, shape (2 factors, rows).
-        variance: A row's share of the variance, shape (rows,).
-        predicted: The prediction.
+        shares: Each row's share of the numerator of each index, shape (2 factors, rows).
+        variance: Each row's share of the variance, shape (rows,).
+        predicted: The prediction of the output.
+
+    Returns:
+        The corrected shares and variance, of the same shapes.
     """
     g_a, g_b = predicted.values[:2]
     g_ab = predicted.values[2:]
     replicate = np.arange(len(variance)) % REPLICATES
-    missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, of which the prediction knows nothing
+    missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, on which the prediction does not depend
     means = [np.pad(part, ((0, 0), (0, missing)))[replicate].T for part in (predicted.alone, predicted.total)]
     predicted_deviations = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
     return shares - predicted_deviations, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
 
 
-def controlled(
+def control_shares(
     share: np.ndarray, variance: np.ndarray, f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray
 ) -> np.ndarray:
-    """Subtract from a numerator's rows the combination of control variates that minimises the variance of its index.
+    """Subtract from a numerator the combination of control variates that minimises the variance of its index.
 
     The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone turns f_B f_AB into
     Saltelli's estimator of a first-order index, the second alone into Jansen's; neither is better for every index.
     Coefficients are fitted by least squares. Those of a replicate come from all other replicates, so the index stays
     unbiased and the scatter between replicates is not fitted away.
+
+    Args:
+        share: Each row's share of the numerator, shape (rows,).
+        variance: Each row's share of the variance, shape (rows,).
+        f_a: Centred output at A, shape (rows,).
+        f_b: Centred output at B, shape (rows,).
+        f_ab: Centred output at the AB_i of this index, shape (rows,).
     """
     controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
     target = share - variance * (share.mean() / variance.mean())
@@ -131,7 +148,7 @@ def controlled(
 
 
 def sobol_rows(study: Study) -> int:
-    """The number of rows of the sample A, if Sobol indices can be computed.
+    """The number of rows of sample A, if Sobol indices of the study can be computed.
 
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
@@ -144,7 +161,7 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of Sobol indices: A, B, and AB_i for each factor.
 
     Args:
-        study: The study; its number of draws, rounded down to a power of two, is the number of A's rows.
+        study: The study; its number of draws, rounded down to a power of two, is the number of rows of A.
         noisy: Whether in-loop noise is a factor.
         confidence: Confidence of the intervals.
 
@@ -167,6 +184,6 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     return RowDesign(
         rows,
         samples,
-        refusal=lambda values: refusal(values[0], values[1]),
+        refusal=lambda values: refusal_reason(values[0], values[1]),
         quantities=lambda values: sobol_indices(values[0], values[1], values[2:], confidence, chaos),
     )

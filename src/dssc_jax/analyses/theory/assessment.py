@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, part_margins
-from dssc_jax.analyses.margins.joined import MarginPart, median_texts
+from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, split_margins
+from dssc_jax.analyses.margins.joined import MarginPart, medians_text, name_axis
 from dssc_jax.analyses.margins.result import PARAMETER_UNIT, MarginAnswer
 from dssc_jax.analyses.theory.chattering import SAMPLES_IN_MU, chattering, time_constant_of
-from dssc_jax.analyses.theory.linearised import kind_of
 from dssc_jax.analyses.theory.local import Time, local_margin
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -24,10 +23,11 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
 
-VALUES = 9  # time constants
-PUSH = 1e-3  # initial output [output]
-SETTLED = 0.75  # share of the duration that is ignored
+VALUES = 9  # time constants at which oscillations are computed
+PUSH = 1e-3  # initial output of these oscillations [output]
+SETTLED = 0.75  # share of the duration after which oscillations have settled
 PERFORMANCE = "performance"
 OSCILLATIONS = "oscillations"
 OSCILLATION = ("amplitude", "predicted", "frequency")
@@ -43,8 +43,8 @@ class TheoremAnswer:
 
 
 @dataclass(frozen=True)
-class MarginStatistics:
-    """Statistics of the critical values by one method."""
+class CriticalStatistics:
+    """Statistics of the draws' critical values by one method."""
 
     criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None if it lies before the start")]
@@ -57,7 +57,7 @@ class MarginStatistics:
 
     @classmethod
     def of(cls, answer: MarginAnswer) -> Self:
-        """The statistics of margins."""
+        """The statistics that an answer for margins has."""
         return cls(*(getattr(answer, field.name) for field in fields(cls)))
 
 
@@ -81,8 +81,8 @@ class TheoryAnswer:
     bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
     certificate: TheoremAnswer
     proof: Annotated[JsonObject | None, Quantity("", "how far the sampled loop is proved; None if not asked")]
-    performance: MarginStatistics
-    local: dict[str, MarginStatistics]
+    performance: CriticalStatistics
+    local: dict[str, CriticalStatistics]
     edge: Annotated[float | None, Quantity("s", "local critical time constant with laws at their medians")]
     oscillations: dict[str, Oscillation]
     not_covered: Annotated[dict[str, str], Quantity("", "why a method does not apply, by its name")]
@@ -91,17 +91,18 @@ class TheoryAnswer:
 
 @dataclass(eq=False)
 class Assessment(Analysis):
-    """Theorem 1, linearisation, describing functions and Monte Carlo for the margins of one number.
+    """The margins of one number by Theorem 1, linearisation, describing functions and Monte Carlo.
 
     The dataset is that of :class:`dssc_jax.analyses.margins.Margins` with the additional dimension ``margin``, and the
     return value of :func:`chattering` with the additional dimension ``controller``.
 
     Args:
-        parts: The settings of the margins: ``performance``, ``sampled`` and ``continuous``.
+        parts: What the dataset does not say of the margins ``performance``, ``sampled`` and ``continuous``.
         oscillating: Attributes of the oscillations' datasets, by controller.
-        edge: Local critical value of that time constant, with laws at their medians; None if there is none.
-        not_covered: The reason why one of the above is missing, by its name.
-        seconds: Computing time.
+        edge: Local critical value with all laws at their medians, if the number is the time constant of the unmodelled
+            dynamics [s]; None if there is none.
+        not_covered: The reason why one of these margins, or the oscillations, are missing, by name.
+        seconds: Computing time [s].
     """
 
     kind = "theory"
@@ -124,12 +125,20 @@ class Assessment(Analysis):
         not_covered: dict[str, str],
         seconds: float,
     ) -> Self:
-        """Combine the separate parts of an assessment."""
+        """Create the assessment from its parts.
+
+        Args:
+            performance: Simulated margins for the requirements.
+            local: Margins of the linearised loop, by kind.
+            oscillations: The return value of :func:`chattering`, by controller.
+            edge: See the class.
+            not_covered: See the class.
+            seconds: Computing time [s].
+        """
         margins = {PERFORMANCE: performance, **{kind.value: part for kind, part in local.items()}}
         dataset = join_margins(margins, "margin", "method of the margin")
         if oscillations:
-            names = np.array(list(oscillations))
-            axis = xr.DataArray(names, dims="controller", name="controller", attrs={"long_name": "controller"})
+            axis = name_axis("controller", oscillations, "controller")
             joined = xr.concat(list(oscillations.values()), dim=axis, combine_attrs="override")
             dataset = dataset.merge(joined, combine_attrs="override")
         attributes = {}
@@ -147,8 +156,8 @@ class Assessment(Analysis):
 
     @cached_property
     def all_margins(self) -> dict[str, Margins]:
-        """Every margin by its name in :attr:`parts`."""
-        return part_margins(self.dataset, "margin", self.parts, lambda _: self.study)
+        """All margins, by their names in :attr:`parts`."""
+        return split_margins(self.dataset, "margin", self.parts, lambda _: self.study)
 
     @property
     def performance(self) -> Margins:
@@ -171,24 +180,24 @@ class Assessment(Analysis):
 
     @property
     def margins(self) -> dict[str, Margins]:
-        """Simulated and linearised margins, by their criterion."""
+        """Simulated and linearised margins, by their criterion in words."""
         titles = {Time.SAMPLED: "local, sampled loop (eigenvalues)", Time.CONTINUOUS: "local, continuous (eigenvalues)"}
         local = {titles[kind]: margins for kind, margins in self.local.items()}
         return {"performance (simulated)": self.performance, **local}
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The median critical value by each method, in one line."""
         margins = {"simulated": self.performance, **{kind.value: part for kind, part in self.local.items()}}
-        return f"median critical {self.performance.parameter}: {median_texts(margins)}"
+        return f"median critical {self.performance.parameter}: {medians_text(margins)}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the margins by each method, and the oscillations beyond the local margin."""
         return plotting.theory(self.margins, self.oscillations, self.edge)
 
     @property
     def answer(self) -> TheoryAnswer:
-        """The numbers that summary.json holds."""
+        """The margins by each method and the oscillations, as ``summary.json`` has them."""
         simulated = self.performance.answer
         oscillations = {}
         for name, oscillation in self.oscillations.items():
@@ -201,8 +210,8 @@ class Assessment(Analysis):
             bounds=simulated.bounds,
             certificate=TheoremAnswer(simulated.certified, simulated.certificate),
             proof=simulated.proof,
-            performance=MarginStatistics.of(simulated),
-            local={kind.value: MarginStatistics.of(margins.answer) for kind, margins in self.local.items()},
+            performance=CriticalStatistics.of(simulated),
+            local={kind.value: CriticalStatistics.of(margins.answer) for kind, margins in self.local.items()},
             edge=self.edge,
             oscillations=oscillations,
             not_covered=self.not_covered,
@@ -255,7 +264,7 @@ def assess(
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
-    if Time.SAMPLED in local and scales_time(study, over):
+    if Time.SAMPLED in local and is_time_constant(study, over):
         middle = study.override({**{name: law.median for name, law in study.laws.items()}, "draws": 1})
         critical = float(local_margin(middle, **walk).dataset["critical"].values[0])
         edge = None if np.isnan(critical) else critical
@@ -263,15 +272,15 @@ def assess(
     try:
         values = time_constants(study, over, bounds)
         after = SETTLED * study.config.loop.duration
-        for name, loop in {kind_of(study, "controller"): study, **(rivals or {})}.items():
+        for name, loop in {kind_in(study.config, "controller"): study, **(rivals or {})}.items():
             oscillations[name] = chattering(loop, values, push=PUSH, after=after)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
     return Assessment.of(performance, local, oscillations, edge, not_covered, time.perf_counter() - began)
 
 
-def scales_time(study: Study, name: str) -> bool:
-    """Whether a number is the time constant of the unmodelled dynamics."""
+def is_time_constant(study: Study, name: str) -> bool:
+    """Whether a dotted name is that of the time constant of the unmodelled dynamics."""
     try:
         return time_constant_of(study) == name
     except ConfigError:
@@ -279,7 +288,12 @@ def scales_time(study: Study, name: str) -> bool:
 
 
 def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list[float]:
-    """Time constants within the walk that the clock resolves.
+    """The time constants at which oscillations are computed [s]: those within the walk that the sample time resolves.
+
+    Args:
+        study: The study.
+        over: Dotted name of the number that is walked.
+        bounds: Both ends of the walk.
 
     Raises:
         ConfigError: there are none, or the walk is not over the time constant of the unmodelled dynamics.

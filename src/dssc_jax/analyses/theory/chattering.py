@@ -6,17 +6,17 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.analyses.theory.describing import limit_cycles
-from dssc_jax.analyses.theory.linearised import at_rest, kind_of
+from dssc_jax.analyses.theory.linearised import at_rest
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.runs import run as running
 from dssc_jax.study import Study
-from dssc_jax.study.actuators import section_of
+from dssc_jax.study.actuators import kind_in, section_of
 
 SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the dynamics
 
 
 def time_constant_of(study: Study) -> str:
-    """Name of the number that scales the time of the unmodelled dynamics, as they declare it.
+    """Dotted name of the time constant that the unmodelled dynamics declare, such as ``unmodelled.mu``.
 
     Raises:
         ConfigError: they declare none.
@@ -30,14 +30,14 @@ def time_constant_of(study: Study) -> str:
 
 
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:
-    """Amplitude of sigma that remains after a small push, over the time constant of the unmodelled dynamics.
+    """Simulate and predict the oscillation of sigma after a small push, over the time constant of unmodelled dynamics.
 
     Apart from the push the loop is at rest, and laws are at their medians.
 
     Args:
         study: A study of one channel whose unmodelled dynamics declare ``time_constant``, such as a lag.
         values: Time constants mu [s].
-        push: Initial output.
+        push: Initial output [output].
         after: Time after which oscillations have settled or decayed [s].
 
     Returns:
@@ -48,10 +48,9 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         ConfigError: the unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
     """
     mu = time_constant_of(study)
-    if study.config.loop.sample_time > min(values) / SAMPLES_IN_MU * (1 + 1e-9):
-        raise ConfigError(
-            f"{study.source}: loop.sample_time", f"must be <= {min(values) / SAMPLES_IN_MU:g}, a 20th of mu"
-        )
+    longest = min(values) / SAMPLES_IN_MU
+    if study.config.loop.sample_time > longest * (1 + 1e-9):
+        raise ConfigError(f"{study.source}: loop.sample_time", f"must be <= {longest:g}, a 20th of mu")
     resting = at_rest(study)
     middle = {name: law.median for name, law in resting.laws.items()}
     changes = {
@@ -62,11 +61,12 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "sweep": {mu: [float(value) for value in values]},
     }
     largest = running.run(resting.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
-    has_describing_function = study.loop.controller[0].describing is not None
-    points = [{mu: value} for value in values]
-    cycles = limit_cycles(resting, points) if has_describing_function else [None] * len(values)
-    predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
-    amplitude, frequency = np.array(predicted).T
+    predicted = np.full((len(values), 2), np.nan)
+    if study.loop.controller[0].describing is not None:
+        for row, cycle in zip(predicted, limit_cycles(resting, [{mu: value} for value in values]), strict=True):
+            if cycle is not None:
+                row[:] = cycle
+    amplitude, frequency = predicted.T
     unit = study.units[0].of("y/s")
     return xr.Dataset(
         {
@@ -75,5 +75,5 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
             "frequency": ((mu,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
         },
         coords={mu: ((mu,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
-        attrs={"controller": kind_of(study, "controller"), "push": push},
+        attrs={"controller": kind_in(study.config, "controller"), "push": push},
     )

@@ -19,25 +19,32 @@ import jax
 import numpy as np
 from scipy.optimize import brentq
 
-from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop, require_continuous_dynamics
+from dssc_jax.analyses.theory.linearised import Linearised, at_rest, open_loop, require_continuous_dynamics
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.engine.batching import medians
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
 
-SPAN, SCANNED = 1e4, 400  # frequencies scanned, around that of the fastest pole
+SPAN = 1e4  # ratio of the highest scanned frequency to that of the fastest pole, and of that to the lowest
+SCANNED = 400  # number of frequencies scanned
 
 
 class LimitCycle(NamedTuple):
-    """The limit cycle sigma = amplitude sin(frequency t), in m/s and rad/s."""
+    """The limit cycle sigma = A sin(w t) of a loop.
+
+    Args:
+        amplitude: A, in the unit of sigma, output/s.
+        frequency: w [rad/s].
+    """
 
     amplitude: float
     frequency: float
 
 
 def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> LimitCycle | None:
-    """The chattering that the describing function predicts, or None if it predicts none.
+    """Predict the chattering of a loop by the describing function of its controller; None if it predicts none.
 
     Args:
         study: A study on a plant of one channel whose controller declares its describing function (``smc``, ``sta``),
@@ -52,14 +59,12 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
 
 
 def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[LimitCycle | None]:
-    """The limit cycle at each of several points, by one compiled program; see :func:`limit_cycle`."""
+    """Predict the limit cycle at each of several points, by one compiled program; see :func:`limit_cycle`."""
     resting = at_rest(study)
     describing = resting.loop.controller[0].describing
     if describing is None:
-        raise ConfigError(
-            f"{study.source}: controller.kind",
-            f"the describing function of '{kind_of(resting, 'controller')}' is not known",
-        )
+        rule = f"the describing function of '{kind_in(resting.config, 'controller')}' is not known"
+        raise ConfigError(f"{study.source}: controller.kind", rule)
     require_continuous_dynamics(resting, resting.loop.unmodelled[0])
     compiled_open_loop = jax.jit(
         lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options()
@@ -75,11 +80,16 @@ def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[Li
 
 
 def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle | None:
-    """The limit cycle of the highest frequency, at which chattering settles."""
+    """Solve the harmonic balance for the limit cycle of the highest frequency, at which chattering settles.
+
+    Args:
+        response: The linear loop from the robust command to sigma.
+        balance: The harmonic balance of the switching law.
+    """
 
     def inverse(w: float) -> complex:
-        w_of = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)
-        return complex(-1.0 / w_of)
+        gain = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)
+        return complex(-1.0 / gain)
 
     def residual(w: float) -> float:
         q = inverse(w)
@@ -91,6 +101,7 @@ def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle 
     crossings = np.flatnonzero(residuals[:-1] * residuals[1:] < 0.0)
     if not crossings.size:
         return None
-    low, high = scan[crossings[-1]], scan[crossings[-1] + 1]
+    low = scan[crossings[-1]]
+    high = scan[crossings[-1] + 1]
     frequency = float(brentq(residual, low, high, xtol=1e-12 * high))  # type: ignore[arg-type]
     return LimitCycle(float(balance.amplitude(inverse(frequency))), frequency)

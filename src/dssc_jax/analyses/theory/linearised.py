@@ -25,7 +25,15 @@ ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 
 
 class Linearised(NamedTuple):
-    """x' = A x + B u, sigma = C x: plant, nominal control and unmodelled dynamics, from the robust command to sigma."""
+    """The loop from the robust command u to sigma, x' = A x + B u, sigma = C x, linearised at the origin.
+
+    It consists of plant, nominal control and unmodelled dynamics.
+
+    Args:
+        a: A, shape (states, states).
+        b: B, shape (states,).
+        c: C, shape (states,).
+    """
 
     a: jax.Array
     b: jax.Array
@@ -46,23 +54,17 @@ def at_rest(study: Study) -> Study:
     return study.override(changes)
 
 
-def kind_of(study: Study, slot: str) -> str:
-    """The kind of the part in a slot, or the kinds of a chain."""
-    return kind_in(study.config, slot)
-
-
 def require_continuous(study: Study) -> None:
-    """Require what the continuous-time analysis needs: a law (22), and unmodelled dynamics in continuous time.
+    """Require a loop with a form in continuous time: a controller with a law (22), and continuous unmodelled dynamics.
 
     Raises:
         ConfigError: the controller synthesises no such law, or the unmodelled dynamics have no continuous-time form.
     """
     if study.loop.controller[0].synthesised is None:
-        raise ConfigError(
-            f"{study.source}: controller.kind",
-            f"'{kind_of(study, 'controller')}' synthesises no law (22), which the continuous-time analysis takes; "
-            f"{', '.join(kinds_with(CONTROLLERS, 'synthesised'))} do",
-        )
+        kind = kind_in(study.config, "controller")
+        continuous_kinds = ", ".join(kinds_with(CONTROLLERS, "synthesised"))
+        rule = f"'{kind}' synthesises no law (22), which the continuous-time analysis takes; {continuous_kinds} do"
+        raise ConfigError(f"{study.source}: controller.kind", rule)
     loop, template = study.loop, study.template
     place = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])
     smooth_loop, _ = substituted(loop, template, [place])  # dynamics that are smooth nowhere have a substitute
@@ -72,34 +74,39 @@ def require_continuous(study: Study) -> None:
 def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
     """Require unmodelled dynamics that :func:`open_loop` can linearise in continuous time.
 
+    Args:
+        study: The study, for the message.
+        dynamics: The unmodelled dynamics.
+
     Raises:
-        ConfigError: they have no continuous-time form.
+        ConfigError: the dynamics have no continuous-time form.
     """
     if not dynamics.continuous:
         continuous_kinds = ", ".join(kinds_with(UNMODELLED, "continuous"))
         raise ConfigError(
             f"{study.source}: {section_of(study.config, 'unmodelled')}.kind",
-            f"the continuous-time analysis covers {continuous_kinds}, got '{kind_of(study, 'unmodelled')}'; "
+            f"the continuous-time analysis covers {continuous_kinds}, got '{kind_in(study.config, 'unmodelled')}'; "
             "use the sampled loop",
         )
 
 
 def kinds_with(registry: Registry, field: str) -> list[str]:
-    """The kinds whose models declare something in a field."""
+    """The kinds of a registry of which some model has a value in a field."""
     return [kind for kind, entry in registry.items() if any(getattr(part, field) for part in entry.members.values())]
 
 
 def open_loop(loop: Loop, params: LoopParams) -> Linearised:
-    """Plant, nominal control and unmodelled dynamics between the robust command and sigma, at the origin.
+    """Linearise plant, nominal control and unmodelled dynamics, from the robust command to sigma, at the origin.
 
-    The slope of the unmodelled state is the initial slope of its exact step.
+    Unmodelled dynamics have only a step; its slope at a step of 0 is the derivative of their state.
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
-        params: Its parameters for one draw.
+        params: Parameters of the loop for one draw.
     """
     gains = params.controller[0]
-    model, dynamics = loop.unmodelled[0], params.unmodelled[0]
+    model = loop.unmodelled[0]
+    dynamics = params.unmodelled[0]
     resting, unravel = ravel_pytree(loop.plant.init(params.plant))
     quiet = PlantInput(0.0, 0.0, None, quiet_inputs(loop.plant, params.plant))
     memory, unravel_memory = ravel_pytree(as_arrays(model.init(dynamics)))
@@ -108,7 +115,8 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         return tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        x, z = state[: resting.size], unravel_memory(state[resting.size :])
+        x = state[: resting.size]
+        z = unravel_memory(state[resting.size :])
         error = tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
@@ -123,12 +131,19 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
 
 
 def predictor_pole_at_rest(gains: Any) -> Scalar:
-    """1/tau_m at the origin [1/s]; 0 for a controller without a predictor."""
+    """The pole 1/tau_m of the predictor at the origin [1/s]; 0 for a controller without a predictor."""
     return 1.0 / gains.functions.at(0.0, 0.0, gains.l0).tau_m if hasattr(gains, "functions") else 0.0
 
 
 def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
-    """The loop closed by the synthesised law (22), in continuous time; the last state is the integral term of u."""
+    """System matrix of the loop closed by the law (22) in continuous time, shape (states + 1, states + 1).
+
+    The last state is the integral term of u.
+
+    Args:
+        loop: A loop at rest; see :func:`require_continuous`.
+        params: Parameters of the loop for one draw.
+    """
     a, b, c = open_loop(loop, params)
     law = loop.controller[0].synthesised
     assert law is not None  # held by require_continuous, before tracing
@@ -137,12 +152,12 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     return jnp.block([[closed_loop, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
 
 
-class AtRest(NamedTuple):
-    """A loop linearised where it starts.
+class RestLinearisation(NamedTuple):
+    """The linearisation of a loop at its start.
 
     Args:
-        matrix: Its derivative, shape (states, states).
-        displacement: The state's largest change in one sample: 0 at an equilibrium.
+        matrix: Jacobian of the loop's step, or system matrix in continuous time, shape (states, states).
+        displacement: Largest change of a state in one sample; 0 if the loop starts at an equilibrium.
     """
 
     matrix: jax.Array
@@ -150,22 +165,25 @@ class AtRest(NamedTuple):
 
 
 def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:
-    """The state after the first sample as a vector: a controller may treat its first sample unlike the others."""
+    """The state after the first sample as a vector, shape (states,); see :func:`first_sample`."""
     return ravel_pytree(first_sample(loop, params))[0]
 
 
 def first_sample(loop: Loop, params: LoopParams) -> LoopState:
-    """The state after the first sample."""
+    """The state after the first sample, at which a loop is linearised.
+
+    A controller may treat its first sample unlike the others.
+    """
     key = jax.random.key(0)
     return step(loop, params, key, initial_state(loop, params, key), 0)[0]
 
 
-def linearised_at_rest(loop: Loop, params: LoopParams) -> AtRest:
-    """The derivative of the loop's step after its first sample."""
+def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
+    """Differentiate the step of the loop from its second sample to the third."""
     key = jax.random.key(0)
     resting, unravel = ravel_pytree(first_sample(loop, params))
 
     def after(state: jax.Array) -> jax.Array:
         return ravel_pytree(step(loop, params, key, unravel(state), 1)[0])[0]
 
-    return AtRest(jax.jacfwd(after)(resting), jnp.max(jnp.abs(after(resting) - resting), initial=0.0))
+    return RestLinearisation(jax.jacfwd(after)(resting), jnp.max(jnp.abs(after(resting) - resting), initial=0.0))

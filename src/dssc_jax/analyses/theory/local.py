@@ -11,12 +11,12 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, search_critical
-from dssc_jax.analyses.margins.simulated import admissible_walk, lane_numbers, require_spread
+from dssc_jax.analyses.margins.simulated import admissible_walk, numbers_along, require_spread
 from dssc_jax.analyses.theory.linearised import (
-    AtRest,
+    RestLinearisation,
     at_rest,
     continuous_matrix,
-    linearised_at_rest,
+    linearise_at_rest,
     require_continuous,
     start_at_rest,
 )
@@ -41,23 +41,23 @@ SECOND_SAMPLE = 1
 
 
 class Time(StrEnum):
-    """Type of linearisation: of the sampled loop as simulated, or of the synthesised law in continuous time."""
+    """Kind of linearisation: of the sampled loop as it is simulated, or of the law (22) in continuous time."""
 
     SAMPLED = "sampled"
     CONTINUOUS = "continuous"
 
 
-CRITERION = {
+CRITERIA = {
     Time.SAMPLED: "every eigenvalue of the sampled loop, linearised at the origin, inside the unit circle",
     Time.CONTINUOUS: "every eigenvalue of the loop with (22), linearised at the origin, in the left half-plane",
 }
 
 
 class Spectrum(NamedTuple):
-    """The eigenvalues of the linearised loop, and notes on the substitutes of parts without a derivative.
+    """The eigenvalues of a linearised loop, and notes on the substitutes of parts without a derivative.
 
     Args:
-        eigenvalues: See :func:`spectrum`.
+        eigenvalues: (numbers of n lanes, shape (n,) each) -> eigenvalues, shape (n, states); see :func:`spectrum`.
         notes: Sentences. The list grows as ``eigenvalues`` meets parts at their corners.
     """
 
@@ -66,16 +66,16 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.ndarray]:
-    """Eigenvalues of the linearised loop for many draws.
+    """The function that computes eigenvalues of the linearised loop for many draws.
 
     Args:
         study: A study at rest, see :func:`at_rest`.
         kind: Sampled or continuous.
 
     Returns:
-        A function of the values of every law and every swept number, each of shape (n,). It returns eigenvalues, shape
-        (n, states), of the step from sample to sample, or in 1/s. It raises ConfigError if the loop does not start at
-        rest, or has no derivative there.
+        A function of the values of every law and every swept number, shape (n,) each. It returns eigenvalues, shape
+        (n, states): those of the step from sample to sample [1], or in continuous time [1/s]. It raises ConfigError if
+        the loop does not start at rest, or has no derivative there.
 
     Raises:
         ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
@@ -84,12 +84,10 @@ def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.n
 
 
 def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
-    """The function from the study's numbers to the eigenvalues of its loop at rest, with notes on the substitutes.
-
-    It linearises the loop with smooth substitutes in place of parts without a derivative.
+    """As :func:`spectrum`, with notes on the smooth substitutes that replace parts without a derivative.
 
     Raises:
-        ConfigError: as :func:`spectrum` says.
+        ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
     """
     parts = declared_places(study, moving=False)
     is_continuous = kind == Time.CONTINUOUS
@@ -105,11 +103,11 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
     def start(values: dict[str, jax.Array]) -> jax.Array:
         return start_at_rest(*smooth_loop(values))
 
-    def linearise(values: dict[str, jax.Array], findings: jax.Array) -> AtRest:
+    def linearise(values: dict[str, jax.Array], findings: jax.Array) -> RestLinearisation:
         loop, params = smooth_loop(values)
         if is_continuous:
-            return AtRest(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
-        return linearised_at_rest(*with_inner_sides(loop, params, parts, findings))
+            return RestLinearisation(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
+        return linearise_at_rest(*with_inner_sides(loop, params, parts, findings))
 
     notes = substitute_notes(parts)
     examine = examination(keyed_loop, parts)
@@ -172,12 +170,12 @@ def local_margin(
         require_spread(study, bounds)
     swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
     draws = study.config.draws
-    numbers_of = lane_numbers(resting, over)
+    numbers_of = numbers_along(resting, over)
     laws = values_of_draws(swept, slice(0, draws))
     eigenvalues_of, notes = spectrum_with_notes(swept, kind)
 
     def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        batch = np.resize(lanes, draws)  # as many as all draws: a program of another size would be compiled anew
+        batch = np.resize(lanes, draws)  # always as many as all draws: another size would be compiled again
         numbers = numbers_of({name: column[batch] for name, column in laws.items()}, np.resize(values, draws))
         eigenvalues = eigenvalues_of(numbers)[: len(lanes)]
         if kind == Time.CONTINUOUS:
@@ -186,4 +184,4 @@ def local_margin(
 
     critical = search_critical(decay, draws, walk, bisections)
     seconds = time.perf_counter() - began
-    return Margins.of(study, over, walk, critical, laws, (CRITERION[kind], *notes), seconds, unit="1/s")
+    return Margins.of(study, over, walk, critical, laws, (CRITERIA[kind], *notes), seconds, unit="1/s")

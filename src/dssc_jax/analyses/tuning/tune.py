@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
-from dssc_jax.analyses.falsification.conditions import require_hunt
+from dssc_jax.analyses.falsification.conditions import require_falsifiable
 from dssc_jax.analyses.falsification.falsify import falsify
 from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, optimise_proof
 from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
@@ -60,7 +60,9 @@ def tune(
     began = time.perf_counter()
     plan = Plan.of(study)
     if robust:
-        require_falsifiable(plan.study, rounds, budget)
+        require_falsifiable(plan.study, budget)
+        if rounds < 1:
+            raise ConfigError("rounds", f"must be >= 1, got {rounds}")
     if plan.theorem is not None:
         require_certified(plan)
     require_proved(plan)
@@ -230,14 +232,3 @@ def require_proved(plan: Plan) -> None:
 def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> ConfigError:
     """The error of a start that is not proved."""
     return ConfigError(plan.study.source, f"{place}: the start is infeasible: {missing}: {reason}")
-
-
-def require_falsifiable(study: Study, rounds: int, budget: int) -> None:
-    """Require what a search for counterexamples needs.
-
-    Raises:
-        ConfigError: it is missing.
-    """
-    require_hunt(study, budget)
-    if rounds < 1:
-        raise ConfigError("rounds", f"must be >= 1, got {rounds}")

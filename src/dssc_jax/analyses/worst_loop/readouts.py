@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.structured import balanced, best_scales, scaled_norms
+from dssc_jax.analyses.loop_margins.structured import balancing_scales, best_scales, scaled_norms
 
 DIRECTIONS = 64  # in which a polygon's extent is computed
 VERTICES = 4  # numbers whose ends are all combined; the norms of the parts of the others are added
@@ -79,7 +79,7 @@ def extent(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
 def joint_scales(responses: np.ndarray) -> np.ndarray:
     """D-scales that balance responses; 1 where they are not finite."""
     finite = np.all(np.isfinite(responses), axis=(1, 2))
-    return np.exp(balanced(np.where(finite[:, None, None], responses, 0.0)))
+    return np.exp(balancing_scales(np.where(finite[:, None, None], responses, 0.0)))
 
 
 def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(np.all(np.isfinite(sizes), axis=(1, 2)))
     if not rows.size:
         return gains[:, None]
-    logs = balanced(sizes[rows])
+    logs = balancing_scales(sizes[rows])
     gains[rows] = scaled_bounds(middle[rows], enclosure.linear[rows], enclosure.remainder[rows], logs)
     above_goal = rows[scaled_norms(middle[rows], logs)[0] > goals[0]]
     if above_goal.size:

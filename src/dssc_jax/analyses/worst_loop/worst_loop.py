@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
-from dssc_jax.analyses.loop_margins.operation import resting_operation
+from dssc_jax.analyses.loop_margins.operating_points import equilibria
 from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, RemainingPoints
@@ -25,7 +25,7 @@ from dssc_jax.analyses.worst_loop.search import (
     radii_of,
     worst_margins,
 )
-from dssc_jax.closed_loop.break_points import BreakPoint, break_points
+from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -92,7 +92,7 @@ def worst_loop(
     if progress:
         progress(0, points)
     resting = RestingLoop(study, places)
-    operating, findings = resting_operation(resting, study.config.draws)
+    operating, findings = equilibria(resting, study.config.draws)
     settled_findings = findings[operating.reached]
     require_one_linear_loop(study, places, settled_findings)
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
@@ -146,7 +146,7 @@ def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, 
     Raises:
         ConfigError: The loop has no break point of a name.
     """
-    names = break_points(study.loop)
+    names = place_names(study.loop.channels)
     for name in broken_at:
         if name not in names:
             raise ConfigError(
@@ -187,7 +187,7 @@ def loops_broken_at(
     Raises:
         ConfigError: None has an effect, or no uncertain number changes one of the loops.
     """
-    all_names = break_points(study.loop)
+    all_names = place_names(study.loop.channels)
     broken_loops = {}
     for name in names:
         index = all_names.index(name)

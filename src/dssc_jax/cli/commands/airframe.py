@@ -7,8 +7,8 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.output import say
 from dssc_jax.core import files
 from dssc_jax.core.errors import errors_under
-from dssc_jax.flight_logs.parameters import logged_parameters
-from dssc_jax.flight_logs.ulog import is_ulog
+from dssc_jax.flight_logs.reading.parameters import logged_parameters
+from dssc_jax.flight_logs.reading.ulog import is_ulog
 from dssc_jax.models.uav.airframe import read_airframe
 from dssc_jax.study.tables import to_toml
 

@@ -10,16 +10,16 @@ from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
 from dssc_jax.cli.running import require_unset
 from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
-from dssc_jax.console.terminal import output, progress_bar
+from dssc_jax.console.terminal import progress_bar, show_line
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
-from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
-from dssc_jax.flight_logs.reader import FlightLog
-from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import replay_log
-from dssc_jax.flight_logs.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.study import Study
 
 
@@ -102,7 +102,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
             print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replay_summary}))
         else:
             show_replay(replay_summary, study)
-            output().print(str(refusal), soft_wrap=True, markup=False)
+            show_line(str(refusal))
         return FAILS
     replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
     replay_summary = replay.summary(study)

@@ -10,10 +10,10 @@ from dssc_jax.cli.analysing import attempt
 from dssc_jax.cli.declarations.flight import Log
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.console.logs import show_log
-from dssc_jax.console.terminal import output
+from dssc_jax.console.terminal import show_line
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.contents import log_contents, topic_table
+from dssc_jax.flight_logs.reading.contents import log_contents, topic_table
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study.recorded import TIME
 
@@ -44,7 +44,7 @@ def write_topic(options: Log, out: Path) -> int:
     if options.as_json:
         print(json.dumps({"file": str(out), "rows": count, "columns": list(table)}))
     else:
-        output().print(f"wrote {out}: {count:,} rows of {', '.join(table)}", soft_wrap=True, markup=False)
+        show_line(f"wrote {out}: {count:,} rows of {', '.join(table)}")
     return DONE
 
 

@@ -12,7 +12,7 @@ from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import load_study, read_json
 from dssc_jax.cli.parsing import parse_changes, parse_walk
 from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdict
-from dssc_jax.console.terminal import output, progress_bar
+from dssc_jax.console.terminal import progress_bar, show_line
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -126,7 +126,7 @@ def prove_over(study: Study, over: str, options: Prove) -> int:
     if options.as_json:
         print(json.dumps(reach.summary(), allow_nan=False))
     else:
-        output().print(reach.statement(), soft_wrap=True, markup=False)
+        show_line(reach.statement())
     return FAILS if reach.last is None else DONE
 
 

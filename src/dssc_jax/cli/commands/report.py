@@ -8,7 +8,7 @@ from dssc_jax.cli.analysing import attempt
 from dssc_jax.cli.declarations.results import Report
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_analysis
-from dssc_jax.console.terminal import show_page
+from dssc_jax.console.terminal import show_line
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration import require_panel
 from dssc_jax.report import write, write_index
@@ -41,7 +41,7 @@ def run(options: Report) -> int:
     if options.as_json:
         print(json.dumps({"report": str(page), "bytes": size, "seconds": seconds}))
     else:
-        show_page(page, f"{size / 1e6:.2f} MB in {seconds:.1f} s")
+        show_line(f"wrote {page} ({size / 1e6:.2f} MB in {seconds:.1f} s)")
     return DONE
 
 
@@ -50,7 +50,7 @@ def print_index(root: Path, as_json: bool) -> int:
 
     def show_written(file: Path) -> None:
         if not as_json:
-            show_page(file, "it was missing or out of date")
+            show_line(f"wrote {file} (it was missing or out of date)")
 
     page, rows = write_index(root, show_written)
     trouble_count = sum(bool(row.trouble) for row in rows)
@@ -58,5 +58,5 @@ def print_index(root: Path, as_json: bool) -> int:
         results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]
         print(json.dumps({"index": str(page), "results": results}))
     else:
-        show_page(page, f"{len(rows) - trouble_count} results, {trouble_count} that cannot be shown")
+        show_line(f"wrote {page} ({len(rows) - trouble_count} results, {trouble_count} that cannot be shown)")
     return DONE

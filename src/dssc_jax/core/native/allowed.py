@@ -11,7 +11,7 @@ from typing import TypeAlias
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.fmu import NativeFmu, is_fmu, loaded_fmu
-from dssc_jax.core.native.fmu_instances import require_independent
+from dssc_jax.core.native.fmu_trials import require_independent
 from dssc_jax.core.native.libraries import NativeLibrary, loaded_library
 
 Native: TypeAlias = NativeLibrary | NativeFmu
@@ -19,7 +19,7 @@ Native: TypeAlias = NativeLibrary | NativeFmu
 LARGEST_FILE = 2**28  # bytes
 
 LOADED: dict[str, Native] = {}
-"""Native code of this process by its digest; it stays loaded, since compiled lanes call it."""
+"""Native code that this process has loaded, by digest; it stays loaded, since compiled lanes call it."""
 
 
 def native_content(path: Path) -> bytes:
@@ -45,15 +45,15 @@ def native_digest(path: Path) -> str:
 def allow_native(path: str | Path, sha256: str = "") -> Native:
     """Load a shared object or an FMU, whose code may do whatever this process may do.
 
-    A private copy of what was read is loaded, so that the code is that of the digest even if the file changes.
+    A private copy of the content is loaded, so that the code has the digest even if the file changes meanwhile.
 
     Args:
         path: The file.
-        sha256: The digest that it must have; empty: any.
+        sha256: The SHA-256 digest that it must have; empty: any.
 
     Raises:
-        ConfigError: It cannot be read or loaded, has another digest, describes no controller or no co-simulation, or
-            keeps numbers outside of the state of a flight.
+        ConfigError: The file cannot be read or loaded, has another digest, describes no controller or no co-simulation,
+            or keeps numbers outside of the state of a flight.
     """
     path = Path(path)
     content = native_content(path)
@@ -67,7 +67,7 @@ def allow_native(path: str | Path, sha256: str = "") -> Native:
 
 
 def loaded_file(path: Path, content: bytes, digest: str) -> Native:
-    """Load what a file holds; arguments and errors as for :func:`loaded_library`."""
+    """Load the content of a file, an FMU or a shared object; arguments and errors as for :func:`loaded_library`."""
     if not is_fmu(content):
         return loaded_library(path, content, digest)
     fmu = loaded_fmu(path, content, digest)
@@ -76,14 +76,14 @@ def loaded_file(path: Path, content: bytes, digest: str) -> Native:
 
 
 def loaded_native(table: dict[str, object], requirement: str) -> Native:
-    """The native code that a study's table names by file and digest.
+    """The native code that a study's table names by ``file`` and ``sha256``.
 
     Args:
         table: The table.
-        requirement: What the file must be, for messages.
+        requirement: The kind of file that is needed, such as ``an FMU``, for messages.
 
     Raises:
-        ConfigError: It names none, or one that is not loaded.
+        ConfigError: The table names no file, or one that :func:`allow_native` has not loaded.
     """
     file = table.get("file")
     digest = table.get("sha256", "")

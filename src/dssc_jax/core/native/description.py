@@ -1,6 +1,7 @@
-"""The description of its controllers that a shared object exports, in the layout of ``dssc_jax_library.h``.
+"""The controllers that a shared object exports, read from their description in the layout of ``dssc_jax_library.h``.
 
 The *exchange* is the memory of a call: the controller's structure, then the signals, commands, telemetry and flag.
+*Places* are offsets in the exchange, in bytes.
 """
 
 import ctypes
@@ -34,7 +35,7 @@ CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 class NumberRow(ctypes.Structure):
-    """``dssc_jax_number``."""
+    """C's structure ``dssc_jax_number``: the description of one number."""
 
     _fields_ = (
         ("name", ctypes.c_char_p),
@@ -48,7 +49,7 @@ class NumberRow(ctypes.Structure):
 
 
 class ControllerRow(ctypes.Structure):
-    """``dssc_jax_controller``."""
+    """C's structure ``dssc_jax_controller``: the description of one controller."""
 
     _fields_ = (
         ("version", ctypes.c_uint),
@@ -77,7 +78,7 @@ class ControllerRow(ctypes.Structure):
 
 @dataclass(frozen=True)
 class NativeNumber:
-    """A parameter, a measured signal or a telemetry value: its name, quantity, and place in the exchange in bytes."""
+    """A parameter, a measured signal or a telemetry value, and its place in the exchange [bytes]."""
 
     name: str
     quantity: Quantity
@@ -98,13 +99,14 @@ class NativeController:
         commands: Places of u and u_n.
         total: Place of u_p, their sum, which flies.
         flag: Place of the step's flag.
-        parameters: Its parameters.
-        telemetry: Its telemetry.
+        parameters: The parameters.
+        telemetry: The telemetry.
         measured: The measured signals that it takes beside y and y', by their names in a study.
-        init: Address of a function that takes the exchange and sets the parameters to their defaults.
-        reset: Address of one that begins a flight.
-        step: Address of one that computes a sample.
-        step_without_telemetry: Address of one that does the same without telemetry; None if the code has none.
+        init: Address of the function that sets the parameters to their defaults. It takes the address of the exchange,
+            as the following functions do.
+        reset: Address of the function that begins a flight.
+        step: Address of the function that computes a sample.
+        step_without_telemetry: Address of the function that computes a sample without telemetry; None: there is none.
     """
 
     name: str
@@ -153,10 +155,10 @@ def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
 
 
 def described_controller(row: ControllerRow) -> NativeController:
-    """One controller.
+    """The controller that a row describes.
 
     Raises:
-        ConfigError: Its description is not valid.
+        ConfigError: The description is not valid.
     """
     if row.version != VERSION:
         raise ConfigError("", f"has version {row.version} of its description, this is {VERSION}; build it again")
@@ -187,10 +189,10 @@ def described_controller(row: ControllerRow) -> NativeController:
 
 
 def require_consistent(controller: NativeController, row: ControllerRow) -> None:
-    """Require that sizes, places and addresses fit together.
+    """Require that the sizes, places and addresses of a description are possible.
 
     Raises:
-        ConfigError: They do not.
+        ConfigError: One of them is not.
     """
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
     rows += row.measured[: row.measured_count]
@@ -215,10 +217,10 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
 
 
 def require_measured(controller: NativeController, row: ControllerRow) -> None:
-    """Require that the study gives every member of the measurement.
+    """Require that the measurement in C has no members beside y, y' and the declared signals: they would stay 0.
 
     Raises:
-        ConfigError: The measurement has other members, which would stay 0.
+        ConfigError: The number of members is another one.
     """
     expected_count = MEASUREMENT + len(controller.measured)
     member_count = row.measurement / controller.real
@@ -233,9 +235,9 @@ def require_measured(controller: NativeController, row: ControllerRow) -> None:
 
 
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
-    """The numbers in a table of a controller's description: its parameters, its telemetry, or its measured signals.
+    """The numbers in one table of a controller's description: parameters, telemetry, or measured signals.
 
-    In the table an infinite bound means none, and a bound just above zero means that zero is excluded.
+    In the table, an infinite bound means that there is none, and a bound just above zero that zero is excluded.
 
     Args:
         controller: Name of the controller, for messages.
@@ -263,5 +265,5 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
 
 
 def text_of(content: bytes | None) -> str:
-    """A string of C as text; bytes that are not UTF-8 are replaced."""
+    """A string of C as text, empty for NULL; bytes that are not UTF-8 are replaced."""
     return (content or b"").decode("utf-8", "replace")

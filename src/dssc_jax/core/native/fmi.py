@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription
 
 WARNING = 1
-"""The last status of a call that has succeeded: ok, or a warning."""
+"""The highest status of a successful call: 0 is ok, 1 is a warning."""
 
 ADDRESS = ctypes.c_void_p
 SIZE = ctypes.c_size_t
@@ -41,10 +41,10 @@ class Fmpy(NamedTuple):
 
 
 def fmpy() -> Fmpy:
-    """FMPy, an optional extra.
+    """Import the modules of FMPy, which is an optional dependency.
 
     Raises:
-        ConfigError: It is not installed.
+        ConfigError: FMPy is not installed.
     """
     try:
         import fmpy as package
@@ -57,7 +57,8 @@ def fmpy() -> Fmpy:
 class FmiCalls(ABC):
     """The calls of one FMU's library, for any number of instances.
 
-    An instance is the address that the library gives. A call that fails raises :class:`FmiError`.
+    An instance is identified by the address that the library returns. ``set_reals`` and ``get_reals`` take an instance,
+    value references, their number and an array of float64, and return a status.
     """
 
     set_reals: Status
@@ -66,21 +67,21 @@ class FmiCalls(ABC):
     "The last message of the FMU."
 
     def note(self, *message: object) -> None:
-        """Keep a message of the FMU, the last of the arguments of its logger."""
+        """The FMU's logger: store the text of a message, which is its last argument."""
         text = message[-1]
         self.last_message = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
 
     @abstractmethod
     def instantiate(self, name: str) -> int:
-        """A new instance."""
+        """The address of a new instance; raises FmiError."""
 
     @abstractmethod
     def initialise(self, instance: int) -> None:
-        """Start at t = 0, after the parameters were set."""
+        """Start an instance at t = 0, after its parameters were set; raises FmiError."""
 
     @abstractmethod
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h; whether the instance may go on."""
+        """Make the step from t to t + h [s]; return whether it succeeded and the instance may go on."""
 
     @abstractmethod
     def free(self, instance: int) -> None:
@@ -92,18 +93,24 @@ class FmiError(Exception):
 
 
 def required(function: str, status: int) -> None:
-    """Require that a call has succeeded; raises FmiError."""
+    """Require that a call of an FMU's function has succeeded, by its status; raises FmiError."""
     if status > WARNING:
         raise FmiError(f"{function} fails with status {status}")
 
 
 def status_function(library: ctypes.CDLL, name: str, *types: type) -> Status:
-    """A function of the library that returns a status."""
+    """A function of an FMU's library that returns a status; ``types`` are those of its arguments."""
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
 
 def slave_of(kind: Callable[..., Any], folder: Path, description: "ModelDescription") -> Any:
-    """FMPy's object for co-simulation, with the FMU's library loaded; ``kind`` is the class for its version of FMI."""
+    """Load the library of an unpacked FMU by FMPy's class for its version of FMI, and return the object of the class.
+
+    Args:
+        kind: FMPy's class, ``FMU2Slave`` or ``FMU3Slave``.
+        folder: The unpacked FMU.
+        description: The description of the FMU, which has co-simulation.
+    """
     identifier = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     return kind(guid=description.guid or "", unzipDirectory=str(folder), modelIdentifier=identifier)
 

@@ -41,12 +41,12 @@ class FmuVariable:
     """A scalar real variable of an FMU.
 
     Args:
-        name: Its name in the FMU.
-        reference: Its value reference.
-        quantity: Unit, meaning and range; the unit is empty if it is none that this package can read.
+        name: Name in the FMU.
+        reference: Value reference.
+        quantity: Unit, meaning and range; the unit is empty if this package cannot read it.
         causality: ``parameter``, ``input``, ``output``, ``local`` and so on.
-        start: Its start value; None: the FMU states none.
-        settable: Whether its value before t = 0 may be chosen: a parameter, an input or an exact initial value.
+        start: Start value; None: the FMU states none.
+        settable: Whether a study may set its value before t = 0: a parameter, an input or an exact initial value.
     """
 
     name: str
@@ -62,13 +62,13 @@ class NativeFmu:
     """A loaded FMU for co-simulation.
 
     Args:
-        file: The file that it was read from.
-        sha256: Digest of its content.
-        version: Its version of FMI.
-        model: Its model's name.
-        variables: Its scalar real variables by name.
-        unusable: What every other variable is instead, by name: its type, or that it is an array.
-        step_size: The step of its default experiment [s]; None: it states none.
+        file: Path of the file that it was read from.
+        sha256: Digest of the file's content.
+        version: Version of FMI.
+        model: Name of its model.
+        variables: The scalar real variables by name.
+        unusable: Description of every other variable by name, such as ``of type Boolean`` or ``an array of Real``.
+        step_size: Step of the default experiment [s]; None: the FMU states none.
         calls: The functions of its library.
     """
 
@@ -85,15 +85,15 @@ class NativeFmu:
         return hash(self.sha256)
 
     def variable(self, name: object, place: str, causality: str) -> FmuVariable:
-        """A variable with the causality that its use needs.
+        """Find a variable by its name in the FMU.
 
         Args:
-            name: Its name.
-            place: Where the study names it, for messages.
-            causality: The causality that it must have.
+            name: The name.
+            place: Field of the study that names it, for messages.
+            causality: The causality that the variable must have.
 
         Raises:
-            ConfigError: There is none, it is no scalar real number, or it has another causality.
+            ConfigError: There is no such variable, it is no scalar real number, or it has another causality.
         """
         if not isinstance(name, str):
             raise ConfigError(place, f"must be the name of a variable of '{self.file}', got {name!r}")
@@ -110,14 +110,18 @@ class NativeFmu:
         return variable
 
     def names_with(self, causality: str) -> list[str]:
-        """The names of the variables of a causality."""
+        """The names of the scalar real variables that have a causality."""
         return [name for name, variable in self.variables.items() if variable.causality == causality]
 
     def parameter(self, name: str, place: str) -> FmuVariable:
-        """The variable whose value before t = 0 a study sets, by its name in a study.
+        """Find a variable that a study sets before t = 0, by its name in a study (:func:`field_name`).
+
+        Args:
+            name: The name in the study.
+            place: Field of the study that names it, for messages.
 
         Raises:
-            ConfigError: There is none, or its value cannot be chosen.
+            ConfigError: There is no such variable, or its value cannot be set.
         """
         by_field = {field_name(variable_name): variable_name for variable_name in (*self.variables, *self.unusable)}
         if name not in by_field:
@@ -144,7 +148,7 @@ class NativeFmu:
 
 
 def field_name(name: str) -> str:
-    """A variable's name as a number's name in a study: ``body.m[1]`` becomes ``body_m_1``."""
+    """The name in a study of an FMU's variable: ``body.m[1]`` becomes ``body_m_1``."""
     return re.sub(r"_+", "_", re.sub(r"\W", "_", name, flags=re.ASCII)).strip("_")
 
 
@@ -154,16 +158,16 @@ def is_fmu(content: bytes) -> bool:
 
 
 def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
-    """Unpack an FMU and load its library, from a private copy.
+    """Unpack an FMU into a temporary folder, which lasts as long as the process, and load its library.
 
     Args:
-        path: Its file, for messages.
+        path: The file, for messages.
         content: The file's content.
-        digest: Digest of the content.
+        digest: SHA-256 digest of the content.
 
     Raises:
-        ConfigError: FMPy is missing, or the FMU cannot be run here: it is damaged, has no co-simulation, another
-            version of FMI, or no library for this machine, or a process may have only one instance of it.
+        ConfigError: FMPy is missing, or the FMU cannot run here: it is damaged, has no co-simulation, another version
+            of FMI, or no library for this machine, or a process may have only one instance of it.
     """
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
@@ -215,37 +219,42 @@ def unreadable(path: Path, error: Exception) -> ConfigError:
 
 
 def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVariable], dict[str, str]]:
-    """The scalar real variables of an FMU by name; and what every other variable is instead, by name."""
+    """The scalar real variables of an FMU by name, and the descriptions of all other variables by name."""
     variables = {}
     unusable = {}
     for variable in description.modelVariables:
         if variable.type in REAL_TYPES and not variable.dimensions:
             variables[variable.name] = described_variable(variable)
         else:
-            kind = f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
-            unusable[variable.name] = kind
+            unusable[variable.name] = (
+                f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
+            )
     return variables, unusable
 
 
 def required_version(path: Path, text: str) -> str:
-    """The version of FMI in the text of a description, of those that can be run.
+    """The version of FMI that an FMU has, as a key of :data:`VERSIONS`.
+
+    Args:
+        path: The file, for messages.
+        text: Content of the FMU's ``modelDescription.xml``.
 
     Raises:
-        ConfigError: It is another one.
+        ConfigError: The version is none that this package can run.
     """
     match = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
-    text_of_version = match[1] if match else "none"
-    version = next((version_prefix for version_prefix in VERSIONS if text_of_version.startswith(version_prefix)), None)
-    if version is None:
-        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {text_of_version}")
-    return version
+    stated_version = match[1] if match else "none"
+    for version in VERSIONS:
+        if stated_version.startswith(version):
+            return version
+    raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {stated_version}")
 
 
 def require_co_simulation(path: Path, description: "ModelDescription") -> None:
-    """Require that an FMU has a solver of its own, and may have many instances.
+    """Require that an FMU has co-simulation, may have many instances, and runs without its tool.
 
     Raises:
-        ConfigError: It has not, or may not.
+        ConfigError: One of the three does not hold.
     """
     simulation = description.coSimulation
     if simulation is None:
@@ -261,12 +270,12 @@ def require_co_simulation(path: Path, description: "ModelDescription") -> None:
 
 
 def require_library(path: Path, description: "ModelDescription", unpacked: Path, *platforms: str) -> None:
-    """Require a library for this machine.
+    """Require that an FMU contains a library for this machine.
 
     Args:
         path: The FMU's file, for messages.
-        description: Its description.
-        unpacked: Its folder.
+        description: The description of the FMU.
+        unpacked: The folder of the unpacked FMU.
         platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
 
     Raises:
@@ -283,7 +292,7 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
 
 
 def described_variable(variable: "ModelVariable") -> FmuVariable:
-    """A real variable with its unit, meaning and range."""
+    """A scalar real variable of an FMU, from FMPy's description of it."""
     declared_type = variable.declaredType
     unit = readable_unit(variable.unit or getattr(declared_type, "unit", None) or "")
     low = bound(variable.min or getattr(declared_type, "min", None))
@@ -301,7 +310,7 @@ def described_variable(variable: "ModelVariable") -> FmuVariable:
 
 
 def bound(text: str | None) -> float | None:
-    """A bound of a variable's range; None: there is none."""
+    """A bound of a variable's range as a number; None: there is none."""
     return None if text is None else float(text)
 
 
@@ -322,6 +331,6 @@ def first_lines(error: BaseException) -> str:
 
 
 def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
-    """An FMU's failure before any draw is flown, with its last message."""
+    """The error of an FMU that fails before any draw is flown, with the last message of the FMU."""
     last_message = f": {fmu.calls.last_message}" if fmu.calls.last_message else ""
     return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{last_message}")

@@ -1,4 +1,4 @@
-"""What a study's table says of an FMU: the file, and which of its variables are connected."""
+"""The table of an FMU in a study: the file, and the variables that are connected to signals."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ WITHOUT_DERIVATIVE = (
 
 
 class Connection(NamedTuple):
-    """A signal of the loop and the variable of the FMU that it is connected to."""
+    """A signal of the loop, by name, and the variable of the FMU to which it is connected."""
 
     signal: str
     variable: FmuVariable
@@ -47,7 +47,17 @@ def fmu_of(table: TomlTable) -> NativeFmu:
 
 
 def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Connection:
-    """The variable that an entry of a table names; raises ConfigError."""
+    """The connection of one signal.
+
+    Args:
+        fmu: The FMU.
+        table: The study's table of the FMU.
+        key: Name of the signal, whose entry in the table names the variable.
+        causality: Causality that the variable must have.
+
+    Raises:
+        ConfigError: The entry is missing, or names no such variable.
+    """
     if key not in table:
         candidates = [name for name, variable in fmu.variables.items() if variable.causality == causality]
         rule = f"is required: an {causality} of '{fmu.file}'; it has {', '.join(sorted(candidates)) or 'none'}"
@@ -56,7 +66,7 @@ def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Co
 
 
 def connections(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> tuple[Connection, ...]:
-    """The variables that a table within a table names, by signal; raises ConfigError."""
+    """The connections in an inner table, whose keys are signals and whose values are variables; raises ConfigError."""
     names = table.get(key, {})
     if not isinstance(names, Mapping):
         raise ConfigError(key, f"must be a table of variables by name, got {names!r}")
@@ -74,25 +84,25 @@ def require_distinct(connected: Iterable[Connection]) -> None:
 
 
 def reported_outputs(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
-    """The further outputs that a table names, in the order of their names; raises ConfigError."""
+    """The additional outputs that a study reports, sorted by name; raises ConfigError."""
     return tuple(sorted(connections(fmu, table, "outputs", OUTPUT)))
 
 
 def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
-    """Name, unit and meaning of connected signals."""
+    """The connected signals with the units and meanings of their variables."""
     return tuple(NamedSignal.of(signal, variable.quantity) for signal, variable in connected)
 
 
 def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
-    """The variables whose values before t = 0 a table sets.
+    """The variables that a study sets once, before t = 0.
 
     Args:
         fmu: The FMU.
-        table: The table.
-        connected: What is set in each step, and thus has no value that stays.
+        table: The study's table of the FMU.
+        connected: The connections of variables that are set in each step, which cannot be parameters as well.
 
     Raises:
-        ConfigError: One does not exist, cannot be set, or is set in each step.
+        ConfigError: A variable does not exist, cannot be set, or is set in each step.
     """
     values = table.get(PARAMETERS, {})
     if not isinstance(values, Mapping):
@@ -109,14 +119,14 @@ def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[
 
 
 def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantity, default: float | None) -> Any:
-    """The type of a part's parameters.
+    """The NamedTuple type of the parameters of a plant or controller that is an FMU.
 
     Args:
-        parameters: The FMU's parameters that the study sets. They are in the field ``parameters``; without any there is
-            no such field.
-        name: Name of the part's own number.
-        quantity: Its unit and meaning.
-        default: Its default; None: it may be absent.
+        parameters: The FMU's parameters that the study sets, which become the field ``parameters``; empty: there is no
+            such field.
+        name: Name of the number that the study needs beside these.
+        quantity: Unit and meaning of this number.
+        default: Default of this number; None: it may be absent.
     """
     if not parameters:
         return named_type("Params", {name: quantity}, {name: default})
@@ -127,5 +137,5 @@ def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantit
 
 
 def values_of(params: Params) -> tuple[Scalar, ...]:
-    """The values of the FMU's parameters that a study sets, in their order."""
+    """The values of the FMU's parameters that a study sets, in the order of its table."""
     return tuple(getattr(params, PARAMETERS, ()))

@@ -1,4 +1,4 @@
-"""Shared objects with controllers in C: loading, and what the package calls of them."""
+"""Shared objects with controllers in C: loading, and trial flights that find code which cannot be analysed."""
 
 import ctypes
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ WITHOUT_EFFECT = (
 
 @dataclass(frozen=True)
 class NativeLibrary:
-    """A loaded library.
+    """A loaded shared object.
 
     Args:
-        file: The file that it was read from.
-        sha256: Digest of its content.
+        file: Path of the file that it was read from.
+        sha256: Digest of the file's content.
         controllers: The controllers that it exports.
     """
 
@@ -37,16 +37,16 @@ class NativeLibrary:
 
 
 def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
-    """Load a shared object from a private copy of what was read.
+    """Load a shared object from a private copy of its content, and check its controllers by trial flights.
 
     Args:
-        path: Its file, for messages.
+        path: The file, for messages.
         content: The file's content.
-        digest: Digest of the content.
+        digest: SHA-256 digest of the content.
 
     Raises:
-        ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
-            its structure, is not reset, changes its parameters, flies another command than u + u_n, or another one
+        ConfigError: The file cannot be loaded or describes no controller; or a controller keeps numbers outside of its
+            structure, is not reset, changes its parameters, has a u_p other than u + u_n, or gives other commands
             without telemetry.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
@@ -71,12 +71,12 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
 
 def symbol_of(library: NativeLibrary, controller: NativeController, function: str) -> str:
-    """A name for a function in compiled lanes, which binds them to the library's content."""
+    """The symbol of a controller's function in compiled lanes; its digest binds their code to the library's content."""
     return f"dssc_jax_{library.sha256}_{controller.name}_{function}"
 
 
 def provide_function(library: NativeLibrary, controller: NativeController, function: str, address: int) -> str:
-    """Let lanes call a function of a library, and return its symbol."""
+    """Register a function of a library, so that lanes can call it; return its symbol."""
     symbol = symbol_of(library, controller, function)
     if symbol not in foreign.ADDRESSES:
         foreign.provide(symbol, address)
@@ -84,14 +84,14 @@ def provide_function(library: NativeLibrary, controller: NativeController, funct
 
 
 def initial_memory(controller: NativeController) -> np.ndarray:
-    """The exchange after ``init``, bytes."""
+    """The exchange of a controller after ``init``, an array of bytes."""
     memory = np.zeros(controller.exchange, np.uint8)
     CALL(controller.init)(memory.ctypes.data)
     return memory
 
 
 def default_values(controller: NativeController) -> dict[str, float]:
-    """The values of the parameters after ``init``, by name."""
+    """The defaults of the parameters, which ``init`` sets, by name."""
     memory = initial_memory(controller)
     real = np.dtype(f"f{controller.real}")
     values: dict[str, float] = {}
@@ -101,16 +101,16 @@ def default_values(controller: NativeController) -> dict[str, float]:
 
 
 def require_reentrant(controller: NativeController) -> None:
-    """Require that two flights do not disturb each other: each gives the same bits alone and in turn with the other.
+    """Require that a controller keeps no numbers outside of its structure.
+
+    Two trial flights give the same bits one after the other as in turn, sample by sample.
 
     Raises:
-        ConfigError: They disturb each other: the controller keeps numbers outside of its structure.
+        ConfigError: They do not.
     """
-    separate_commands = [flown_commands(controller, [flight]) for flight in (0, 1)]
-    if (
-        flown_commands(controller, [0, 1]) != separate_commands[0] + separate_commands[1]
-        or flown_commands(controller, [0]) != separate_commands[0]
-    ):
+    first = flown_commands(controller, [0])
+    second = flown_commands(controller, [1])
+    if flown_commands(controller, [0, 1]) != first + second or flown_commands(controller, [0]) != first:
         rule = (
             "keeps numbers outside of its structure (static or global variables, a random generator, a clock), which "
             "would mix thousands of flights; move them into its state"
@@ -119,10 +119,10 @@ def require_reentrant(controller: NativeController) -> None:
 
 
 def require_reset(controller: NativeController) -> None:
-    """Require that ``reset`` begins a flight: the same flight, flown once more after it, gives the same bits.
+    """Require that ``reset`` sets the whole state: a trial flight repeated after it gives the same bits.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: It gives others.
     """
     memory = initial_memory(controller)
     first, second = (flown_with(controller, {0: memory}) for _ in range(2))
@@ -135,7 +135,10 @@ def require_reset(controller: NativeController) -> None:
 
 
 def moved_values(controller: NativeController) -> dict[str, float]:
-    """Another admissible value of every parameter than its default, by name; without those that have none."""
+    """An admissible value of each parameter that differs from its default, by name.
+
+    A parameter for which none is found is left out.
+    """
     values = {}
     defaults = default_values(controller)
     for number in controller.parameters:
@@ -148,7 +151,7 @@ def moved_values(controller: NativeController) -> dict[str, float]:
 
 
 def memory_with(controller: NativeController, values: dict[str, float]) -> np.ndarray:
-    """The exchange after ``init``, with other values of some parameters, bytes."""
+    """The exchange of a controller after ``init`` and after setting some parameters, an array of bytes."""
     memory = initial_memory(controller)
     real = np.dtype(f"f{controller.real}")
     for number in controller.parameters:
@@ -159,10 +162,10 @@ def memory_with(controller: NativeController, values: dict[str, float]) -> np.nd
 
 
 def require_parameters_kept(controller: NativeController) -> None:
-    """Require that a flight leaves the parameters as the study has set them.
+    """Require that neither ``reset`` nor ``step`` changes a parameter: the analysis would not see it.
 
     Raises:
-        ConfigError: ``reset`` or ``step`` changes one, which the analysis would not see.
+        ConfigError: A trial flight changes one.
     """
     memory = memory_with(controller, moved_values(controller))
     before = memory.copy()
@@ -178,7 +181,7 @@ def require_parameters_kept(controller: NativeController) -> None:
 
 
 def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
-    """The parameters of which another value changes no command of a trial flight."""
+    """Names of the parameters whose change alters no command of a trial flight."""
     default_commands = flown_commands(controller, [0])
     names = []
     for name, value in moved_values(controller).items():
@@ -188,21 +191,24 @@ def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
-    """The commands of trial flights that begin after ``init``, as :func:`flown_with` returns them."""
+    """The commands of trial flights with default parameters, as :func:`flown_with` returns them."""
     return flown_with(controller, {flight: initial_memory(controller) for flight in flights})
 
 
 def flown_with(
     controller: NativeController, memories: dict[int, np.ndarray], address: int | None = None
 ) -> list[bytes]:
-    """Reset some flights and fly them in turn, sample by sample; return the bits of all commands of each flight.
+    """Reset some trial flights and fly them in turn, sample by sample.
 
     Signals oscillate, and grow from 1/``LARGEST_SIGNAL`` to ``LARGEST_SIGNAL``, so that limits are met as well.
 
     Args:
         controller: The controller.
-        memories: The exchange of each flight, bytes, by the flight's number; in it the flights leave their state.
+        memories: Exchange of each flight by the flight's number, arrays of bytes; the flights change them.
         address: Address of the function that computes a sample; None: the step with telemetry.
+
+    Returns:
+        The bits of all commands of each flight.
     """
     reset = CALL(controller.reset)
     step = CALL(address or controller.step)
@@ -226,7 +232,7 @@ def require_sum(controller: NativeController) -> None:
     """Require that u_p, the command that flies, is u + u_n, the command that is analysed, in a trial flight.
 
     Raises:
-        ConfigError: It is another one.
+        ConfigError: u_p differs from the sum.
     """
     robust, nominal, total = trial_commands(controller).T
     with np.errstate(invalid="ignore", over="ignore"):
@@ -243,10 +249,10 @@ def require_sum(controller: NativeController) -> None:
 
 
 def require_same_without_telemetry(controller: NativeController) -> None:
-    """Require that a trial flight without telemetry has the commands of the one with it.
+    """Require that a trial flight without telemetry has the same commands as one with telemetry.
 
     Raises:
-        ConfigError: Its step takes no telemetry, and then gives other commands.
+        ConfigError: The commands differ.
     """
     quiet = controller.step_without_telemetry
     if quiet is None:
@@ -266,8 +272,5 @@ def trial_commands(controller: NativeController) -> np.ndarray:
 
 
 def samples_not_finite(controller: NativeController) -> int:
-    """Number of samples with a command that is not finite in a trial flight, with default parameters.
-
-    It has the signals of :func:`flown_commands`.
-    """
+    """Number of samples of a trial flight, with default parameters, in which a command is not finite."""
     return int(np.sum(~np.isfinite(trial_commands(controller)).all(axis=1)))

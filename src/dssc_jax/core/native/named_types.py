@@ -1,4 +1,4 @@
-"""Types of the numbers that native code names, which no module defines."""
+"""NamedTuple types whose fields native code names, made when it is loaded."""
 
 from collections import namedtuple
 from collections.abc import Mapping
@@ -12,9 +12,12 @@ MODULE = "dssc_jax_library"
 
 
 def named_type(name: str, quantities: Mapping[str, Quantity], defaults: Mapping[str, float | None]) -> Any:
-    """A NamedTuple type of numbers; with ``defaults`` for all of them, or without any.
+    """A NamedTuple type of numbers.
 
-    A number whose default is None may be absent.
+    Args:
+        name: Name of the type.
+        quantities: Unit and meaning of each field.
+        defaults: Default of each field, where None means that the number may be absent; empty: no field has a default.
     """
     values = [defaults[field] for field in quantities] if defaults else None
     created = namedtuple(name, list(quantities), defaults=values, module=MODULE)

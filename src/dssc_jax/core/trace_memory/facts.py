@@ -23,12 +23,16 @@ def encoded(tree: Any) -> bytes:
 
 
 def decoded(content: bytes) -> Any:
-    """The tree that :func:`encoded` was given."""
+    """The tree that :func:`encoded` has turned into these bytes."""
     return restored(json.loads(content))
 
 
 def as_plain(tree: Any) -> Any:
-    """A tree in terms of JSON; what JSON does not know is an object with one member, its type."""
+    """A tree of JSON values; a value of another type becomes an object whose only key is the name of its type.
+
+    Raises:
+        Undescribed: A value has a type that :func:`restored` does not know.
+    """
     match tree:
         case None | bool() | int() | float() | str():
             return tree
@@ -46,7 +50,7 @@ def as_plain(tree: Any) -> Any:
 
 
 def restored(content: Any) -> Any:
-    """The tree that :func:`as_plain` was given."""
+    """The tree that :func:`as_plain` has turned into this content."""
     if isinstance(content, list):
         return [restored(part) for part in content]
     if not isinstance(content, dict):

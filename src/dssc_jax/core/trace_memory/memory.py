@@ -1,4 +1,4 @@
-"""What follows from a study alone: kept in the user's cache under a name for all that it follows from."""
+"""Results of traces in the user's cache, each under a name that describes everything on which it depends."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -11,12 +11,13 @@ T = TypeVar("T")
 
 
 def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
-    """A result that follows from subjects alone: from the user's cache, or computed and stored there.
+    """Read a result from the user's cache; compute and store it if it is not there.
 
     Args:
-        label: Label of the cached quantity.
-        compute: Computes it, as a tree that :func:`dssc_jax.core.trace_memory.facts.encoded` knows.
-        subjects: All that it follows from, beside this package's code, as :func:`name_of` describes it.
+        label: Label of the result, such as ``signature``.
+        compute: Computes the result, a tree that :func:`dssc_jax.core.trace_memory.facts.encoded` can write.
+        subjects: Everything on which the result depends beside this package's code; if :func:`name_of` cannot describe
+            it, the result is computed and not stored.
     """
     name = None if cache_directory() is None else name_of(label, *subjects)
     return compute() if name is None else decoded(cached(f"{label}-{name}", lambda: encoded(compute())))

@@ -1,10 +1,11 @@
-"""Names for what this package computes from given subjects: equal names, equal results.
+"""Names of results in the cache: equal names imply equal results.
 
-A name is a digest of the package's sources, of the versions below it, of JAX's settings and of the subjects: numbers,
-containers, parameters, models, and functions with all that they close over. What it cannot describe completely has no
-name, such as a model of the user's own: its code, and what that calls, may change without notice.
+A name is a digest of the package's sources, of the versions of the libraries, of JAX's settings and of the subjects on
+which the result depends: numbers, containers, parameters, models, and functions with all that they close over. A
+subject that cannot be described completely has no name, such as a model of the user's own: its code, and what that
+calls, may change without notice.
 
-Code that was changed in the running process only, as by assigning to a module's function, is not seen.
+Code that was changed in the running process only, as by assigning to a module's function, is not noticed.
 """
 
 import functools
@@ -26,10 +27,10 @@ import dssc_jax
 from dssc_jax.core import files
 
 DESCRIBED = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "builtins", "collections", "functools")
-"""Packages whose functions and types a name describes, by sources or version."""
+"""Packages whose functions and types can be described: their code is fixed by sources or version."""
 
 PLAIN = tuple("biufc")
-"""Kinds of the types of arrays whose bytes describe them."""
+"""NumPy's kinds of dtypes whose bytes describe an array."""
 
 VERSIONED = ("jax", "jaxlib", "numpy", "scipy", "llvmlite")
 
@@ -39,7 +40,11 @@ class Undescribed(Exception):
 
 
 def name_of(*subjects: Any) -> str | None:
-    """A name for what this package computes from subjects in this process; None if there is none."""
+    """The name of a result that depends on the subjects and on this package's code.
+
+    Returns:
+        A digest; None if a subject cannot be described, or if the package's files have changed since their import.
+    """
     sources = sources_digest()
     if sources is None:
         return None
@@ -54,7 +59,11 @@ def name_of(*subjects: Any) -> str | None:
 
 @cache
 def sources_digest() -> str | None:
-    """A digest of the package's sources; None if they have changed since this process imported the package."""
+    """Digest of the package's source files.
+
+    Returns:
+        None if they cannot be read, or may have changed since this process imported the package.
+    """
     root = package_root()
     digest = hashlib.sha256()
     sources = package_sources()
@@ -72,27 +81,27 @@ def package_root() -> Path:
 
 
 def package_sources() -> list[Path]:
-    """The package's modules; none if it is imported from an archive."""
+    """The package's source files; none if it is imported from an archive."""
     return sorted(package_root().rglob("*.py"))
 
 
 @cache
 def versions() -> tuple[str, ...]:
-    """Versions of Python and of the packages that take part in a trace."""
+    """Versions of Python and of the libraries that take part in a trace."""
     return platform.python_version(), *map(version, VERSIONED)
 
 
 def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
-    """Bytes that describe a subject, in parts.
+    """Describe a subject by a sequence of bytes: its type, then its value or its parts.
 
     Args:
-        subject: What to describe.
-        ancestors: id() of every object that contains the subject, from the outermost.
+        subject: The object.
+        ancestors: id() of every object that contains the subject, from the outermost on.
 
     Raises:
         Undescribed: It has no complete description.
     """
-    if id(subject) in ancestors:  # a function that closes over itself: how many levels above
+    if id(subject) in ancestors:  # a function that closes over itself: the number of levels up
         yield f"above {len(ancestors) - ancestors.index(id(subject))}".encode()
         return
     yield qualified_name(type(subject))
@@ -106,7 +115,7 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
         case np.ndarray() | np.generic() | jax.Array():
             yield from array_parts(subject)
         case _:
-            parts = consists_of(subject)
+            parts = parts_of(subject)
             yield str(len(parts)).encode()
             for part in parts:
                 yield from description_parts(part, (*ancestors, id(subject)))
@@ -117,7 +126,8 @@ def qualified_name(kind: type) -> bytes:
     """The module and name of a type.
 
     Raises:
-        Undescribed: Outside of :data:`DESCRIBED`, or within a function, which may define another at each call.
+        Undescribed: The type belongs to no package of :data:`DESCRIBED`, or is defined in a function, which may define
+            a different one at each call.
     """
     if package_of(kind.__module__) not in DESCRIBED or "<locals>" in kind.__qualname__:
         raise Undescribed(kind)
@@ -130,7 +140,7 @@ def package_of(module: str) -> str:
 
 
 def array_parts(array: Any) -> Iterator[bytes]:
-    """Type, shape and numbers of an array."""
+    """Describe an array by its dtype, shape and numbers; raises Undescribed for a dtype such as that of keys."""
     if getattr(array.dtype, "kind", "") not in PLAIN:
         raise Undescribed(array.dtype)
     numbers = np.asarray(array)
@@ -138,11 +148,11 @@ def array_parts(array: Any) -> Iterator[bytes]:
     yield np.ascontiguousarray(numbers).tobytes()
 
 
-def consists_of(subject: Any) -> list[Any]:
-    """The parts of a container, a function or an object of a known type.
+def parts_of(subject: Any) -> list[Any]:
+    """The parts that determine a container, a function, or an object of a supported type.
 
     Raises:
-        Undescribed: Its parts are not known.
+        Undescribed: The type is not supported.
     """
     match subject:
         case tuple() | list():
@@ -169,14 +179,15 @@ def consists_of(subject: Any) -> list[Any]:
 
 
 def function_parts(function: types.FunctionType) -> list[Any]:
-    """Where a function's code is, and the values that it has from its definition.
+    """The parts that determine a function: the place of its code, the values that it closes over, and its defaults.
 
     Raises:
-        Undescribed: Its code is outside of :data:`DESCRIBED`.
+        Undescribed: Its code belongs to no package of :data:`DESCRIBED`.
     """
-    module, code = function.__globals__["__name__"], function.__code__  # a decorator may have changed __module__
+    module = function.__globals__["__name__"]  # a decorator may have changed __module__
     if package_of(module) not in DESCRIBED:
         raise Undescribed(function)
+    code = function.__code__
+    place = [module, code.co_qualname, str(list(code.co_positions()))]
     closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
-    parts = closed_over, function.__defaults__, function.__kwdefaults__
-    return [module, code.co_qualname, str(list(code.co_positions())), *parts]
+    return [*place, closed_over, function.__defaults__, function.__kwdefaults__]

@@ -1,4 +1,4 @@
-"""Programs of one lane with vectors, for any number of lanes: machine code where there is one, else plain XLA."""
+"""Programs of lanes whose numbers and results include vectors, as machine code if possible, else by plain XLA."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -12,22 +12,22 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.kernels import Form, Start
 from dssc_jax.engine.sampling import Arrays
 
-BATCH_LANES = 4096  # that run at once
+BATCH_LANES = 4096  # most lanes that run at once
 
 Values: TypeAlias = dict[str, jax.Array]
 """Numbers or vectors of one lane by name."""
 
 Entries: TypeAlias = tuple[jax.Array, ...]
-"""A vector entry by entry."""
+"""The entries of a vector."""
 
 Lane: TypeAlias = Callable[[Values, Values, jax.Array], tuple[jax.Array, ...]]
 """(numbers of the study, vectors, draw index) -> vectors."""
 
 
 class LaneProgram:
-    """A lane's program, compiled in float64 when it first runs.
+    """The program of a lane with vectors, compiled in float64 when it first runs.
 
-    Compiled lanes take and return numbers. A vector is one column for each of its entries.
+    Compiled lanes take and return numbers, so a vector becomes one column for each of its entries.
 
     Args:
         lane: The program.
@@ -38,12 +38,15 @@ class LaneProgram:
         self.start: Start | None = None
 
     def __call__(self, numbers: Arrays, vectors: Arrays, indices: np.ndarray) -> list[np.ndarray]:
-        """Every vector that the lanes return, shape (n, size) each.
+        """Run n lanes.
 
         Args:
             numbers: Numbers of the study by name, each of shape (n,).
             vectors: Vectors by name, each of shape (n, size); their sizes are the same in every call.
             indices: Draw index of each lane, shape (n,).
+
+        Returns:
+            Each vector that the lanes return, shape (n, size).
         """
         columns = {name: np.asarray(column, float) for name, column in numbers.items()}
         for name, rows in vectors.items():
@@ -66,30 +69,30 @@ class LaneProgram:
 
 
 def entry_name(vector: str, index: int) -> str:
-    """The name of an entry of a vector; the numbers of a study have no blanks in their names."""
+    """The name of a vector's entry as a number; its blank tells it from numbers of a study."""
     return f"{vector} {index}"
 
 
 def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.Array], tuple[Entries, ...]]:
-    """A program of a lane, whose vectors it takes entry by entry.
+    """The program of a lane as a function of numbers only, with the entries of vectors among them.
 
     Args:
         lane: The program.
-        sizes: Sizes of its vectors, by name.
+        sizes: Size of each vector that the program takes, by name.
     """
-    entries = {name: [entry_name(name, i) for i in range(size)] for name, size in sizes.items()}
-    of_vectors = {entry for names in entries.values() for entry in names}
 
     def run_lane(values: Values, index: jax.Array) -> tuple[Entries, ...]:
-        numbers = {name: value for name, value in values.items() if name not in of_vectors}
-        vectors = {name: jnp.array([values[entry] for entry in names], float) for name, names in entries.items()}
+        numbers = dict(values)
+        vectors = {}
+        for name, size in sizes.items():
+            vectors[name] = jnp.array([numbers.pop(entry_name(name, i)) for i in range(size)], float)
         return tuple(tuple(vector) for vector in lane(numbers, vectors, index))
 
     return run_lane
 
 
 def form() -> str:
-    """The form in which the lanes run: on a CPU also where flights run on a GPU by this package's kernel."""
+    """The form in which the lanes run; it is one for the CPU even where flights run as a kernel on a GPU."""
     on_cpu = {Form.GPU.value: Form.LANES, Form.GPU_STRICT.value: Form.STRICT}
     requested_form = kernels.requested_form()
     return on_cpu.get(requested_form, requested_form)

@@ -1,7 +1,7 @@
-"""Margins that a study requires, of the linearised loop of each lane, at any values of its uncertain numbers.
+"""The margins of the linearised loop that a study requires, for every lane.
 
-Every lane is linearised at its equilibrium, on a grid of frequencies of its own. So its margins depend on its own
-numbers alone, and neither on the block that it lies in nor on how many draws there are.
+Every lane is linearised at its equilibrium, and has a frequency grid of its own. So its margins depend only on its
+numbers, neither on its block nor on the number of draws.
 """
 
 from dataclasses import dataclass, field
@@ -22,12 +22,12 @@ from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places,
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
-BATCH_LANES = 2048  # linearised at once
-STEP = 1e-4  # step of a difference, relative to the number
+BATCH_LANES = 2048  # most lanes that are linearised at once
+STEP = 1e-4  # step of a central difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):
-    """The states that matter at a break point, of some lanes.
+    """Some closed loops x+ = A x + b w, v = c x at one break point, in the states by which a signal comes back to it.
 
     Args:
         a: Shape (n, states, states).
@@ -42,10 +42,10 @@ class ClosedLoops(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopOfStudy:
-    """A study by the content that decides its compiled margins: its table, and its loop.
+    """The key of a study's compiled margins: two studies with equal tables and loops share them.
 
     Args:
-        table: Hash of the table.
+        table: Hash of the study's table.
         loop: The models and the clock.
         study: The study.
     """
@@ -56,7 +56,7 @@ class LoopOfStudy:
 
 
 def margin_values(study: Study) -> "MarginValues":
-    """The :class:`MarginValues` of a study; those of the last few studies stay compiled."""
+    """The :class:`MarginValues` of a study; the last few studies stay compiled."""
     return compiled_margins(LoopOfStudy(study.hash, study.loop, study))
 
 
@@ -67,7 +67,7 @@ def compiled_margins(key: LoopOfStudy) -> "MarginValues":
 
 
 class MarginValues:
-    """The required margins of a study as a compiled function of its uncertain and swept numbers.
+    """The required margins of a study, as a compiled function of its uncertain and swept numbers.
 
     Args:
         study: The study.
@@ -89,10 +89,10 @@ class MarginValues:
         self.examine = examination(lane_loop(self.resting.study, places, is_resting=True), places)
 
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
-        """Every required margin of each lane by the name of its measure, shape (n,).
+        """Every required margin of each lane, by the name of its measure, shape (n,) each.
 
-        A lane whose loop is unstable has the value at the limit of stability. One without an equilibrium has NaN, and
-        so has one that rests beyond a limit which opens the loop.
+        A lane with an unstable loop has the value at the limit of stability. A lane without an equilibrium has NaN, and
+        so has a lane that rests beyond a limit which opens the loop.
 
         Args:
             values: Values of all uncertain and swept numbers, shape (n,) each.
@@ -113,29 +113,31 @@ class MarginValues:
         return {name: np.concatenate(parts) for name, parts in columns.items()}
 
     def slopes(self, values: Arrays, indices: np.ndarray, name: str) -> Arrays:
-        """Derivative of every required margin with respect to one number, by central differences, shape (n,).
+        """Derivative of every required margin with respect to a number, by central differences, shape (n,) each.
 
-        A margin that is infinite has the derivative 0.
+        The derivative of an infinite margin is 0.
 
         Args:
-            values: As for a call.
-            indices: As for a call.
+            values: Values of all uncertain and swept numbers, shape (n,) each.
+            indices: Draw index of each lane, shape (n,).
             name: The number.
         """
         column = np.asarray(values[name], float)
         size = np.abs(column)
         step = STEP * np.where(size > 0.0, size, np.max(size, initial=0.0) or 1.0)
-        ends = (np.where(size > 0.0, column - step, column), column + step)
-        low, high = (self(values | {name: end}, indices) for end in ends)
+        low = np.where(size > 0.0, column - step, column)  # a number that is 0 may have no negative values
+        high = column + step
+        margins_at_low = self(values | {name: low}, indices)
+        margins_at_high = self(values | {name: high}, indices)
         slopes = {}
         for margin in self.margins:
             with np.errstate(invalid="ignore"):
-                slope = (high[margin] - low[margin]) / (ends[1] - ends[0])
+                slope = (margins_at_high[margin] - margins_at_low[margin]) / (high - low)
             slopes[margin] = np.where(np.isfinite(slope), slope, 0.0)
         return slopes
 
     def _batch(self, values: Arrays, indices: np.ndarray) -> Arrays:
-        """The margins of some lanes."""
+        """The margins of at most :data:`BATCH_LANES` lanes; arguments as for a call."""
         states, matrices, is_settled, _ = self.resting.settle(values, indices)
         is_beyond = np.zeros(len(is_settled), bool)
         if is_settled.any():
@@ -146,15 +148,16 @@ class MarginValues:
             is_beyond = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):
                 matrices = self.resting.linearise(values, indices, states, 1, findings)
-        places = place_names(self.study.loop.channels)
-        by_place: dict[str, Arrays] = {}
+        names = place_names(self.study.loop.channels)
+        neutral_values: dict[str, dict[str, float]] = {}
         for margin in self.margins.values():
-            if margin.place not in by_place:
-                fields = {m.kind.field: m.kind.neutral for m in self.margins.values() if m.place == margin.place}
-                by_place[margin.place] = self._at(matrices, is_settled, is_beyond, places.index(margin.place), fields)
+            neutral_values.setdefault(margin.place, {})[margin.kind.field] = margin.kind.neutral
+        by_place: dict[str, Arrays] = {}
+        for place, neutral in neutral_values.items():
+            by_place[place] = self._margins_at(matrices, is_settled, is_beyond, names.index(place), neutral)
         return {name: by_place[margin.place][margin.kind.field] for name, margin in self.margins.items()}
 
-    def _at(
+    def _margins_at(
         self,
         matrices: StateMatrices,
         is_settled: np.ndarray,
@@ -162,14 +165,14 @@ class MarginValues:
         point: int,
         neutral: dict[str, float],
     ) -> Arrays:
-        """The margins at one break point.
+        """The margins at one break point, by field of ``ClassicalMargins``, shape (n,) each.
 
         Args:
-            matrices: Matrices of the batch.
+            matrices: Matrices of the lanes.
             is_settled: Which lanes have an equilibrium, shape (n,).
-            is_beyond: Which of them rest beyond the boundary of a part, shape (n,).
+            is_beyond: Which lanes rest beyond the boundary of a part, shape (n,).
             point: Index of the break point.
-            neutral: The margins' values at the limit of stability.
+            neutral: Value of each margin at the limit of stability.
         """
         loop_states = matrices.returning(point)
         is_settled = is_settled & (np.any(loop_states, axis=1) | ~is_beyond)

@@ -1,4 +1,4 @@
-"""Matrices of every draw's linearised loop, and what they say of its break points."""
+"""Matrices of the linearised loops of all draws, and the states that matter at a break point."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from dssc_jax.core.influences import closure
 
 
 class StateMatrices(NamedTuple):
-    """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
+    """The linearised loops x+ = A x + B w, v = C x of n draws, with a column of B and a row of C per break point.
 
     Args:
         next_states: The state after one sample, shape (n, states).
@@ -23,7 +23,7 @@ class StateMatrices(NamedTuple):
     c: np.ndarray
 
     def returning(self, point: int) -> np.ndarray:
-        """The states by which a signal that enters at a break point comes back to it, shape (n, states).
+        """Which states carry a signal from a break point around the loop and back, in each draw, shape (n, states).
 
         Args:
             point: Index of the break point.
@@ -33,28 +33,28 @@ class StateMatrices(NamedTuple):
         return reachable & closure(self.c[:, point] != 0.0, influences)
 
     def loop_states(self, point: int, draws: np.ndarray) -> np.ndarray:
-        """Indices of the states by which a signal comes back to a break point in any of some draws.
+        """Indices of the states that carry a signal back to a break point in any of some draws.
 
         Args:
             point: Index of the break point.
-            draws: Which draws, shape (n,).
+            draws: Mask of the draws, shape (n,).
         """
         return np.flatnonzero(np.any(self.returning(point)[draws], axis=0))
 
     def is_open(self) -> np.ndarray:
-        """Whether no signal comes back to any break point, for each draw, shape (n,)."""
+        """Whether the loop of each draw is open: no signal comes back to any break point, shape (n,)."""
         returning = [self.returning(point) for point in range(self.b.shape[2])]
         return ~np.any(returning, axis=(0, 2))
 
 
 class Operating(NamedTuple):
-    """Matrices of all draws at one operating point.
+    """The linearised loops of all draws at one operating point.
 
     Args:
         matrices: Matrices of all draws.
-        reached: Which draws have an operating point, shape (draws,).
-        limited: Which draws lie there beyond the boundary of a part, shape (draws,).
-        taken: What is taken for parts that lie at a corner there, in words.
+        reached: Which draws have the operating point, shape (draws,).
+        limited: Which draws have a part beyond its boundary there, shape (draws,).
+        taken: Notes on the substitutes that stand for parts at a corner.
     """
 
     matrices: StateMatrices
@@ -63,7 +63,7 @@ class Operating(NamedTuple):
     taken: tuple[str, ...]
 
     def closed(self, point: int) -> np.ndarray:
-        """Whether each draw has an operating point where no part beyond its boundary opens the loop, shape (draws,).
+        """Whether each draw has the operating point, and no limit opens its loop there, shape (draws,).
 
         Args:
             point: Index of the break point.

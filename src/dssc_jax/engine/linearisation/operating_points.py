@@ -1,4 +1,4 @@
-"""Linearise every draw's sampled loop at an operating point, and find its equilibrium."""
+"""Linearisation of every draw's sampled loop at an operating point, and the search for its equilibrium."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.break_points import break_points, sample_map, undisturbed
+from dssc_jax.closed_loop.break_points import place_names, sample_map, undisturbed
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
@@ -28,18 +28,18 @@ from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 EQUILIBRIUM = "equilibrium"
-NEWTON_STEPS = 30  # towards an equilibrium
-STALLED = 1e-6  # relative change of a move below which a step brought nothing
-MOST_STALLS = 3  # such steps in a row
+NEWTON_STEPS = 30  # most steps towards an equilibrium
+STALLED = 1e-6  # relative change of a move below which a Newton step counts as stalled
+MOST_STALLS = 3  # stalled steps in a row that end the search
 EQUILIBRIUM_TOLERANCE = 1e-9  # largest change of the state by a sample, relative to 1 + |state|
-PUSH = 1e-7  # size of a test of smoothness
-PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivative, relative to the latter
+PUSH = 1e-7  # size of a push that tests the derivative
+PUSH_TOLERANCE = 0.2  # largest deviation of its effect from the derivative's prediction, relative to the latter
 
 LoopWithParams = tuple[Loop, LoopParams]
 
 
 def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> LaneLoop:
-    """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
+    """The :func:`linearised_loop` of a draw with its random key, as a function of its numbers and index."""
     return lambda values, index: (
         *linearised_loop(study, values, places, is_resting),
         draw_key(study.config.seed, index),
@@ -49,7 +49,14 @@ def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> L
 def linearised_loop(
     study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], is_resting: bool
 ) -> LoopWithParams:
-    """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
+    """The loop of one draw for linearisation, with substitutes for the parts that are smooth nowhere.
+
+    Args:
+        study: The study.
+        values: The draw's numbers by name.
+        places: The parts of the loop.
+        is_resting: Whether the loop is at rest, without disturbances.
+    """
     loop = study.loop
     params = study.params(values)
     if is_resting:
@@ -58,7 +65,7 @@ def linearised_loop(
 
 
 def at_origin(study: Study) -> Study:
-    """The study of one channel with the plant's initial state at zero; a vehicle is unchanged."""
+    """The study with the plant's initial state at zero, for plants of one channel; other studies are unchanged."""
     initial = study.table["plant"].get("initial")
     if len(study.loop.channels) > 1 or not isinstance(initial, list):
         return study
@@ -66,19 +73,19 @@ def at_origin(study: Study) -> Study:
 
 
 class Linearisation:
-    """The compiled linearisation of a study.
+    """The compiled linearisation of a study: the derivatives of one sample.
 
-    A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
+    A lane is one draw and one direction, since one derivative per lane compiles and runs far faster than all in one.
 
     Args:
         study: The study.
-        places: Its parts.
+        places: The parts of its loop.
         is_resting: Whether the loop is at rest, without disturbances.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
         self.places = places
-        self.points = len(break_points(study.loop))
+        self.points = len(place_names(study.loop.channels))
 
         def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
             state = vectors["state"]
@@ -96,14 +103,14 @@ class Linearisation:
     def __call__(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> StateMatrices:
-        """The matrices of n draws.
+        """The linearised loops of n draws at some states.
 
         Args:
             values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
-            states: Shape (n, states).
+            states: Operating points, shape (n, states).
             k: Index of the sample.
-            findings: Shape (n, parts).
+            findings: The :class:`Finding` of each part, shape (n, parts).
         """
         count, order = states.shape
         size = order + self.points
@@ -125,10 +132,10 @@ class Linearisation:
     def resolve_open_loops(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
-        """Count a part on its boundary as beyond it where another part opens the loop; the changed findings.
+        """The findings, where a part on its boundary counts as beyond it if another part opens the loop.
 
-        There the derivative of the part does not matter, as where an actuator has the limit of its controller.
-        Arguments as for a call.
+        In an open loop the derivative of the part does not matter, as where an actuator and its controller share a
+        limit. Arguments as for a call.
         """
         has_inner_side = np.array([place.has_inner_side for place in self.places])
         is_beyond = np.any(findings == Finding.BEYOND, axis=1)[:, None]
@@ -154,7 +161,17 @@ class Linearisation:
         draw: np.ndarray,
         direction: np.ndarray,
     ) -> list[np.ndarray]:
-        """The next states of some draws, and the derivatives of states and signals along one direction of each."""
+        """For some lanes: the next state, and the derivatives of state and signals along one direction.
+
+        Args:
+            values: Values of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+            states: Operating points, shape (n, states).
+            k: Index of the sample.
+            findings: The :class:`Finding` of each part, shape (n, parts).
+            draw: Row of those arrays for each lane, shape (lanes,).
+            direction: Index of the state, or of the break point behind the states, shape (lanes,).
+        """
         numbers = {name: column[draw] for name, column in values.items()}
         vectors = {
             "state": states[draw],
@@ -166,30 +183,30 @@ class Linearisation:
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
-    """Notes on the parts that lie at a corner, whose substitutes are taken.
+    """Notes on the parts at a corner, where substitutes stand for them, or beyond one.
 
     Args:
         study: The study.
-        places: The parts.
-        findings: At the operating points, shape (n, parts).
+        places: The parts of its loop.
+        findings: The :class:`Finding` of each draw and part, shape (n, parts).
         point: Name of the operating point.
 
     Raises:
-        ConfigError: a part has no derivative at one of them.
+        ConfigError: A part has no derivative at an operating point.
     """
     notes = require_smooth_at(study, places, findings)
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
 class Resting(NamedTuple):
-    """Equilibria of the undisturbed loop, and the matrices there.
+    """Equilibria of the undisturbed loop of n draws, and the linearised loops there.
 
     Args:
-        states: Shape (n, states).
-        matrices: Matrices of the loop without substitutes for corners.
-        is_settled: Which states are at rest, shape (n,).
-        relevant_states: States on which the loop's signals depend, there or with all parts within their boundaries;
-            others need not be at rest. Shape (n, states).
+        states: The states, shape (n, states).
+        matrices: Matrices of the loops, without substitutes for corners.
+        is_settled: Which draws are at rest in these states, shape (n,).
+        relevant_states: States on which the loop's signals depend, either there or with all parts within their
+            boundaries, shape (n, states); the others need not be at rest.
     """
 
     states: np.ndarray
@@ -199,7 +216,7 @@ class Resting(NamedTuple):
 
 
 def better_equilibria(earlier: Resting, later: Resting) -> Resting:
-    """The earlier equilibria, replaced by later ones where none had settled, or only that of an open loop."""
+    """The earlier equilibria, or the later ones in draws where the earlier search failed or found an open loop."""
     is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
     def select(early: np.ndarray, late: np.ndarray) -> np.ndarray:
@@ -209,41 +226,42 @@ def better_equilibria(earlier: Resting, later: Resting) -> Resting:
 
 
 class RestingLoop:
-    """The undisturbed loop of a study as compiled programs, for any values of its uncertain numbers.
+    """The undisturbed loop of a study as compiled programs, which find its equilibria.
 
     Args:
         study: The study, without a sweep.
-        places: Its parts.
+        places: The parts of its loop.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
         self.study = at_origin(study)
         self.places = places
         self.linearise = Linearisation(self.study, places, is_resting=True)
-        self.initial = LaneProgram(self._initial)
-        self.flown = LaneProgram(self._flown)
+        self.initial_states = LaneProgram(self._initial_state)
+        self.final_states = LaneProgram(self._final_state)
 
-    def _initial(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
+    def _initial_state(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
+        """The state before the first sample; a program of a lane."""
         loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         return (ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0],)
 
-    def _flown(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
-        """The state after as many samples as the study has, at a constant reference."""
+    def _final_state(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
+        """The state after a flight of the study's duration at the constant reference; a program of a lane."""
         loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
-        quiet = jnp.zeros(len(break_points(loop)))
+        no_additions = jnp.zeros(len(place_names(loop.channels)))
         steps = self.study.loop.steps
-        return (jax.lax.fori_loop(0, steps, lambda _, at: sample(at, quiet)[0], vectors["state"]),)
+        return (jax.lax.fori_loop(0, steps, lambda _, state: sample(state, no_additions)[0], vectors["state"]),)
 
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
-        """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
-        (begin,) = self.initial(values, {}, indices)
-        return self.linearise.next_states(values, indices, begin, 0, self.smooth(len(indices)))
+        """The states after the first sample, which controllers may treat unlike all others, shape (n, states)."""
+        (states,) = self.initial_states(values, {}, indices)
+        return self.linearise.next_states(values, indices, states, 0, self.smooth(len(indices)))
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
-        """States on which the loop's signals depend where every part is within its boundaries, shape (n, states).
+        """Which states the loop's signals depend on if every part is within its boundaries, shape (n, states).
 
-        Beyond a limit no signal depends on the state of what drives it, such as an integrator that still moves.
+        Beyond a limit no signal depends on the states that drive the limited part, such as a moving integrator.
         """
         if not any(place.has_inner_side for place in self.places):
             return np.zeros(states.shape, bool)
@@ -251,7 +269,7 @@ class RestingLoop:
         return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
 
     def smooth(self, count: int) -> np.ndarray:
-        """Findings of a loop whose parts are all smooth, shape (count, parts)."""
+        """Findings that treat every part as smooth, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
     def within_boundaries(self, count: int) -> np.ndarray:
@@ -261,9 +279,9 @@ class RestingLoop:
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
         """Find the equilibria by Newton's method, from the states after the first sample.
 
-        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere, or
-        to where the plant rests at that command. It starts again from the equilibrium of the loop without limits, and
-        then from the state after a simulation at the constant reference, by which a stable loop has left the limit.
+        If the first command is at a limit, it does not depend on the states. Then Newton's method fails, or finds where
+        the plant rests at that command. In such draws it starts again from the equilibrium of the loop without limits,
+        and then from the end of a simulation at the constant reference, where a stable loop has left the limit.
 
         Args:
             values: Values of the uncertain numbers, each of shape (n,).
@@ -277,15 +295,15 @@ class RestingLoop:
             retrial = self.settled_from(unlimited.states, values, indices, self.smooth(len(indices)))
             equilibria = better_equilibria(equilibria, retrial)
         if not equilibria.is_settled.all():
-            (flown_states,) = self.flown(values, {"state": initial_states}, indices)
-            retrial = self.settled_from(flown_states, values, indices, self.smooth(len(indices)))
+            (final_states,) = self.final_states(values, {"state": initial_states}, indices)
+            retrial = self.settled_from(final_states, values, indices, self.smooth(len(indices)))
             equilibria = better_equilibria(equilibria, retrial)
         return equilibria
 
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
-        """The equilibria to which Newton's method leads from some states, shape (n, states).
+        """The equilibria that Newton's method finds from some states, shape (n, states).
 
-        It ends where steps no longer change how far the states move: there a command is at a limit.
+        The search also ends once steps no longer change the move of the states in a sample: a command is at a limit.
         """
         trial = 0
         stall_counts = np.zeros(len(indices), int)
@@ -326,16 +344,16 @@ def require_derivative(
     is_checked: np.ndarray,
     relevant_states: np.ndarray,
 ) -> None:
-    """Require that a small push of the equilibrium has the effect that the derivative predicts.
+    """Require that a small push away from the equilibrium has the effect that the derivative predicts.
 
     Args:
         study: The study.
         next_states: (states of shape (n, states)) -> the states after one sample.
         states: The equilibria, shape (n, states).
-        matrices: Their derivatives.
+        matrices: The linearised loops there.
         is_checked: Which draws have an equilibrium and no part at a corner, shape (n,).
-        relevant_states: The states on which the loop's signals depend, which alone are pushed and compared, shape
-            (n, states).
+        relevant_states: Which states the loop's signals depend on, shape (n, states); only these are pushed and
+            compared.
 
     Raises:
         ConfigError: The effect differs: the loop switches, or its gain is infinite there.

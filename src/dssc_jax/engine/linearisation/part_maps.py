@@ -1,21 +1,15 @@
-"""The parts of a loop at one operating point: each as a function of its state and inputs."""
+"""Each part of a loop at one operating point, as a function of its state and inputs."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 
+from dssc_jax.closed_loop.control import measure
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import signal_values
-from dssc_jax.closed_loop.sample import (
-    LoopState,
-    Recorded,
-    actuate,
-    measure,
-    plant_input,
-    sampled_command,
-    step,
-)
+from dssc_jax.closed_loop.sample import LoopState, Recorded, step
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.signals import (
     Command,
@@ -32,12 +26,12 @@ from dssc_jax.engine.linearisation.smooth_parts import INPUTS, SIGNAL_SENSOR, Lo
 
 
 class PartMap(NamedTuple):
-    """A part as a function of its state and inputs, at one operating point.
+    """A part as a function of its state and inputs, and their values at one operating point.
 
     Args:
         apply: ``(part, params, memory, signals) -> outputs``.
-        memory: The part's own state, which may hold counters.
-        signals: Its inputs and, for the plant, its state.
+        memory: State of the part, which may contain counters; () for the plant.
+        signals: Inputs of the part and, for the plant, its state.
     """
 
     apply: Callable[..., object]
@@ -56,7 +50,7 @@ class OperatingPoint(NamedTuple):
         k: Index of the sample.
         recorded: The signals of the sample.
         commands: The command of each channel.
-        drive: What acts on the plant.
+        drive: The plant's input.
     """
 
     loop: Loop
@@ -74,19 +68,19 @@ class OperatingPoint(NamedTuple):
         return self.k * self.loop.sample_time
 
     def stream(self, slot: str, name: str) -> jax.Array:
-        """The random key that a part draws from at this sample, by its slot and the name of its channel or signal."""
-        return jax.random.fold_in(self.loop.key(self.key, slot, name), self.k + 1)
+        """The random key of a part at this sample, by its slot and the name of its channel or signal."""
+        return self.loop.key_at(self.key, slot, name, self.k + 1)
 
 
 def part_maps(
     loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
 ) -> list[PartMap]:
-    """The parts at the given places, with their inputs at sample k; arguments as of :class:`OperatingPoint`."""
+    """The map of each part in ``places``, with its inputs at sample k; arguments as of :class:`OperatingPoint`."""
     _, recorded = step(loop, params, key, state, k)
     commands = tuple(channel.u_total for channel in recorded.instant.channels)
     sampled_commands = []
     for i, channel in enumerate(state.channels):
-        sampled_commands.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
+        sampled_commands.append(receive_command(loop, params, key, channel.unmodelled, i, commands[i], k))
     actuation = actuate(loop, params, tuple(sampled_commands), commands)
     drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, actuation, k * loop.sample_time)
     point = OperatingPoint(loop, params, key, state, k, recorded, commands, drive)
@@ -129,7 +123,7 @@ def differentiator_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def controller_map(at: OperatingPoint, i: int) -> PartMap:
-    """The controller of channel i: from what it reads to its command."""
+    """The controller of channel i: from its measurement to its command."""
     controlled = at.recorded.controlled[i]
 
     def apply(part: Controller, params: Params, memory: State, signals: Measurement) -> tuple[State, Command]:
@@ -156,12 +150,12 @@ def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def named_input_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance at the i-th named input of the plant, which sees the first channel."""
+    """The disturbance at the i-th named input of the plant, which depends on the first channel."""
     return disturbance_from(at, at.state.inputs[i], 0)
 
 
 def disturbance_from(at: OperatingPoint, state: State, channel: int) -> PartMap:
-    """A disturbance in a state, which sees a channel's measurement and sigma."""
+    """A disturbance in a state: from the measurement and sigma of a channel to its value."""
 
     def apply(part: Disturbance, params: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
         measurement, sigma = signals
@@ -195,4 +189,4 @@ MAPS: dict[str, Callable[[OperatingPoint, int], PartMap]] = {
     INPUTS: named_input_map,
     SIGNAL_SENSOR: signal_sensor_map,
 }
-"""The map of a part by the slot of the loop that holds it."""
+"""The map of a part, by the slot of the loop that contains it."""

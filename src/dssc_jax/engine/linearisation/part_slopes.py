@@ -1,4 +1,4 @@
-"""Classify the parts of a loop at its operating points: each as a function of its state and inputs, under pushes."""
+"""Classification of the parts of a loop at its operating points, by the effects of small and large pushes."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -9,7 +9,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import as_arrays, initial_state
+from dssc_jax.closed_loop.sample import initial_state
+from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Params
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
 from dssc_jax.engine.linearisation.part_maps import PartMap, part_maps
@@ -17,13 +18,13 @@ from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, 
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.sampling import Arrays
 
-BATCH_PUSHES = 16384  # pushes of all draws that are computed at once
+BATCH_PUSHES = 16384  # most pushes, of all draws, that are computed at once
 
 LaneLoop: TypeAlias = Callable[[Values, jax.Array], tuple[Loop, LoopParams, jax.Array]]
-"""(laws' values, draw index) -> the loop that is linearised, its parameters and its random key."""
+"""(numbers of the study by name, draw index) -> the loop to linearise, its parameters and its random key."""
 
 Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]
-"""(laws' values, draw indices, states, sample) -> a :class:`Finding` for each part, shape (n, parts)."""
+"""(numbers of the study by name, draw indices, states, sample) -> :class:`Finding` of each part, shape (n, parts)."""
 
 
 def vector_of(tree: object) -> jax.Array:
@@ -34,7 +35,16 @@ def vector_of(tree: object) -> jax.Array:
 def slopes_of(
     place: LoopPart, part_map: PartMap, part: Part, params: Params, point: jax.Array, axis: jax.Array
 ) -> Slopes[jax.Array]:
-    """A part at a point near its operating point."""
+    """Outputs of a part and their derivatives at a point near its operating point.
+
+    Args:
+        place: The part's place in the loop.
+        part_map: The part as a function of its state and inputs.
+        part: The model.
+        params: Its parameters.
+        point: State and inputs of the part, as a vector.
+        axis: Direction of the derivatives, of the same shape.
+    """
     _, unravel = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
 
     def derivative(model: Part, p: Params) -> tuple[jax.Array, jax.Array]:
@@ -46,10 +56,12 @@ def slopes_of(
 
 
 def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """Classify every part at the operating points of many draws; what is not examined counts as smooth.
+    """The function that classifies every part at the operating points of many draws.
+
+    Parts of the package that are smooth everywhere need no examination, and count as smooth.
 
     Args:
-        lane: The loop of a draw, in which parts that are smooth nowhere have been replaced.
+        lane: The loop of a draw, with substitutes for parts that are smooth nowhere.
         places: The parts.
     """
     examined_indices = [index for index, place in enumerate(places) if place.is_examined]
@@ -67,7 +79,7 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 
 
 def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """As :func:`examination`, for parts that are all examined."""
+    """The function of :func:`examination` for parts that all need examination."""
 
     def lane_maps(numbers: Values, vectors: Values, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
         loop, params, key = lane(numbers, index)

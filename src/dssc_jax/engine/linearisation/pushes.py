@@ -1,8 +1,8 @@
-"""Pushes of a part at an operating point: smooth, at a corner, beyond it, or not as declared.
+"""Pushes of a part at an operating point, which tell whether it is smooth there, at a corner, or beyond one.
 
-The part is pushed to both sides at several sizes, and the effect is compared with its derivative. Where there is one,
-the deviation shrinks with the push; at a corner or a jump it does not. A staircase does not move at all for small
-pushes, and then jumps.
+State and inputs of the part are pushed to both sides by several sizes, and the effect is compared with the derivative.
+Where the derivative exists, the deviation shrinks with the push; at a corner or a jump it does not. A staircase does
+not move at all under small pushes, and then jumps.
 """
 
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ import numpy as np
 from dssc_jax.core.smoothness import SmoothExtent
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart
 
-SMALL = 1e-8  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
+SMALL = 1e-8  # pushes, relative to 1 + |x|, whose effects are compared with the derivative
 LARGE = 1e-6
-PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # under the longer ones, a staircase begins to move
+PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # the larger ones find the jumps of a staircase
 MULTIPLES = (0.0, *(side * push for push in PUSHES for side in (1.0, -1.0)))
 SIDES = np.array([1.0, -1.0])[:, None, None]
-JUMP = 1e-7  # least jump of an output that stood still under the push before, relative to 1 + |y|
-DEVIATION = 1e-3  # distance of a difference from the derivative, relative to the largest derivative of the same output
-SHRINKING = 0.5  # ratio of that deviation at the small push to that at the large one, below which a derivative exists
+JUMP = 1e-7  # least jump of an output that did not move under the previous push, relative to 1 + |y|
+DEVIATION = 1e-3  # deviation of a difference from the derivative, relative to the largest derivative of that output
+SHRINKING = 0.5  # ratio of the deviations at the small and the large push, below which a derivative exists
 ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # rounding of an output, relative to 1 + |y|
 SINGLE_INPUTS = 32  # inputs that are pushed one by one
 RANDOM_DIRECTIONS = 4  # directions in which all inputs are pushed together, and all signals
@@ -44,7 +44,14 @@ class Slopes(NamedTuple, Generic[Array]):
 
 
 def directions(memory: int, signals: int) -> np.ndarray:
-    """Directions in which a part is pushed, shape (directions, memory + signals): if few, one by one, and together."""
+    """Directions in which a part is pushed, shape (directions, memory + signals).
+
+    They are random directions of all inputs together and of the signals alone, and each single input if there are few.
+
+    Args:
+        memory: Number of state variables of the part.
+        signals: Number of its other inputs.
+    """
     random = np.random.default_rng(0)
     sizes = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals))
     joint = sizes * random.choice([-1.0, 1.0], (RANDOM_DIRECTIONS, 1))
@@ -58,13 +65,13 @@ def directions(memory: int, signals: int) -> np.ndarray:
 
 
 def equally_long(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Repeat the directions of several parts until all parts have as many."""
+    """The directions of several parts, repeated until all parts have the same number."""
     longest = max(map(len, patterns))
     return [pattern[np.arange(longest) % len(pattern)] for pattern in patterns]
 
 
 def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pushed points and their directions, each of shape (n * multiples * directions, inputs).
+    """Points after each push, and their directions, shape (n * multiples * directions, inputs) each.
 
     Args:
         points: Operating points, shape (n, inputs).
@@ -77,12 +84,12 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
-    """Classify one part at the operating points: a :class:`Finding` of each draw, shape (n,).
+    """Classify a part at the operating points of n draws: a :class:`Finding` each, shape (n,).
 
     Args:
         place: The part.
         pushed: The part under the pushes, each array of shape (n, multiples, directions, outputs).
-        memory: How many inputs are the part's own state.
+        memory: Number of state variables among the part's inputs, which come first.
         pattern: Directions, shape (directions, inputs).
     """
     value = pushed.value[:, 0, 0]
@@ -120,7 +127,7 @@ def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: n
 
 
 def staircase(moves: np.ndarray, slopes: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Whether an output stands still for pushes along a direction and then jumps, shape (n, directions).
+    """Whether an output does not move under a push along a direction and jumps under the next, shape (n, directions).
 
     Args:
         moves: Effects of the pushes, shape (n, pushes, sides, directions, outputs).

@@ -1,35 +1,30 @@
-"""Whether a plant of one's own changes with time, so that it has no equilibrium."""
+"""A check whether a user-defined plant changes with time, so that it has no equilibrium."""
 
 import jax
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.signals import PlantInput, Scalar, Signals, State
+from dssc_jax.core.signals import Scalar, State
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.fitting import nominal_params
 
 
 def require_timeless(study: Study) -> None:
-    """Require by its program that the slopes of a user's plant do not depend on the time.
+    """Require that the derivatives of a user-defined plant do not depend on the time, by its traced program.
 
     Those of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
 
-    Args:
-        study: The study.
-
     Raises:
-        ConfigError: They depend on it.
+        ConfigError: A derivative depends on the time.
     """
     kind = str(study.config.plant.get("kind", ""))
     plant = study.loop.mimo_plant
     if ":" not in kind or plant.begin is not None or kind_in(study.config, "wind") != "none":
         return
     params = nominal_params(study.template).plant
-    channels = (0.0,) * len(study.loop.channels)
-    drive: PlantInput[Signals] = PlantInput(channels, channels, None, quiet_inputs(study.loop.plant, params))
+    drive = study.loop.zero_input(params)
 
     def slopes(t: Scalar) -> list[State]:
         state = plant.init(params)

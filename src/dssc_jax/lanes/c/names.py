@@ -1,4 +1,4 @@
-"""Names that are safe in C and C++: no keyword, no macro, nothing that a library's header or the linker knows."""
+"""Names that are safe in C and C++: no keywords, no macros, and no names that libraries declare or linkers know."""
 
 import re
 from collections.abc import Iterable
@@ -44,11 +44,11 @@ FUNCTIONS = frozenset({
 """Functions of the usual libraries and of the generated source; a variable of the same name would hide them."""
 
 LINKED = re.compile(r"(pthread|posix|sem|obstack|va|atomic|mtx|cnd|tss|thrd|fmi2|std|dssc_jax)(_.*)?")
-"""Prefixes of a library's functions: sem_init and pthread_mutex_init would be taken over."""
+"""Names that functions of libraries have: a generated ``sem_init`` or ``pthread_mutex_init`` would replace them."""
 
 
 def is_reserved(name: str) -> bool:
-    """Whether nothing may have the name, not even a member; words in capitals are left to macros."""
+    """Whether nothing may have a name, not even a member of a structure; words in capitals are left to macros."""
     return (
         name in KEYWORDS
         or name in CPP_KEYWORDS
@@ -60,17 +60,17 @@ def is_reserved(name: str) -> bool:
 
 
 def is_forbidden(name: str) -> bool:
-    """Whether a variable or a file may not have the name: it is reserved, or that of a library's function."""
+    """Whether no variable or file may have a name: it is reserved, or it is that of a library's function."""
     return is_reserved(name) or name in FUNCTIONS
 
 
 def underscored(text: str) -> str:
-    """The text with what no name may have as single underscores."""
+    """The text with a single underscore in place of all characters that no name may have."""
     return re.sub(r"(\W|_)+", "_", text, flags=re.ASCII).strip("_")
 
 
 def member_name(text: str) -> str:
-    """A name for a member of a structure."""
+    """A valid name for a member of a structure, as near to a text as possible."""
     name = underscored(text) or "value"
     if name[0].isdigit():
         name = f"value_{name}"
@@ -78,11 +78,12 @@ def member_name(text: str) -> str:
 
 
 def member_names(texts: Iterable[str]) -> list[str]:
-    """A name for each member of one structure; like ones are numbered."""
+    """A valid name for each member of one structure; equal ones are numbered."""
     names: list[str] = []
     for text in texts:
         base = member_name(text)
-        name, count = base, 2
+        name = base
+        count = 2
         while name in names:
             name = f"{base.rstrip('_')}_{count}"
             count += 1
@@ -91,7 +92,7 @@ def member_names(texts: Iterable[str]) -> list[str]:
 
 
 def prefix_name(text: str) -> str:
-    """Prefix of the names of functions and types, in small letters."""
+    """A valid prefix of the names of functions and types, in small letters, as near to a text as possible."""
     name = underscored(text).lower()
     if not name[:1].isalpha() or is_forbidden(name) or LINKED.fullmatch(name):
         name = f"study_{name}".rstrip("_")
@@ -99,6 +100,6 @@ def prefix_name(text: str) -> str:
 
 
 def c_string(text: str) -> str:
-    """The literal of a text; what is no printable ASCII becomes a question mark."""
+    """A text as a literal in C; characters that are not printable ASCII become question marks."""
     plain = re.sub(r"[^\x20-\x7e]", "?", text)
     return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("??", "?\\?") + '"'

@@ -1,7 +1,7 @@
-"""C's notation of the single operations of a program, with the bits that strict machine code gives.
+"""C's expressions of the single operations of a program, with the bits of strict machine code.
 
-Integers are computed without sign, where C defines every overflow, and their bits are taken as signed again. Functions
-that C's library does not give exactly are written out, from sums of floating-point numbers and comparisons alone.
+Integers are computed as unsigned ones, for which C defines every overflow, and their bits are then taken as signed
+again. Functions that C's library does not compute exactly are written out, from sums and comparisons alone.
 """
 
 import math
@@ -74,7 +74,7 @@ HELPERS = {
     return same.number;
 }}""",
 }
-"""Functions of floating-point numbers that a program may need."""
+"""Definitions in C of functions of floating-point numbers that operations may need."""
 
 HELPERS_NEEDED = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
 
@@ -111,11 +111,11 @@ INTEGER_HELPERS = {
     return ({I})x;
 }}""",
 }
-"""Functions of integers of each width, by name and width."""
+"""Definitions in C of functions of integers that operations may need, for any width."""
 
 
 def c_type(dtype: np.dtype) -> str:
-    """C's type of a number."""
+    """C's type of a dtype."""
     if dtype == BOOL:
         return "bool"
     if dtype.kind == "f":
@@ -124,7 +124,7 @@ def c_type(dtype: np.dtype) -> str:
 
 
 def c_literal(number: Any, dtype: np.dtype) -> str:
-    """C's notation of a number, which the compiler reads back to the same bits."""
+    """A number as a literal in C, which compilers read back to the same bits."""
     if dtype == BOOL:
         return "true" if number else "false"
     if dtype.kind in "iu":
@@ -143,16 +143,16 @@ def c_literal(number: Any, dtype: np.dtype) -> str:
     return f"{text}{suffix}"
 
 
-def bracketed(text: str, precedence: int, surrounding: int) -> str:
-    """An expression, in brackets if it binds less than required."""
+def with_brackets(text: str, precedence: int, surrounding: int) -> str:
+    """An expression, in brackets if its precedence is below that of the surrounding operator."""
     return text if precedence >= surrounding else f"({text})"
 
 
 class Notation:
-    """Writes operations of numbers of one precision, and remembers the functions that they need.
+    """Writes operations in C, and collects the functions that they need.
 
     Args:
-        real: The type of the floating-point numbers.
+        real: Dtype of the program's floating-point numbers.
     """
 
     def __init__(self, real: np.dtype) -> None:
@@ -160,23 +160,23 @@ class Notation:
         self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
 
     def helpers(self) -> list[str]:
-        """Definitions of the functions that were needed, in an order that C accepts."""
+        """Definitions of the functions that the operations so far need, in an order that C accepts."""
         return [
             self._needed[key]
             for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
         ]
 
-    def need(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
-        """The name of a function, whose definition is needed from now on.
+    def require_helper(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
+        """Add a function to those that are needed, and return its name in C.
 
         Args:
-            name: Its name in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
-            integer: The type of the integers.
-            real: The type of the floating-point numbers; None: that of the program.
+            name: Key in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
+            integer: Dtype of the function's integers.
+            real: Dtype of the function's floating-point numbers; None: that of the program.
         """
         real = self.real if real is None else real
         if name in HELPERS_NEEDED:
-            self.need(HELPERS_NEEDED[name], integer, real)
+            self.require_helper(HELPERS_NEEDED[name], integer, real)
         single = real.itemsize == 4
         width = 8 * (integer.itemsize if integer is not None else real.itemsize)
         replacements = {
@@ -191,128 +191,135 @@ class Notation:
         return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
 
     def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation as C's text, with the precedence of its outermost operator.
+        """C's expression of an operation, with the precedence of its outermost operator.
 
         Args:
-            value: The operation.
-            operands: The text of each operand with its precedence.
+            value: The result of the operation.
+            operands: C's expression of each operand, with its precedence.
 
         Raises:
             Unsupported: C has no exact form of it.
         """
-        operation, dtype = value.operation, value.dtype
+        operation = value.operation
+        dtype = value.dtype
         source = value.operands[0].dtype if value.operands else dtype
         if operation == "any":
             return operands[0]
         if operation == "select":
-            condition, first, second = (bracketed(*operand, surrounding=OR) for operand in operands)
+            condition, first, second = (with_brackets(*operand, surrounding=OR) for operand in operands)
             return f"{condition} ? {first} : {second}", TERNARY
         if operation == "rarely":
-            condition, usual_text = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
+            condition, usual_text = (with_brackets(*operand, surrounding=OR) for operand in operands[:2])
             arguments = ", ".join(text for text, _ in operands[2:])
             return f"{condition} ? {value.detail.name}({arguments}) : {usual_text}", TERNARY
         if operation == "convert":
-            return self.converted(value, source, operands[0])
+            return self.conversion(value, source, operands[0])
         if operation == "bitcast":
             return self.same_bits(source, dtype, operands[0])
         if dtype.kind == "f":
-            return self.floating(value, operands)
+            return self.float_operation(value, operands)
         if source == BOOL and operation in LOGIC:
             sign, precedence = LOGIC[operation]
-            first, second = (bracketed(*operand, surrounding=UNARY) for operand in operands)
+            first, second = (with_brackets(*operand, surrounding=UNARY) for operand in operands)
             return f"{first} {sign} {second}", precedence
         if dtype == BOOL:
             if operation not in SIGNS:
                 raise Unsupported(f"'{operation}' of truth values in C")
             sign, precedence = SIGNS[operation]
-            first, second = (bracketed(*operand, surrounding=SHIFT) for operand in operands)
+            first, second = (with_brackets(*operand, surrounding=SHIFT) for operand in operands)
             return f"{first} {sign} {second}", precedence
-        return self.integer(value, operands)
+        return self.integer_operation(value, operands)
 
-    def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation of floating-point numbers."""
-        operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
+    def float_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+        """An operation of floating-point numbers; arguments and errors as for :meth:`expression`."""
+        operation = value.operation
+        single = value.dtype.itemsize == 4
+        real = value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
-            left_text = bracketed(*operands[0], surrounding=precedence)
-            return f"{left_text} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
+            left_text = with_brackets(*operands[0], surrounding=precedence)
+            return f"{left_text} {sign} {with_brackets(*operands[1], surrounding=precedence + 1)}", precedence
         if operation == "neg":
-            return f"-{bracketed(*operands[0], surrounding=ATOM)}", UNARY
+            return f"-{with_brackets(*operands[0], surrounding=ATOM)}", UNARY
         if operation in ("max", "min"):
             first, second = operands
-            return f"{self.need(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
+            return f"{self.require_helper(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
         names = {"floor": "round_down", "ceil": "round_up", "round": "nearest", "trunc": "toward_zero"}
         if operation in names:
-            return f"{self.need(names[operation], real=real)}({operands[0][0]})", ATOM
+            return f"{self.require_helper(names[operation], real=real)}({operands[0][0]})", ATOM
         library = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
         if operation in library:
             arguments = ", ".join(text for text, _ in operands)
             return f"{library[operation]}{'f' if single else ''}({arguments})", ATOM
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
-    def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation of integers as C's text, with the precedence of its outermost operator."""
-        operation, dtype = value.operation, value.dtype
+    def integer_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+        """An operation of integers; arguments and errors as for :meth:`expression`."""
+        operation = value.operation
+        dtype = value.dtype
         texts = [text for text, _ in operands]
         unsigned = f"uint{8 * dtype.itemsize}_t"
         helper_names = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
         if operation in helper_names and dtype.kind == "i":
-            return f"{self.need(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+            return f"{self.require_helper(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
         if operation == "neg":
-            operation, texts = "sub", ["0", texts[0]]
+            operation = "sub"
+            texts = ["0", texts[0]]
         signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}
         if dtype.kind == "u":
             signs |= {"shr": ">>", "div": "/", "rem": "%"}
         if operation in signs and dtype.itemsize >= 4:
             text = f"({unsigned})({texts[0]}) {signs[operation]} ({unsigned})({texts[1]})"
-            return (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.need('signed', dtype)}({text})", ATOM)
+            return (
+                (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.require_helper('signed', dtype)}({text})", ATOM)
+            )
         if operation in ("max", "min"):
             sign = ">" if operation == "max" else "<"
             return f"({texts[0]}) {sign} ({texts[1]}) ? ({texts[0]}) : ({texts[1]})", TERNARY
         raise Unsupported(f"'{operation}' of {dtype} in C")
 
-    def converted(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
-        """A number in another type."""
+    def conversion(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+        """A conversion of a number from the dtype ``source``; errors as for :meth:`expression`."""
         dtype = value.dtype
         text, _ = operand
         if source.kind == "f" and dtype.kind in "iu":
             if dtype.kind == "u":
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
-            return f"{self.need('truncated', dtype, source)}({text})", ATOM
+            return f"{self.require_helper('truncated', dtype, source)}({text})", ATOM
         if source == BOOL:
             unit, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
-            return f"{bracketed(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
+            return f"{with_brackets(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
         wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
                                                                               and source.kind == "u"))  # fmt: skip
         if dtype.kind == "i" and wraps:  # C leaves it to the compiler
             unsigned = f"(uint{8 * dtype.itemsize}_t)"
-            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, surrounding=UNARY)})", ATOM
-        return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+            return (
+                f"{self.require_helper('signed', dtype)}({unsigned}{with_brackets(*operand, surrounding=UNARY)})",
+                ATOM,
+            )
+        return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
-        """The bits of a value read as another type, as C's text with the precedence of its outermost operator.
+        """The bits of a number as a number of another dtype; errors as for :meth:`expression`.
 
         Args:
-            source: The type of the value.
-            dtype: The other type, of the same size.
-            operand: The value's text with its precedence.
-
-        Raises:
-            Unsupported: C has no exact form of it.
+            source: Dtype of the number.
+            dtype: The other dtype, of the same size.
+            operand: C's expression of the number, with its precedence.
         """
         text, _ = operand
         match source.kind, dtype.kind:
             case "i", "f":
-                return f"{self.need('number_of', real=dtype)}({text})", ATOM
+                return f"{self.require_helper('number_of', real=dtype)}({text})", ATOM
             case "u", "f":
-                bits = f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
-                return f"{self.need('number_of', real=dtype)}({bits})", ATOM
+                bits = f"{self.require_helper('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
+                return f"{self.require_helper('number_of', real=dtype)}({bits})", ATOM
             case "f", "i":
-                return f"{self.need('bits_of', real=source)}({text})", ATOM
+                return f"{self.require_helper('bits_of', real=source)}({text})", ATOM
             case "f", "u":
-                return f"({c_type(dtype)}){self.need('bits_of', real=source)}({text})", UNARY
+                return f"({c_type(dtype)}){self.require_helper('bits_of', real=source)}({text})", UNARY
             case "u", "i":
-                return f"{self.need('signed', dtype)}({text})", ATOM
+                return f"{self.require_helper('signed', dtype)}({text})", ATOM
             case "i", "u":
-                return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+                return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
         raise Unsupported(f"the bits of {source} as {dtype} in C")

@@ -1,8 +1,8 @@
-"""C's text of a program, for people: one statement a line, with the names of the model.
+"""The text of a program in C, for people: one statement a line, with the names of the model.
 
-It is the second emitter of a trace beside :mod:`dssc_jax.lanes.llvm.module_text`. Both keep every operation and its
-operands, so a C compiler that neither contracts nor reorders gives the bits of strict machine code. What the model
-gives a name gets a statement of its own; so does what is needed twice, and what would make a line too long.
+It is the second emitter of programs beside :mod:`dssc_jax.lanes.llvm.module_text`. Both keep every operation and its
+operands, so a C compiler that neither contracts nor reorders gives the bits of strict machine code. A value gets a
+statement of its own if the model names it, if it is needed twice, or if its expression would make a line too long.
 """
 
 import re
@@ -14,26 +14,26 @@ import numpy as np
 from dssc_jax.lanes.c.names import is_forbidden, underscored
 from dssc_jax.lanes.c.operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.lanes.passes.liveness import reachable
-from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, read_by
+from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, operands_of
 from dssc_jax.lanes.tracing.origins import Origin
 from dssc_jax.lanes.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
-"""Characters of an expression on a line."""
+"""Largest number of characters of an expression on a line."""
 
 
 class CText:
-    """Writes the statements of a program.
+    """Writes the statements of a program in C.
 
     Args:
         program: The program.
-        origins: Where the model computes each value, by identity.
+        origins: Place in the model where each value is computed, by the value's ``id``.
         inputs: C's expression of each input.
-        real: The type of the floating-point numbers.
+        real: Dtype of the floating-point numbers.
         reserved_names: Names that no variable may have.
         constants: Names of constants of the file, by value.
-        notation: Where to remember the functions that operations need; None: a new one.
-        prefix: What the names of tables begin with.
+        notation: Collects the functions that operations need; None: a new one.
+        prefix: Prefix of the names of tables.
     """
 
     def __init__(
@@ -47,12 +47,15 @@ class CText:
         notation: Notation | None = None,
         prefix: str = "",
     ) -> None:
-        self.program, self.origins, self.inputs = program, origins, inputs
+        self.program = program
+        self.origins = origins
+        self.inputs = inputs
         self.constants = constants or {}
         self.notation = notation or Notation(real)
         self.tables: list[str] = []
         self.functions: dict[str, str] = {}
-        self._real, self._prefix = real, prefix
+        self._real = real
+        self._prefix = prefix
         self.lines: list[str] = []
         self._reserved_names = {*reserved_names}
         self._written: dict[int, tuple[str, int]] = {}
@@ -60,27 +63,28 @@ class CText:
         self._function = ""
         self._indent = 1
 
-    # What a function is made of
+    # Public methods
 
     def compute(self, outputs: Sequence[Value]) -> None:
-        """Write the statements that some outputs need and that are not written yet."""
+        """Write the statements that some outputs need, except those that are written already."""
         self._block(self.program.body, reachable(Program(self.program.inputs, self.program.body, list(outputs))))
 
-    def indented(self, steps: int) -> None:
-        """Write what follows deeper, or less deep."""
+    def indent(self, steps: int) -> None:
+        """Indent the following lines by some more steps; by fewer if ``steps`` is negative."""
         self._indent += steps
 
     def line(self, text: str) -> None:
-        """Write a line."""
+        """Write a line at the present indentation; an empty text gives an empty line."""
         self.lines.append("    " * self._indent + text if text else "")
 
     def read(self, value: Value) -> str:
-        """The expression of a value."""
+        """C's expression of a value."""
         return self._expression(value)[0]
 
     # Blocks
 
     def _block(self, block: CodeBlock, alive: set[int]) -> None:
+        """Write the nodes of a block whose ``id`` is in ``alive``, except those that are written already."""
         for node in block.nodes:
             if id(node) not in alive or id(node) in self._written:
                 continue
@@ -92,7 +96,7 @@ class CText:
                 self._value(node)
 
     def _value(self, value: Value) -> None:
-        """Write a statement for a value that needs one; others stay part of the expressions that use them."""
+        """Write a statement for a value that needs one; others become parts of the expressions that use them."""
         origin = self.origins.get(id(value), Origin(""))
         text, precedence = self._operation(value)
         simple = precedence >= UNARY and len(text) < 30 and not origin.name and value.operation == "neg"
@@ -100,11 +104,12 @@ class CText:
             self._heading(origin)
             name = self._variable(origin.name or "part")
             self.line(f"const {c_type(value.dtype)} {name} = {text};")
-            text, precedence = name, ATOM
+            text = name
+            precedence = ATOM
         self._written[id(value)] = text, precedence
 
     def _heading(self, origin: Origin) -> None:
-        """A comment where another function of the model begins."""
+        """Write a comment with the model's function, where another one than before begins."""
         if origin.function and origin.function != self._function:
             self._function = origin.function
             name = origin.function.rpartition(".")[2]
@@ -114,10 +119,11 @@ class CText:
                 self.line(text)
 
     def _variable(self, name: str) -> str:
-        """A new name like the wanted one."""
+        """A new name of a variable, as near to a wanted one as possible."""
         base = underscored(name) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
-        name, count = base, 1
+        name = base
+        count = 1
         while name in self._reserved_names or (count == 1 and (base == "part" or is_forbidden(base))):
             name = f"{base}_{count}"
             count += 1
@@ -127,7 +133,7 @@ class CText:
     # Control
 
     def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
-        """A loop that tests at its end."""
+        """Write a loop that tests at its end."""
         pairs = zip(loop.states, loop.results, strict=True)
         live_positions = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
         names = {i: self._variable("state") for i in live_positions}
@@ -137,7 +143,7 @@ class CText:
         proceed = self._variable("again")
         self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
         self.line(f"while ({proceed}) {{")
-        self.indented(1)
+        self.indent(1)
         self._block(loop.body, alive)
         next_names = {i: self._variable("next") for i in live_positions}
         for i in live_positions:
@@ -146,12 +152,12 @@ class CText:
         self.line(f"{proceed} = {self.read(loop.proceed)};")
         for i in live_positions:
             self.line(f"{names[i]} = {next_names[i]};")
-        self.indented(-1)
+        self.indent(-1)
         self.line("}")
         self._written[id(loop)] = "", ATOM
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """A branch as ``if`` and ``else``."""
+        """Write a branch as ``if`` and ``else``."""
         live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
         names = {i: self._variable("chosen") for i in live_positions}
         for i in live_positions:
@@ -161,18 +167,18 @@ class CText:
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if number:
                 self.line("} else {")
-            self.indented(1)
+            self.indent(1)
             self._block(block, alive)
             for i in live_positions:
                 self.line(f"{names[i]} = {self.read(values[i])};")
-            self.indented(-1)
+            self.indent(-1)
         self.line("}")
         self._written[id(branch)] = "", ATOM
 
     # Expressions
 
     def _expression(self, value: Value) -> tuple[str, int]:
-        """The expression of a value and its precedence."""
+        """C's expression of a value, and its precedence."""
         if value.operation == "constant":
             if value.dtype.kind == "f" and (constant_name := self.constants.get(float(value.detail))) is not None:
                 return constant_name, ATOM
@@ -183,7 +189,7 @@ class CText:
         return self._written[id(value)]
 
     def _operation(self, value: Value) -> tuple[str, int]:
-        """The expression of an operation."""
+        """C's expression of an operation of written operands, and its precedence."""
         operands = [self._expression(operand) for operand in value.operands]
         if value.operation == "lookup":
             return self._lookup(value, operands[0][0]), ATOM
@@ -193,7 +199,8 @@ class CText:
 
     def _subroutine(self, subroutine: Subroutine) -> None:
         """Write the function of a subroutine, once."""
-        name, program = subroutine.name, subroutine.program
+        name = subroutine.name
+        program = subroutine.program
         if name in self.functions:
             return
         self._reserved_names.add(name)
@@ -208,7 +215,7 @@ class CText:
         self.tables += text.tables
 
     def _lookup(self, value: Value, index: str) -> str:
-        """An element of a constant table; an index beyond its end gives the last."""
+        """C's expression of an element of a constant table; an index beyond its end gives the last element."""
         table, (position,) = value.detail, value.operands
         if position.dtype.itemsize != 4:
             raise Unsupported(f"a table with an index of type {position.dtype} in C")
@@ -220,7 +227,7 @@ class CText:
 
 
 def comment(text: str) -> list[str]:
-    """The lines of a comment."""
+    """The lines of a comment in C; characters beyond ASCII become ?."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
     lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
     return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
@@ -228,11 +235,15 @@ def comment(text: str) -> list[str]:
 
 
 def use_counts(program: Program) -> dict[int, int]:
-    """How often each value is an operand of what is needed, or an output; more than once within a deeper block."""
-    alive, counts = reachable(program), dict.fromkeys((id(value) for value in program.outputs), 1)
+    """Number of uses of each value, by its ``id``, among the nodes that an output needs.
+
+    An output counts as one use; a use in an inner block, which may run more than once, as two.
+    """
+    alive = reachable(program)
+    counts = dict.fromkeys((id(value) for value in program.outputs), 1)
     for block in all_blocks(program.body):
         for node in block.nodes:
             if id(node) in alive:
-                for operand in read_by(node):
+                for operand in operands_of(node):
                     counts[id(operand)] = counts.get(id(operand), 0) + (1 if operand.block is block else 2)
     return counts

@@ -26,11 +26,11 @@ ATAN_SERIES = {
         (6.1687607318e-02, 1.4253635705e-01, 3.3333328366e-01), (-1.0648017377e-01, -1.9999158382e-01),
     ),
 }  # fmt: skip
-"""(x - atan x)/x^3 for |x| <= 7/16 in powers of x^2, the even ones and the odd ones apart, which shortens the chain."""
+"""(x - atan x)/x^3 for |x| <= 7/16 in powers of x^2: the even powers, then the odd ones, which shortens the chain."""
 
 
 def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
-    """Horner's rule, highest power first."""
+    """The value of a polynomial by Horner's rule; coefficients from the highest power on."""
     value: Scalar = coefficients[0]
     for coefficient in coefficients[1:]:
         value = value * x + coefficient
@@ -38,10 +38,10 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 
 
 def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
-    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division fewer.
+    """The arctangent of opposite/adjacent in [0, pi/4], for 0 <= opposite <= adjacent and adjacent > 0.
 
-    Beyond tan(pi/8) the ratio x becomes (x - 1)/(x + 1), by pi/4; the ratio itself is never formed. The polynomials are
-    those of FreeBSD's s_atan.c and s_atanf.c (Sun Microsystems, 1993).
+    For a ratio x beyond tan(pi/8) it is pi/4 + atan((x - 1)/(x + 1)). The ratio itself is never computed, which saves a
+    division. The polynomials are those of FreeBSD's s_atan.c and s_atanf.c (Sun Microsystems, 1993).
     """
     middle = opposite > math.tan(math.pi / 8.0) * adjacent
     reduced = jnp.where(middle, opposite - adjacent, opposite) / jnp.where(middle, opposite + adjacent, adjacent)
@@ -53,7 +53,7 @@ def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
 
 
 def atan(x: Scalar) -> Scalar:
-    """The arctangent in a form that vectorises, within 3 ulp; XLA:CPU's own calls a scalar routine."""
+    """The arctangent in (-pi/2, pi/2), within 3 ulp, in a form that vectorises; that of XLA:CPU is a scalar routine."""
     magnitude = jnp.abs(x)
     steep = magnitude > 1.0
     angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
@@ -62,7 +62,7 @@ def atan(x: Scalar) -> Scalar:
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
+    """The angle of the vector (x, y) in (-pi, pi], in a form that vectorises; 0 at the origin."""
     height = jnp.abs(y)
     width = jnp.abs(x)
     is_steep = height > width

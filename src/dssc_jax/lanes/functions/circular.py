@@ -1,7 +1,8 @@
 """Sine, cosine and tangent of every number.
 
-Up to :data:`MOST_QUARTERS` quarter turns, pi/2 in three or four parts removes them, after Cody and Waite. Beyond, lanes
-rarely get: there the product of the number and 2/pi is formed as an integer of 192 bits, after Payne and Hanek.
+Quarter turns are removed first. Up to :data:`MOST_QUARTERS` of them, this is done by pi/2 in three or four parts, after
+Cody and Waite. Lanes rarely get beyond; there it is done by the product with 2/pi as an integer of 192 bits, after
+Payne and Hanek.
 
 References:
     W. J. Cody, W. Waite, Software Manual for the Elementary Functions (1980).
@@ -18,7 +19,7 @@ import numpy as np
 
 from dssc_jax.lanes.functions.approximations import polynomial
 
-# pi/2 in parts; a product of all but the last with a whole number below MOST_QUARTERS is exact.
+# pi/2 in parts; the product of a whole number below MOST_QUARTERS with each part but the last is exact
 HALF_PI = {
     64: (1.57079632673412561417e0, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
     32: (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12),
@@ -29,7 +30,7 @@ COSINE_SERIES = (-1.13596475577881948265e-11, 2.08757232129817482790e-9, -2.7557
           2.48015872894767294178e-5, -1.38888888888741095749e-3, 4.16666666666666019037e-2)  # fmt: skip
 MOST_QUARTERS = {64: 2.0**20, 32: 2.0**12}
 ROUNDER = {64: 1.5 * 2.0**52, 32: 1.5 * 2.0**23}
-"""A number added to it rounds another to a whole number, which is then in the low bits of the sum."""
+"""A number whose sum with x rounds x to a whole number, which is then in the low bits of the sum."""
 
 TWO_BY_PI = (
     0x0000000000000000, 0xA2F9836E4E441529, 0xFC2757D1F534DDC0, 0xDB6295993C439041, 0xFE5163ABDEBBC561,
@@ -37,19 +38,19 @@ TWO_BY_PI = (
     0x3991D639835339F4, 0x9C845F8BBDF9283B, 0x1FF897FFDE05980F, 0xEF2F118B5A0A6D1F, 0x6D367ECF27CB09B7,
     0x4F463F669E5FEA2D, 0x7527BAC7EBE5F17B, 0x3D0739F78A5292EA, 0x6BFB5FB11F8D5D08, 0x56033046FC7B6BAB,
 )  # fmt: skip
-"""2/pi in words of 64 bits; the first is its whole part."""
+"""2/pi in words of 64 bits; the first word is the whole part, 0."""
 
 HALF_PI_SPLIT = 1.5707963109016418, 1.5893254712295857e-8, 6.123233995736766e-17
-"""pi/2: 26 bits, the 27 after them, and the next."""
+"""pi/2 as a sum of three numbers: the first 26 bits, the next 27, and the next."""
 
 
-class Reduced(NamedTuple):
-    """A number without its whole quarter turns.
+class ReducedAngle(NamedTuple):
+    """An angle without its whole quarter turns.
 
     Args:
-        quarters: Their number, modulo 4, in the two lowest bits of an integer.
-        angle: The remaining angle, within pi/4.
-        angle_error: By how much ``angle`` is too large.
+        quarters: Number of quarter turns, modulo 4, in the two lowest bits of an integer.
+        angle: The remaining angle in [-pi/4, pi/4] [rad].
+        angle_error: The rounding error of ``angle``, which is too large by it [rad].
     """
 
     quarters: jax.Array
@@ -57,53 +58,58 @@ class Reduced(NamedTuple):
     angle_error: jax.Array
 
 
-def reduced_near(x: jax.Array) -> Reduced:
-    """The reduction of a number below :data:`MOST_QUARTERS`."""
+def reduce_near(x: jax.Array) -> ReducedAngle:
+    """The reduction of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
     bits = 8 * x.dtype.itemsize
     rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
     turns = rounded_sum - ROUNDER[bits]
-    angle, angle_error = x, jnp.zeros_like(x)
+    angle = x
+    angle_error = jnp.zeros_like(x)
     for part in HALF_PI[bits]:
         low = angle - turns * part
         angle_error = angle_error + (turns * part - (angle - low))
         angle = low
-    return Reduced(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
+    return ReducedAngle(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
 
 
 def is_far(x: jax.Array) -> jax.Array:
-    """Whether a number has too many quarter turns for :func:`reduced_near`."""
+    """Whether an angle [rad] has too many quarter turns for :func:`reduce_near`."""
     return jnp.abs(x) >= (0.5 * math.pi) * MOST_QUARTERS[8 * x.dtype.itemsize]
 
 
 def word(number: int) -> jax.Array:
-    """A constant word."""
+    """A constant word of 64 bits."""
     return jnp.uint64(number)
 
 
 def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
     """The upper word of the product of two words, the first below 2^53."""
     low = word(0xFFFFFFFF)
-    x_high, x_low, y_high, y_low = x >> word(32), x & low, y >> word(32), y & low
-    low_by_high, high_by_low = x_low * y_high, x_high * y_low
+    x_high = x >> word(32)
+    x_low = x & low
+    y_high = y >> word(32)
+    y_low = y & low
+    low_by_high = x_low * y_high
+    high_by_low = x_high * y_low
     middle = (x_low * y_low >> word(32)) + (low_by_high & low) + (high_by_low & low)
     return x_high * y_high + (low_by_high >> word(32)) + (high_by_low >> word(32)) + (middle >> word(32))
 
 
 def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
-    """The 64 bits that begin ``shift`` bits after the beginning of two words."""
+    """64 bits of two consecutive words, from bit number ``shift`` on."""
     return high << shift | (low >> word(1)) >> (word(63) - shift)
 
 
-def real(x: jax.Array, scale: float) -> jax.Array:
-    """A word below 2^32 as a number, times a power of two."""
+def word_as_number(x: jax.Array, scale: float) -> jax.Array:
+    """A word below 2^32 as a float64 number, times ``scale``, a power of two."""
     return x.astype(jnp.int64).astype(jnp.float64) * scale
 
 
-def reduced_far(x: jax.Array) -> Reduced:
-    """The reduction of a float64 number of any size, at least 2^-9; NaN for an infinite one.
+def reduce_far(x: jax.Array) -> ReducedAngle:
+    """The reduction of any angle [rad] in float64 from 2^-9 on; NaN for an infinite one.
 
-    |x| = m 2^e with an integer m of 53 bits. Those bits of 2/pi whose product with it is a multiple of 4 are left out;
-    the next 192 give |x| 2/pi modulo 4 with 126 bits behind the point. Of these, no number cancels more than 62.
+    |x| = m 2^e with an integer m of 53 bits. Bits of 2/pi whose product with |x| is a multiple of 4 are left out. The
+    next 192 bits give |x| 2/pi modulo 4 with 126 binary places. For no number do more than 62 of these cancel.
     """
     bits = jax.lax.bitcast_convert_type(jnp.abs(x), jnp.uint64)
     mantissa = bits & word(2**52 - 1) | word(2**52)
@@ -118,19 +124,31 @@ def reduced_far(x: jax.Array) -> Reduced:
     middle = low + high_product(mantissa, third)
     carry = (middle < low).astype(jnp.uint64)
     high = mantissa * first + high_product(mantissa, second) + carry
-    upper, lower = high << word(2) | middle >> word(62), middle << word(2)
+    upper = high << word(2) | middle >> word(62)
+    lower = middle << word(2)
     above_half = upper >> word(63)
     quarters = (high >> word(62)) + above_half
     flipped = word(0) - above_half  # all bits, where the fraction is nearer to 1
-    upper, lower = upper ^ flipped, lower ^ flipped
+    upper = upper ^ flipped
+    lower = lower ^ flipped
     return radians(x, quarters, above_half, upper, lower)
 
 
-def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> Reduced:
-    """The angle of a fraction of a quarter turn, given by two words without sign, with the sign of x."""
+def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> ReducedAngle:
+    """The reduced angle in radians, from a fraction of a quarter turn.
+
+    Args:
+        x: The angle that is reduced [rad], whose sign the result has.
+        quarters: Number of quarter turns of |x|.
+        negative: 1 if the fraction is negative, else 0.
+        upper: First word of the absolute value of the fraction, as an integer of 128 bits.
+        lower: Second word.
+    """
     half = word(0xFFFFFFFF)
-    first, second = real(upper >> word(32), 2.0**-32), real(upper & half, 2.0**-64)
-    third, fourth = real(lower >> word(32), 2.0**-96), real(lower & half, 2.0**-128)
+    first = word_as_number(upper >> word(32), 2.0**-32)
+    second = word_as_number(upper & half, 2.0**-64)
+    third = word_as_number(lower >> word(32), 2.0**-96)
+    fourth = word_as_number(lower & half, 2.0**-128)
     sum_of_first = first + second
     tail = (second - (sum_of_first - first)) + (third + fourth)
     fraction = sum_of_first + tail
@@ -145,20 +163,20 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
     is_negated = (negative == word(1)) ^ (x < 0.0)
     quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
     not_a_number = x - x  # NaN of an infinite number
-    return Reduced(
+    return ReducedAngle(
         jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(is_negated, -angle, angle) + not_a_number,
         jnp.where(is_negated, -angle_error, angle_error),
     )  # fmt: skip
 
 
-def sine_of(reduced: Reduced) -> jax.Array:
-    """The sine of the remaining angle; that of -0 is -0."""
+def sine_of(reduced: ReducedAngle) -> jax.Array:
+    """The sine of the remaining angle; the sine of -0 is -0."""
     _, angle, angle_error = reduced
     z = angle * angle
     return angle - (angle_error - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * angle_error))
 
 
-def cosine_of(reduced: Reduced) -> jax.Array:
+def cosine_of(reduced: ReducedAngle) -> jax.Array:
     """The cosine of the remaining angle."""
     _, angle, angle_error = reduced
     z = angle * angle
@@ -167,50 +185,51 @@ def cosine_of(reduced: Reduced) -> jax.Array:
     return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * angle_error))
 
 
-def sine(reduced: Reduced) -> jax.Array:
-    """The sine, from sine or cosine of the remaining angle."""
+def sine(reduced: ReducedAngle) -> jax.Array:
+    """The sine of a reduced angle, from sine or cosine of the remaining angle."""
     value = jnp.where(reduced.quarters & 1 == 1, cosine_of(reduced), sine_of(reduced))
     return jnp.where(reduced.quarters & 2 == 2, -value, value)
 
 
-def cosine(reduced: Reduced) -> jax.Array:
-    """The cosine, from sine or cosine of the remaining angle."""
+def cosine(reduced: ReducedAngle) -> jax.Array:
+    """The cosine of a reduced angle, from sine or cosine of the remaining angle."""
     value = jnp.where(reduced.quarters & 1 == 1, sine_of(reduced), cosine_of(reduced))
     return jnp.where((reduced.quarters + 1) & 2 == 2, -value, value)
 
 
-def tangent(reduced: Reduced) -> jax.Array:
-    """The tangent, from sine and cosine of the remaining angle."""
+def tangent(reduced: ReducedAngle) -> jax.Array:
+    """The tangent of a reduced angle, from sine and cosine of the remaining angle."""
     is_odd = reduced.quarters & 1 == 1
-    cosine_value, sine_value = cosine_of(reduced), sine_of(reduced)
+    cosine_value = cosine_of(reduced)
+    sine_value = sine_of(reduced)
     return jnp.where(is_odd, -cosine_value, sine_value) / jnp.where(is_odd, sine_value, cosine_value)
 
 
 def sin(x: jax.Array) -> jax.Array:
-    """The sine up to :data:`MOST_QUARTERS`."""
-    return sine(reduced_near(x))
+    """The sine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    return sine(reduce_near(x))
 
 
 def cos(x: jax.Array) -> jax.Array:
-    """The cosine up to :data:`MOST_QUARTERS`."""
-    return cosine(reduced_near(x))
+    """The cosine of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    return cosine(reduce_near(x))
 
 
 def tan(x: jax.Array) -> jax.Array:
-    """The tangent up to :data:`MOST_QUARTERS`."""
-    return tangent(reduced_near(x))
+    """The tangent of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    return tangent(reduce_near(x))
 
 
 def far_sin(x: jax.Array) -> jax.Array:
-    """The sine beyond."""
-    return sine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    """The sine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    return sine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_cos(x: jax.Array) -> jax.Array:
-    """The cosine beyond."""
-    return cosine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    """The cosine of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    return cosine(reduce_far(x.astype(jnp.float64))).astype(x.dtype)
 
 
 def far_tan(x: jax.Array) -> jax.Array:
-    """The tangent beyond."""
-    return tangent(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+    """The tangent of an angle [rad] beyond :data:`MOST_QUARTERS` quarter turns."""
+    return tangent(reduce_far(x.astype(jnp.float64))).astype(x.dtype)

@@ -1,6 +1,6 @@
 """Elementary functions as arithmetic, so that every machine and every width of vectors computes the same bits.
 
-They are ordinary functions of JAX arrays: a lane's program traces them where it meets the primitive of the same name.
+They are ordinary functions of JAX arrays: the translator traces them in place of the primitive of the same name.
 Over the whole range of float64 and float32, subnormal numbers included, results are within a few units in the last
 place of the exact value; docs/lanes.md has the numbers. Infinities, NaN and the sign of zero are those of C99.
 """
@@ -19,7 +19,7 @@ from dssc_jax.lanes.functions import circular, exponentials
 from dssc_jax.lanes.functions.approximations import atan, atan2, polynomial
 from dssc_jax.lanes.functions.exponentials import is_negative, logarithm, mantissa, width
 from dssc_jax.lanes.functions.powers import power
-from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, absent, array_type, rule
+from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, array_type, no_value, rule
 
 INVERSE_ERROR = {
     64: (
@@ -64,17 +64,17 @@ INVERSE_ERROR = {
 They interpolate values of 50 digits at Chebyshev's nodes."""
 
 INVERSE_ERROR_RANGES = {64: ((6.25, 3.125), (16.0, 3.25), (math.inf, 5.0)), 32: ((5.0, 2.5), (math.inf, 3.0))}
-"""End of each range of w, and c."""
+"""For each range of w, its end and the centre c of its polynomial."""
 
 SIDES = {
     64: ((2.0**1000, 2.0**-60), (2.0**-900, 2.0**200)),
     32: ((2.0**100, 2.0**-24), (2.0**-80, 2.0**60)),
 }
-"""Largest side of a triangle that is not scaled, and the scale of larger ones; the smallest, and that of smaller."""
+"""The largest side that :func:`angle` does not scale, with the scale of larger ones; then the smallest, likewise."""
 
 
 def erf_inv(x: jax.Array) -> jax.Array:
-    """The inverse of the error function between its tails.
+    """The inverse of the error function between its tails (:func:`is_in_tail`).
 
     The form in w is that of M. Giles, "Approximating the erfinv function", GPU Computing Gems, Jade Edition (2012).
     """
@@ -84,13 +84,13 @@ def erf_inv(x: jax.Array) -> jax.Array:
 
 
 def is_in_tail(x: jax.Array) -> jax.Array:
-    """Whether a number, or a NaN, lies in a tail: 0.2 % of the uniform numbers do."""
+    """Whether a number lies in a tail of the inverse error function, or is NaN; 0.2 % of uniform numbers lie there."""
     (end, _), *_ = INVERSE_ERROR_RANGES[width(x)]
     return ~(one_minus_square(x) > math.exp(-end))
 
 
 def tail_erf_inv(x: jax.Array) -> jax.Array:
-    """The inverse of the error function in its tails, at its ends and beyond them."""
+    """The inverse of the error function in its tails, at -1 and 1 (infinite) and beyond (NaN)."""
     _, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
     w = one_minus_square_logarithm(x)
     root = jnp.sqrt(w)
@@ -127,62 +127,66 @@ def arc_tangent(x: jax.Array) -> jax.Array:
 
 
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
-    """The angle of (x, y) in [-pi, pi]; sides whose sum overflows, or whose digits are few, are scaled."""
+    """The angle of the vector (x, y) in [-pi, pi], with C99's values for zeros and infinities.
+
+    Sides that are so long that their sum overflows, or so short that digits are lost, are scaled.
+    """
     longer_side = jnp.maximum(jnp.abs(x), jnp.abs(y))
     (largest, smaller), (smallest, larger) = SIDES[width(x)]
     scale = jnp.where(longer_side > largest, smaller, jnp.where(longer_side < smallest, larger, 1.0))
     is_diagonal = jnp.isinf(x) & jnp.isinf(y)
-    height, base = jnp.abs(y) * scale, x * scale
+    height = jnp.abs(y) * scale
+    base = x * scale
     magnitude = atan2(jnp.where(is_diagonal, 1.0, height), jnp.where(is_diagonal, jnp.sign(x), base))
     magnitude = jnp.where((x == 0.0) & (y == 0.0) & is_negative(x), math.pi, magnitude)
     return jnp.where(is_negative(y), -magnitude, magnitude)
 
 
 def one_minus_square(x: jax.Array) -> jax.Array:
-    """1 - x^2, also near 1."""
+    """1 - x^2, without cancellation near 1."""
     return (1.0 + x) * (1.0 - x)
 
 
 @dataclass(frozen=True)
 class RareRule(TranslationRule):
-    """A rule with another function for arguments that few lanes have.
+    """A rule with a second function for arguments that few lanes have.
 
     Args:
-        is_rare: Whether an argument is one of them.
-        rarely: The function for them, which a program calls if a lane needs it.
+        is_rare: ``(arguments) -> bool``: whether the arguments need the second function.
+        rarely: The second function, a subroutine that is called only if a lane needs it.
     """
 
     is_rare: Callable[..., Any]
     rarely: Callable[..., Any]
 
 
-def accurate(function: Callable[..., Any]) -> TranslationRule:
-    """The rule of a function whose accuracy may be asked for; any but the default is refused."""
-    return rule(function, REAL, accuracy=absent)
+def accuracy_rule(function: Callable[..., Any]) -> TranslationRule:
+    """The rule of a function whose primitive has an accuracy; any but the default is refused."""
+    return rule(function, REAL, accuracy=no_value)
 
 
 def real_base(equation: JaxprEqn) -> str | None:
-    """Refuse a power of an integer; an exponent may be one."""
+    """Why a power is not translated: its base is an integer; None if it is not. The exponent may be an integer."""
     return None if np.dtype(array_type(equation.invars[0]).dtype) in REAL else "a power of an integer"
 
 
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
-    """The rule of a function of an angle."""
-    return RareRule(usually, Specification(REAL, {"accuracy": absent}), circular.is_far, rarely)
+    """The rule of a circular function, with a second function for angles of many turns."""
+    return RareRule(usually, Specification(REAL, {"accuracy": no_value}), circular.is_far, rarely)
 
 
 ELEMENTARY: dict[str, TranslationRule] = {
     "sin": circular_rule(circular.sin, circular.far_sin),
     "cos": circular_rule(circular.cos, circular.far_cos),
     "tan": circular_rule(circular.tan, circular.far_tan),
-    "exp": accurate(exponentials.exp),
-    "exp2": accurate(exponentials.exp2),
-    "expm1": accurate(exponentials.expm1),
-    "log": accurate(exponentials.log),
-    "log2": accurate(exponentials.log2),
-    "log1p": accurate(exponentials.log1p),
-    "tanh": accurate(exponentials.tanh),
-    "logistic": accurate(exponentials.logistic),
+    "exp": accuracy_rule(exponentials.exp),
+    "exp2": accuracy_rule(exponentials.exp2),
+    "expm1": accuracy_rule(exponentials.expm1),
+    "log": accuracy_rule(exponentials.log),
+    "log2": accuracy_rule(exponentials.log2),
+    "log1p": accuracy_rule(exponentials.log1p),
+    "tanh": accuracy_rule(exponentials.tanh),
+    "logistic": accuracy_rule(exponentials.logistic),
     "sinh": rule(exponentials.sinh, REAL),
     "cosh": rule(exponentials.cosh, REAL),
     "asin": rule(asin, REAL),
@@ -193,4 +197,4 @@ ELEMENTARY: dict[str, TranslationRule] = {
     "one_minus_square": rule(one_minus_square, REAL),
     "pow": TranslationRule(power, Specification(REAL | WHOLE, exact=real_base)),
 }
-"""TranslationRule of each function by its primitive's name. A new one takes its definition above and a row here."""
+"""The rule of each function by its primitive's name. A new function needs its definition above and a row here."""

@@ -13,50 +13,57 @@ import numpy as np
 
 from dssc_jax.lanes.functions.approximations import LOG_SERIES, polynomial
 
-# ln 2 in parts; a product of the first with a whole number of moderate size is exact.
+# ln 2 in two parts; the product of the first with a whole number of moderate size is exact
 LN_2 = {64: (6.93147180369123816490e-1, 1.90821492927058770002e-10), 32: (0.693359375, -2.12194440054690582e-4)}
-EXPONENTIAL = tuple(1.0 / math.factorial(n) for n in range(14, 2, -1))  # of (e^x - 1 - x - x^2/2)/x^3, by Taylor
+EXPONENTIAL = tuple(1.0 / math.factorial(n) for n in range(14, 2, -1))
+"""Taylor's coefficients of (e^x - 1 - x - x^2/2)/x^3, from the highest power on."""
 EXPONENTS = {64: (-746.0, 711.0), 32: (-104.5, 90.0)}
-"""Outside, e^x and e^x/2 are 0 or infinite."""
+"""Bounds of x outside of which both e^x and e^x/2 are 0 or infinite."""
 
 BINARY_EXPONENTS = {64: (-1076.0, 1025.0), 32: (-151.0, 129.0)}
-"""Outside, 2^x is 0 or infinite."""
+"""Bounds of x outside of which 2^x is 0 or infinite."""
 
 
 def width(x: jax.Array) -> int:
-    """Bits of a floating-point type."""
+    """Number of bits of a floating-point number, 32 or 64."""
     return 8 * jnp.asarray(x).dtype.itemsize
 
 
 def bits_of(x: jax.Array) -> jax.Array:
-    """The bits of a number as an integer."""
+    """The bits of a floating-point number as an integer of the same width."""
     return jax.lax.bitcast_convert_type(x, jnp.int64 if width(x) == 64 else jnp.int32)
 
 
 def as_integer(x: jax.Array) -> jax.Array:
-    """A whole number in the integer type of the same width."""
+    """A whole floating-point number as an integer of the same width."""
     return x.astype(jnp.int64 if width(x) == 64 else jnp.int32)
 
 
 def is_negative(x: jax.Array) -> jax.Array:
-    """Whether the sign is negative, also of zero."""
+    """Whether the sign bit of a number is set, also that of -0."""
     return bits_of(x) < 0
 
 
 def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
-    """2^n of a whole number within the range of normal numbers."""
+    """2^n for a whole number n, in the dtype of ``like``; the result must be a normal number."""
     digits, bias = (52, 1023) if width(like) == 64 else (23, 127)
     integer = as_integer(exponent)
     return jax.lax.bitcast_convert_type((integer + bias) << digits, like.dtype)
 
 
-def less_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
-    """e^(r + correction) - 1 for |r| at most about ln 2 / 2, with a correction of about a rounding error."""
+def exponential_minus_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
+    """e^(r + correction) - 1 for |r| up to about ln 2 / 2, with a correction as small as a rounding error of r."""
     return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + correction * (1.0 + r)))
 
 
 def reduce_exponent(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """A whole number n, r and a small correction to r with x = n ln 2 + r, for x that gives neither 0 nor infinity."""
+    """Write x as n ln 2 + r + correction, with a whole number n and |r| up to about ln 2 / 2.
+
+    x is first limited to :data:`EXPONENTS`; n is 0 for a NaN.
+
+    Returns:
+        n, r and the correction, which is as small as a rounding error of r.
+    """
     high, low = LN_2[width(x)]
     x = jnp.clip(x, *EXPONENTS[width(x)])
     n = jnp.round(x * (1.0 / math.log(2.0)))
@@ -66,13 +73,13 @@ def reduce_exponent(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def exponential(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A whole number n and e^r - 1 with x = n ln 2 + r."""
+    """The whole number n and the number e^r - 1 that give e^x = 2^n e^r, where x = n ln 2 + r."""
     n, r, correction = reduce_exponent(x)
-    return n, less_one(r, correction)
+    return n, exponential_minus_one(r, correction)
 
 
 def scaled_by_power(x: jax.Array, n: jax.Array) -> jax.Array:
-    """2^n x, through two factors, so that the first result out of range is the last."""
+    """2^n x, by two factors, so that only the final result can overflow or underflow."""
     half = jnp.floor(0.5 * n)
     return x * exponential_of_two(half, x) * exponential_of_two(n - half, x)
 
@@ -80,23 +87,23 @@ def scaled_by_power(x: jax.Array, n: jax.Array) -> jax.Array:
 def exp(x: jax.Array) -> jax.Array:
     """e^x.
 
-    Infinity is selected, so that fast arithmetic does not contract the last product with a difference: e^inf - inf is
-    NaN.
+    An infinite result is selected and not computed: fast arithmetic could contract the last product with a following
+    difference, and e^inf - inf would be NaN.
     """
     n, remainder = exponential(x)
     return jnp.where(x == jnp.inf, x, scaled_by_power(1.0 + remainder, n))
 
 
 def exp2(x: jax.Array) -> jax.Array:
-    """2^x; infinity as in :func:`exp`."""
+    """2^x; an infinite result is selected as in :func:`exp`."""
     bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
     n = jnp.round(bounded)
-    remainder = less_one((bounded - n) * math.log(2.0))
+    remainder = exponential_minus_one((bounded - n) * math.log(2.0))
     return jnp.where(x == jnp.inf, x, scaled_by_power(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
 
 
 def expm1(x: jax.Array) -> jax.Array:
-    """e^x - 1, also near 0."""
+    """e^x - 1, without cancellation near 0."""
     n, remainder = exponential(x)
     is_large = jnp.abs(n) > 60.0
     factor = exponential_of_two(jnp.where(is_large, 0.0, n), x)
@@ -106,7 +113,7 @@ def expm1(x: jax.Array) -> jax.Array:
 
 
 def mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """m in [2^(-1/2), 2^(1/2)) and a whole number k with x = 2^k m, of a positive normal number."""
+    """Split a positive normal number x = 2^k m into m in [2^(-1/2), 2^(1/2)) and the whole number k."""
     digits, root = (52, 0x3FE6A09E667F3BCD) if width(x) == 64 else (23, 0x3F3504F3)
     bits = bits_of(x)
     exponent = (bits - root) >> digits
@@ -124,7 +131,7 @@ def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
 
 
 def normalised_mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """As :func:`mantissa`, of a positive number that may be subnormal."""
+    """As :func:`mantissa`, for a positive number that may be subnormal."""
     lift = 54 if width(x) == 64 else 25
     is_subnormal = x < np.finfo(x.dtype).tiny
     fraction, k = mantissa(jnp.where(is_subnormal, x * 2.0**lift, x))
@@ -132,7 +139,7 @@ def normalised_mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def log_at_edges(x: jax.Array, regular_value: jax.Array) -> jax.Array:
-    """The logarithm with its values at 0, infinity, NaN and below 0."""
+    """The logarithm of x with its values at 0, at infinity, for NaN and below 0; elsewhere ``regular_value``."""
     value = jnp.where(x < jnp.inf, regular_value, x)
     return jnp.where(x > 0.0, value, jnp.where(x == 0.0, -jnp.inf, jnp.nan))
 
@@ -151,7 +158,7 @@ def log2(x: jax.Array) -> jax.Array:
 
 
 def log1p(x: jax.Array) -> jax.Array:
-    """ln(1 + x), also near 0."""
+    """ln(1 + x), without cancellation near 0."""
     u = 1.0 + x
     rounding_error = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
     fraction, k = mantissa(u)

@@ -1,7 +1,7 @@
 """x^y, with the logarithm as the sum of two numbers.
 
-An error of y ln x is as large relative to x^y; y ln x may be 700. Float64 therefore carries twice the digits up to
-there, by sums and products with their exact rounding errors. Float32 is computed in float64.
+An absolute error of y ln x becomes a relative error of x^y, and y ln x may be 700. So float64 computes y ln x with
+twice its digits, by sums and products with their exact rounding errors. Float32 is computed in float64.
 
 References:
     T. J. Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik 18 (1971).
@@ -17,8 +17,8 @@ from dssc_jax.lanes.functions.approximations import polynomial
 from dssc_jax.lanes.functions.exponentials import (
     EXPONENTS,
     LN_2,
+    exponential_minus_one,
     is_negative,
-    less_one,
     normalised_mantissa,
     reduce_exponent,
     scaled_by_power,
@@ -26,52 +26,54 @@ from dssc_jax.lanes.functions.exponentials import (
 
 SPLITTER = 2.0**27 + 1.0
 LARGEST_EXPONENT = 2.0**70
-"""Beyond it, x^y is 0, 1 or infinite for every x."""
+"""Size of y beyond which x^y is 0, 1 or infinite for every x."""
 
 THIRD = 1.0 / 3.0, 1.850371707708594e-17
-"""1/3, and the rest of it."""
+"""1/3 as a sum of two numbers."""
 
 SERIES = tuple(1.0 / n for n in range(27, 4, -2))
-"""Of (atanh(s)/s - 1 - s^2/3)/s^4 in powers of s^2, by Taylor; s^2 is below 0.0295."""
+"""Taylor's coefficients of (atanh(s)/s - 1 - s^2/3)/s^4 in powers of s^2 < 0.0295, from the highest power on."""
 
 
 class TwoPartNumber(NamedTuple):
-    """A number as a sum of two, the second within the rounding error of the first."""
+    """A number as the sum of a float64 number and a second one that is at most the first one's rounding error."""
 
     high: jax.Array
     low: jax.Array
 
 
 def exact_sum(larger: jax.Array, smaller: jax.Array) -> TwoPartNumber:
-    """The sum of two numbers, the first of larger magnitude, or 0."""
+    """The exact sum of two numbers, of which the first is 0 or has the larger magnitude."""
     total = larger + smaller
     return TwoPartNumber(total, smaller - (total - larger))
 
 
 def split_digits(x: jax.Array) -> TwoPartNumber:
-    """A number as a sum of two of 26 bits each."""
+    """A number as the exact sum of two numbers of 26 bits each."""
     scaled_number = x * SPLITTER
     high = scaled_number - (scaled_number - x)
     return TwoPartNumber(high, x - high)
 
 
 def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
-    """The product of two numbers that are neither huge nor tiny."""
-    product, a, b = x * y, split_digits(x), split_digits(y)
+    """The exact product of two numbers that are neither huge nor tiny."""
+    product = x * y
+    a = split_digits(x)
+    b = split_digits(y)
     error = ((a.high * b.high - product) + a.high * b.low + a.low * b.high) + a.low * b.low
     return TwoPartNumber(product, error)
 
 
 def pair_product(x: TwoPartNumber, y: TwoPartNumber) -> TwoPartNumber:
-    """The product of two pairs."""
+    """The product of two numbers that consist of two parts, to about twice the digits of float64."""
     high, low = exact_product(x.high, y.high)
     return TwoPartNumber(high, low + (x.high * y.low + x.low * y.high))
 
 
 def logarithm_pair(x: jax.Array) -> TwoPartNumber:
-    """ln x of a positive number in float64, to 64 bits.
+    """ln x of a positive float64 number, to about 64 bits.
 
-    With x = 2^k (1 + f) and s = f/(2 + f), it is k ln 2 + 2 atanh s.
+    With x = 2^k (1 + f) and s = f/(2 + f), the logarithm is k ln 2 + 2 atanh s.
     """
     fraction, k = normalised_mantissa(x)
     f = fraction - 1.0
@@ -91,23 +93,24 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
 
 
 def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
-    """x^y of a positive, finite x in float64."""
+    """x^y for a positive, finite x in float64."""
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
     n, r, correction = reduce_exponent(exponent.high)
     is_out_of_range = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
     correction = jnp.where(is_out_of_range, 0.0, correction + (exponent.low + limited * log.low))
-    remainder = less_one(r)
+    remainder = exponential_minus_one(r)
     return scaled_by_power(1.0 + (remainder + correction * (1.0 + remainder)), n)
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:
-    """x^y; of a negative x for whole y only."""
+    """x^y, with C99's values for zeros, infinities and NaN; NaN for a negative x and a y that is not whole."""
     y = y.astype(x.dtype)
     size = jnp.abs(x)
     is_ordinary = (size > 0.0) & (size < jnp.inf)
-    base, exponent = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64), y.astype(jnp.float64)
+    base = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64)
+    exponent = y.astype(jnp.float64)
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
     is_infinite = (size == 0.0) == (y < 0.0)
     value = jnp.where(is_ordinary, value, jnp.where(is_infinite, jnp.inf, 0.0))

@@ -1,4 +1,4 @@
-"""The CUDA driver, by ctypes: memory, modules, launches. It comes with the GPU's driver; nothing else is needed.
+"""The CUDA driver by ctypes: memory, modules and launches. It needs no software but the GPU's driver.
 
 Names, types and constants are those of NVIDIA's CUDA Driver API, version 11.4 and later.
 """
@@ -39,15 +39,15 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "cuMemcpyDtoHAsync_v2": (c_void_p, c_uint64, c_size_t, c_void_p),
     "cuLaunchKernel": (c_void_p, *([c_uint] * 7), c_void_p, c_void_p, c_void_p),
 }
-"""Types of the arguments of each function that is called. All return an error's number, 0 for success."""
+"""Types of the arguments of each function that is called. All return the number of an error, or 0."""
 
 
 class GpuError(Exception):
-    """There is no GPU that can run lanes, or its driver refused something."""
+    """There is no GPU that can run lanes, or its driver has refused a call."""
 
 
 class Driver:
-    """The driver with the first GPU that this process may use, in the context that other libraries use, too.
+    """The driver of the first GPU that this process may use, in the context that other libraries use, too.
 
     Args:
         library: The loaded library.
@@ -61,7 +61,8 @@ class Driver:
         for name, types in ARGUMENTS.items():
             getattr(library, name).argtypes = types
         self.call("cuInit", 0)
-        device, context = c_int(), c_void_p()
+        device = c_int()
+        context = c_void_p()
         self.call("cuDeviceGet", byref(device), 0)
         self.device = device.value
         name = ctypes.create_string_buffer(256)
@@ -89,22 +90,23 @@ class Driver:
             raise GpuError(f"{name} of the CUDA driver: {error}{remedy}")
 
     def attribute(self, number: int) -> int:
-        """A property of the GPU."""
+        """The value of a numbered attribute of the GPU."""
         value = c_int()
         self.call("cuDeviceGetAttribute", byref(value), number, self.device)
         return value.value
 
     def use(self) -> None:
-        """Let this thread use the GPU."""
+        """Make the GPU's context that of the calling thread, which each thread must do before other calls."""
         self.call("cuCtxSetCurrent", self._context)
 
     def kernel(self, code: bytes, entry: str) -> c_void_p:
-        """Load PTX and find its kernel.
+        """Load PTX, and return the handle of its kernel ``entry``.
 
         Raises:
-            GpuError: The driver cannot translate it; the message holds what it says.
+            GpuError: The driver cannot translate the PTX; the message contains the driver's own.
         """
-        module, function = c_void_p(), c_void_p()
+        module = c_void_p()
+        function = c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         options = (c_int * 2)(LOG, LOG_SIZE)
         values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
@@ -116,17 +118,17 @@ class Driver:
         return function
 
     def stream(self) -> c_void_p:
-        """A new stream of the GPU, in which it works in order."""
+        """A new stream, whose operations the GPU performs in order."""
         stream = c_void_p()
         self.call("cuStreamCreate", byref(stream), NON_BLOCKING)
         return stream
 
     def wait(self, stream: c_void_p) -> None:
-        """Wait for all that is in a stream."""
+        """Wait until all operations of a stream are finished."""
         self.call("cuStreamSynchronize", stream)
 
     def close(self, stream: c_void_p) -> None:
-        """Give a stream back."""
+        """Destroy a stream."""
         self.call("cuStreamDestroy_v2", stream)
 
     def reserve(self, size: int) -> int:
@@ -136,29 +138,29 @@ class Driver:
         return address.value
 
     def free(self, address: int) -> None:
-        """Give memory back."""
+        """Free memory that :meth:`reserve` has reserved."""
         self.call("cuMemFree_v2", address)
 
     def send(self, address: int, array: np.ndarray, stream: c_void_p) -> None:
-        """Copy a contiguous array to the GPU."""
+        """Queue the copying of a contiguous array to an address on the GPU."""
         self.call("cuMemcpyHtoDAsync_v2", address, array.ctypes.data, array.nbytes, stream)
 
     def fetch(self, array: np.ndarray, address: int, stream: c_void_p) -> None:
-        """Copy from the GPU to a contiguous array."""
+        """Queue the copying from an address on the GPU to a contiguous array."""
         self.call("cuMemcpyDtoHAsync_v2", array.ctypes.data, address, array.nbytes, stream)
 
     def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
-        """Queue a kernel, with ``threads`` threads in each of ``blocks`` blocks."""
+        """Queue a run of a kernel, with ``threads`` threads in each of ``blocks`` blocks."""
         argument_addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, argument_addresses, None)
 
 
 @cache
 def driver() -> Driver:
-    """The driver of this machine.
+    """The driver of this machine's first GPU, loaded once.
 
     Raises:
-        GpuError: It has none, or no GPU that can run lanes.
+        GpuError: The machine has no driver, or no GPU that can run lanes.
     """
     try:
         library = ctypes.CDLL(LIBRARY)

@@ -15,7 +15,7 @@ from dssc_jax.lanes.lanes import CompiledLanes
 if TYPE_CHECKING:
     from dssc_jax.lanes.gpu.kernel_text import TracedKernel
 
-THREADS = 256  # threads of a block, as many as a multiprocessor holds of the vehicle
+THREADS = 256  # threads of a block; a multiprocessor holds as many of the vehicle's program
 
 
 class KernelLanes(CompiledLanes):
@@ -29,21 +29,21 @@ class KernelLanes(CompiledLanes):
     def translated(
         self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
     ) -> "TracedKernel":
-        """The program of a lane and the kernel's text for LLVM."""
-        from dssc_jax.lanes.gpu.kernel_text import TracedKernel  # the translator, if the cache does not do without it
+        """Trace a lane; return its program and the kernel's text for LLVM."""
+        from dssc_jax.lanes.gpu.kernel_text import TracedKernel  # not needed if the cache has the kernel
 
         return TracedKernel(lane, arguments, strict)
 
     def compiled(self) -> bytes:
-        """The PTX of the text."""
+        """Compile the text to PTX."""
         return ptx.ptx(self.traced.text)
 
     def load(self, code: bytes) -> "LoadedKernel":
-        """The kernel in the driver."""
+        """Load the PTX into the GPU's driver."""
         return LoadedKernel(code, driver())
 
     def interleaved(self, lanes: int) -> int:
-        """The recordings of all lanes lie side by side."""
+        """All lanes of the batch: their recordings are stored sample by sample."""
         return lanes
 
 
@@ -63,7 +63,7 @@ class LoadedKernel:
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes, one a thread; see :class:`~dssc_jax.lanes.interface.Loaded`.
+        """Begin to run all lanes, one in each thread; see :class:`~dssc_jax.lanes.interface.Loaded`.
 
         Raises:
             GpuError: The driver refused something, such as more memory than there is.
@@ -80,7 +80,7 @@ class LoadedKernel:
             raise
 
         def finish() -> float:
-            self._gpu.use()  # perhaps another thread than the one that started
+            self._gpu.use()  # perhaps in another thread than the one that started the batch
             try:
                 self._gpu.wait(batch.stream)
                 end_time = time.perf_counter()
@@ -95,7 +95,11 @@ class LoadedKernel:
 
 
 class KernelBatch:
-    """Memory and queue of one batch on a GPU, and the arrays that are on their way."""
+    """One batch on a GPU: its stream, its memory, and the arrays that are being copied.
+
+    Args:
+        gpu: The driver.
+    """
 
     def __init__(self, gpu: Driver) -> None:
         gpu.use()
@@ -111,18 +115,18 @@ class KernelBatch:
         return address
 
     def copy_to_gpu(self, array: np.ndarray) -> int:
-        """Copy an array to the GPU; the address of the copy."""
+        """Begin to copy an array to the GPU, and return the address of the copy."""
         address = self.reserve(array.nbytes)
         self._arrays.append(array)
         self._gpu.send(address, array, self.stream)
         return address
 
     def table(self, addresses: Sequence[int]) -> int:
-        """The address of a table of addresses."""
+        """Begin to copy a table of addresses to the GPU, and return the address of the table."""
         return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))
 
     def close(self) -> None:
-        """Wait for the queue's work, free the memory and close the queue."""
+        """Wait for the stream, free the memory and close the stream."""
         self._gpu.wait(self.stream)
         for address in self._addresses:
             self._gpu.free(address)

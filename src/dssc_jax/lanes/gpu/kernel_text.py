@@ -1,6 +1,6 @@
-"""LLVM's text of a lane's program as a kernel: one lane a thread, the whole time loop within the thread.
+"""The text for LLVM of a lane's program as a kernel: each thread runs the whole time loop of one lane.
 
-The instructions are those of a CPU with vectors of one lane, and so are the bits in strict arithmetic.
+The instructions are those for a CPU with vectors of one lane, so strict arithmetic gives the same bits.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,29 +17,34 @@ from dssc_jax.lanes.traced_lanes import TracedLanes, lane_program, signature_of
 from dssc_jax.lanes.unsupported import Unsupported
 
 SPECIAL_REGISTERS = {"block": "ctaid", "size": "ntid", "thread": "tid"}
-"""Where a thread reads the number of its block, the threads of a block and its number in the block."""
+"""Registers in which a thread finds the number of its block, the size of a block and its number within the block."""
 WINDOW = 0  # the assembler orders instructions for the registers that it has
 REGISTERS = 128
 """Registers of a thread in single precision: two blocks then share a multiprocessor, and hide their latencies."""
 
 
 class KernelEmitter(Emitter):
-    """Writes the kernel of a program; arguments as of :class:`~dssc_jax.lanes.llvm.module_text.Emitter`."""
+    """Writes the kernel of a program.
+
+    Args:
+        program: The program.
+        strict: Whether the arithmetic is strict.
+    """
 
     def __init__(self, program: Program, strict: bool) -> None:
         super().__init__(program, 1, strict, WINDOW)
 
     def head(self) -> str:
-        """The line with which the kernel begins; ``count`` is the number of lanes of the batch.
+        """The first line of the kernel, whose argument ``count`` is the number of lanes of the batch.
 
-        In double precision a thread takes all registers that it needs.
+        In single precision a thread has at most :data:`REGISTERS` registers; in double precision there is no limit.
         """
         double = np.dtype(np.float64) in self.program.inputs
         limit = "" if double else f' "nvvm.maxnreg"="{REGISTERS}"'  # LLVM 20 ignores it
         return f"define ptx_kernel void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %count){limit} {{"
 
     def opening(self) -> list[str]:
-        """The lane of a thread; a thread beyond the last lane does nothing."""
+        """The lines that compute the number of a thread's lane; a thread beyond the last lane ends."""
         lines: list[str] = []
         for name, register in SPECIAL_REGISTERS.items():
             function = f"@llvm.nvvm.read.ptx.sreg.{register}.x()"
@@ -55,11 +60,14 @@ class KernelEmitter(Emitter):
         ]
 
     def closing(self) -> list[str]:
-        """The end of the lane."""
+        """The lines that end the thread."""
         return ["  br label %done", "done:", "  ret void"]
 
     def recorded_element(self, recording: Recording, index: str) -> str:
-        """An element of a recorded array: those of all lanes lie side by side, so that threads write together."""
+        """The position of an element of a recording: elements of all lanes at one index are neighbours.
+
+        So the threads write a block of memory together.
+        """
         start = self.emit(f"mul i64 {index}, %count")
         return self.emit(f"add i64 {start}, %lane")
 
@@ -72,18 +80,18 @@ class KernelEmitter(Emitter):
         raise Unsupported("a GPU cannot call it; run the study on a CPU", f"the function of C '{function.symbol}'")
 
     def arithmetic(self, operation: str, dtype: Any, wide: bool, names: Sequence[str]) -> str:
-        """An operation with the type of its operands.
+        """As for a CPU.
 
         Raises:
-            Unsupported: It is not exact on a GPU.
+            Unsupported: The operation is not exact on a GPU.
         """
-        if operation == "rem" and dtype.kind == "f":  # LLVM takes a multiple of a rounded quotient away
+        if operation == "rem" and dtype.kind == "f":  # LLVM subtracts a multiple of a rounded quotient
             raise Unsupported("it is not exact on a GPU; run the study on a CPU", f"'rem' of {dtype}")
         return super().arithmetic(operation, dtype, wide, names)
 
 
 class TracedKernel(TracedLanes):
-    """The program of a lane as a kernel's text for LLVM.
+    """The program of a lane and the kernel's text for LLVM; arguments as of :class:`TracedLanes`.
 
     Raises:
         Unsupported: An operation has no translation.

@@ -1,4 +1,4 @@
-"""PTX of a kernel: compilation by LLVM's NVPTX back end. The driver translates it for the GPU that is there."""
+"""Compilation of kernels to PTX by LLVM's NVPTX back end; the driver translates PTX for the GPU of the machine."""
 
 import hashlib
 from typing import Any
@@ -8,13 +8,13 @@ import llvmlite.binding as llvm
 
 TRIPLE = "nvptx64-nvidia-cuda"
 CAPABILITY = 8, 0
-"""The oldest GPUs that the code is for, by NVIDIA's compute capability: Ampere. Newer ones run it, too."""
+"""NVIDIA's compute capability of the oldest GPUs that can run the code: Ampere."""
 FEATURES = "+ptx74"  # the language of drivers since CUDA 11.4
 LEVEL = 2  # optimisation level of LLVM's code generation
 
 
 def target_machine() -> Any:
-    """A description of the GPU for LLVM."""
+    """LLVM's description of the GPU for which it compiles."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     major, minor = CAPABILITY
@@ -22,7 +22,7 @@ def target_machine() -> Any:
 
 
 def ptx(text: str) -> bytes:
-    """Compile a module's text to PTX."""
+    """Compile the text of a module to PTX."""
     module = llvm.parse_assembly(text)
     machine = target_machine()
     module.triple = TRIPLE
@@ -31,10 +31,10 @@ def ptx(text: str) -> bytes:
 
 
 def translator() -> tuple[str, ...]:
-    """The facts that decide the PTX of a module's text."""
+    """Everything that determines the PTX of a module beside its text: versions and settings."""
     return llvmlite.__version__, str(llvm.llvm_version_info), TRIPLE, str(CAPABILITY), FEATURES, str(LEVEL)
 
 
 def code_name(text: str) -> str:
-    """A name for the PTX of a module: that of its text and of all that translates it."""
+    """The name in the cache of a module's PTX: a digest of the text and of :func:`translator`."""
     return f"kernel-{hashlib.sha256(chr(10).join((text, *translator())).encode()).hexdigest()}"

@@ -1,8 +1,8 @@
-"""LLVM's text of a function that calls a function of C for each lane of a vector.
+"""The text for LLVM of a function that calls a function of C for each lane of a vector.
 
-The vectors of operands lie one after another in a buffer. For each lane the function clears the memory of a call, puts
-the lane's operands in their places, calls, and collects the results in a second buffer. The memory is cleared for each
-lane, so that no lane sees what another one left.
+A buffer holds the vectors of operands, one after another. For each lane, the function clears the memory of a call, puts
+the lane's operands in their places, makes the call, and copies the results to a second buffer. The memory is cleared
+for each lane, so that no lane sees what another one has left.
 """
 
 from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
@@ -10,17 +10,17 @@ from dssc_jax.lanes.llvm.instructions import scalar_type
 
 
 def column_bytes(place: MemoryPlace, width: int) -> int:
-    """Bytes of a buffer that the vector of a number takes."""
+    """Number of bytes of a buffer that the vector of a number occupies; ``width`` is the number of lanes."""
     return -(-place.dtype.itemsize * width // ALIGNMENT) * ALIGNMENT
 
 
 def buffer_bytes(places: tuple[MemoryPlace, ...], width: int) -> int:
-    """Bytes of a buffer for the vectors of some numbers."""
+    """Number of bytes of a buffer for the vectors of some numbers."""
     return sum(column_bytes(place, width) for place in places)
 
 
 def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPlace, int]]:
-    """Each number, and where its vector begins in a buffer."""
+    """Each number with the offset of its vector in a buffer [bytes]."""
     pairs: list[tuple[MemoryPlace, int]] = []
     start = 0
     for place in places:
@@ -30,12 +30,12 @@ def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPla
 
 
 def over_lanes(function: ForeignFunction, width: int) -> str:
-    """Name of the function that calls another one for each lane."""
+    """Name of the function that calls a function of C for each lane of a vector."""
     return f"{function.symbol}_over_{width}"
 
 
 def definition(function: ForeignFunction, width: int) -> list[str]:
-    """The lines of that function."""
+    """The lines of the function that calls a function of C for each lane of a vector."""
     lines = [
         f"define internal void @{over_lanes(function, width)}(ptr noalias %in, ptr noalias %out) #2 {{",
         "entry:",
@@ -62,8 +62,16 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
 
 
 def move_lines(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
-    """The lines that move one number of the present lane between its column of a buffer and the memory."""
-    kind, align = scalar_type(place.dtype), place.dtype.itemsize
+    """The lines that copy one number of the present lane between a buffer and the memory of the call.
+
+    Args:
+        name: Prefix of the names of registers.
+        place: Place of the number in the memory.
+        column: Name of the buffer, and offset of the number's vector in it [bytes].
+        to_memory: Whether the number goes to the memory.
+    """
+    kind = scalar_type(place.dtype)
+    align = place.dtype.itemsize
     buffer, start = column
     source, target = (f"%{name}e", f"%{name}m") if to_memory else (f"%{name}m", f"%{name}e")
     return [

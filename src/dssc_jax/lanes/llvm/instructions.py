@@ -22,14 +22,14 @@ FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "
 
 
 def scalar_type(dtype: np.dtype) -> str:
-    """LLVM's type of a number."""
+    """LLVM's type of a dtype."""
     if dtype.kind == "f":
         return {4: "float", 8: "double"}[dtype.itemsize]
     return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
 
 
 def literal(number: Any, dtype: np.dtype) -> str:
-    """LLVM's notation of a number."""
+    """A number as a literal of LLVM."""
     if dtype == BOOL:
         return "true" if number else "false"
     if dtype.kind == "f":
@@ -39,12 +39,21 @@ def literal(number: Any, dtype: np.dtype) -> str:
 
 @dataclass
 class Instructions:
-    """Writes instructions, and remembers the register of each value.
+    """Writes LLVM's instructions for values, and stores the register of each value.
 
     Args:
         width: Lanes of a vector.
         flags: :data:`FAST` or :data:`STRICT`.
         stored_constants: Whether operations read constants from memory, as whole vectors, because registers are few.
+        lines: The instructions so far.
+        tables: Definitions of constant tables.
+        names: Register of each value, by the value's id and whether it is a vector.
+        declarations: Declarations of LLVM's functions and of constants.
+        subroutines: Subroutines that are called, with the width of their vectors, by name.
+        count: Number of names so far.
+        label: Label of the present basic block.
+        allocated: Instructions that reserve memory, for the start of the function.
+        slots: Register with the address of each slot, by the slot's id.
     """
 
     width: int
@@ -62,24 +71,24 @@ class Instructions:
 
     # Names and types
 
-    def fresh(self, prefix: str = "v") -> str:
+    def new_name(self, prefix: str = "v") -> str:
         """A new name."""
         self.count += 1
         return f"{prefix}{self.count}"
 
     def kind(self, dtype: np.dtype, vector: bool) -> str:
-        """The type of a scalar or of a vector of lanes."""
+        """LLVM's type of a scalar, or of a vector of lanes."""
         scalar = scalar_type(dtype)
         return f"<{self.width} x {scalar}>" if vector and self.width > 1 else scalar
 
     def emit(self, text: str, prefix: str = "v") -> str:
-        """An instruction; its result's name."""
-        name = f"%{self.fresh(prefix)}"
+        """Write an instruction; return the register of its result."""
+        name = f"%{self.new_name(prefix)}"
         self.lines.append(f"  {name} = {text}")
         return name
 
     def read(self, value: Value, vector: bool) -> str:
-        """A value as an operand."""
+        """The register or literal of a value, as a vector or as a scalar."""
         vector = vector and self.width > 1
         if value.operation == "constant":
             number = literal(value.detail, value.dtype)
@@ -87,11 +96,12 @@ class Instructions:
         return self.names[id(value), vector]
 
     def operand(self, value: Value, vector: bool) -> str:
-        """A value as an operand of an operation that can read it from memory."""
+        """As :meth:`read`, for operations that may read constants from memory."""
         is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
         if not (self.stored_constants and vector and self.width > 1 and is_number):
             return self.read(value, vector)
-        kind, bits = self.kind(value.dtype, True), literal(value.detail, value.dtype)
+        kind = self.kind(value.dtype, True)
+        bits = literal(value.detail, value.dtype)
         name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"
         self.declarations.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
         return self.emit(f"load {kind}, ptr {name}, align 64", "c")
@@ -101,38 +111,39 @@ class Instructions:
         return value.varying and self.width > 1
 
     def splat(self, dtype: np.dtype, name: str) -> str:
-        """A vector whose elements are all a scalar."""
-        scalar, kind = scalar_type(dtype), self.kind(dtype, True)
+        """Write a vector whose elements all equal the scalar in a register; return its register."""
+        scalar = scalar_type(dtype)
+        kind = self.kind(dtype, True)
         inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
         return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
 
     def name(self, value: Value, name: str) -> None:
-        """Remember the register of a value; a uniform one also as a vector."""
+        """Store the register of a value; a uniform value gets a vector, too."""
         vector = self.is_vector(value)
         self.names[id(value), vector] = name
         if not vector and self.width > 1:
             self.names[id(value), True] = self.splat(value.dtype, name)
 
     def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
-        """A call of one of LLVM's own functions."""
+        """Write a call of one of LLVM's functions; arguments are types with registers. Return the result's register."""
         kinds = ", ".join(kind for kind, _ in arguments)
         self.declarations.add(f"declare {result} @{function}({kinds})")
         return self.emit(f"call {result} @{function}({', '.join(' '.join(pair) for pair in arguments)})")
 
     def suffix(self, dtype: np.dtype, vector: bool) -> str:
-        """How LLVM names a type within a function's name."""
+        """The name of a type within the names of LLVM's functions."""
         scalar = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else scalar_type(dtype)
         return f"v{self.width}{scalar}" if vector and self.width > 1 else scalar
 
     def column(self, array: str, position: int) -> str:
-        """The address of an input or output."""
+        """Write the loading of the address of an input's or output's column; return its register."""
         place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
         return self.emit(f"load ptr, ptr {place}", "p")
 
     # Basic blocks
 
     def begin(self, label: str) -> None:
-        """Start a basic block."""
+        """Begin a basic block."""
         self.lines.append(f"{label}:")
         self.label = label
 
@@ -143,13 +154,14 @@ class Instructions:
     # Operations
 
     def any_lane(self, mask: str) -> str:
-        """Whether a truth value holds in any lane."""
+        """Write whether a truth value is true in any lane of a vector; return the register."""
         kind = self.kind(BOOL, True)
         return self.call(f"llvm.vector.reduce.or.v{self.width}i1", "i1", (kind, mask))
 
     def value(self, value: Value) -> str:
-        """The instructions of one value; its register."""
-        operation, dtype = value.operation, value.dtype
+        """Write the instructions of one value; return its register."""
+        operation = value.operation
+        dtype = value.dtype
         wide = self.is_vector(value)
         kind = self.kind(dtype, wide)
         if operation == "input":
@@ -180,24 +192,28 @@ class Instructions:
         return self.arithmetic(operation, dtype, wide, names)
 
     def input(self, value: Value, wide: bool) -> str:
-        """A number that the lanes are given."""
-        column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
+        """Write the loading of an input; return its register."""
+        column = self.column("inputs", value.detail)
+        dtype = stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
         loaded_register = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
         return self.from_memory(value.dtype, wide, loaded_register)
 
     def from_memory(self, dtype: np.dtype, wide: bool, register: str) -> str:
-        """A value that was loaded; a truth value from its byte."""
+        """The register of a loaded value; a truth value is converted from its byte."""
         if dtype != BOOL:
             return register
         return self.compare("ne", stored_type(BOOL), wide, [register, self.zero(BOOL, wide) if wide else "0"])
 
     def access(self, value: Value) -> str:
-        """Reserve a slot, or read or write the lanes' elements of one; a token has no content."""
+        """Write the reserving, reading or writing of a slot; return the register of the element or, else, of a zero.
+
+        A token has no content of its own, so it is a zero.
+        """
         slot: Slot = value.detail
         kind = self.kind(slot.dtype, True)
         if value.operation == "memory":
-            place = self.slots[id(slot)] = f"%{self.fresh('slot')}"
+            place = self.slots[id(slot)] = f"%{self.new_name('slot')}"
             self.allocated.append(f"  {place} = alloca [{slot.length} x {kind}], align 64")
             function = "llvm.memset.p0.i64"
             self.declarations.add(f"declare void @{function}(ptr, i8, i64, i1)")
@@ -213,15 +229,22 @@ class Instructions:
         return self.zero(value.dtype, self.width > 1)
 
     def rarely(self, value: Value, wide: bool) -> str:
-        """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
+        """Write the choice between a value and the result of a subroutine, called only if a lane needs it.
+
+        Returns:
+            The register of the result.
+        """
         condition, usual_value, *arguments = value.operands
-        kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
+        kind = self.kind(value.dtype, wide)
+        mask = self.read(condition, wide)
         function = f"{value.detail.name}_{self.width if wide else 1}"
         self.subroutines[function] = value.detail, self.width if wide else 1
         arguments_text = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
         usual_register = self.read(usual_value, wide)
         is_taken = self.any_lane(mask) if wide else mask
-        rare_label, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
+        rare_label = self.new_name("rare")
+        end = self.new_name("end")
+        entry = self.current()
         self.lines.append(f"  br i1 {is_taken}, label %{rare_label}, label %{end}, !prof !0")
         self.begin(rare_label)
         rare_register = self.emit(f"call {kind} @{function}({arguments_text})")
@@ -232,7 +255,14 @@ class Instructions:
         return self.emit(f"phi {kind} [ {usual_register}, %{entry} ], [ {merged_register}, %{rare_label} ]")
 
     def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
-        """An operation with the type of its operands."""
+        """Write an operation whose result has the type of its operands; return the register of the result.
+
+        Args:
+            operation: The operation.
+            dtype: Dtype of operands and result.
+            wide: Whether they are vectors of lanes.
+            names: Register or literal of each operand.
+        """
         kind = self.kind(dtype, wide)
         if dtype.kind == "f":
             if operation == "neg":
@@ -255,19 +285,19 @@ class Instructions:
         return result
 
     def opaque(self, kind: str, name: str) -> str:
-        """The same number, which LLVM does not take apart.
+        """Write a copy of a number, which LLVM does not analyse; return its register.
 
-        Loop strength reduction tries the orders of a sum of scalars that contains the loop's counter. The words of a
-        random number are such sums, of twenty rounds, and take it several seconds.
+        LLVM's loop strength reduction tries all orders of a sum of scalars that contains the loop's counter. The words
+        of random numbers are such sums, of twenty rounds, and would take it several seconds.
         """
         return self.emit(f"freeze {kind} {name}")
 
     def zero(self, dtype: np.dtype, wide: bool) -> str:
-        """Zero."""
+        """The literal 0 of a scalar or vector."""
         return "zeroinitializer" if wide else literal(0, dtype)
 
     def compare(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
-        """A comparison; with NaN only ``ne`` is true."""
+        """Write a comparison of numbers of a dtype, of which only ``ne`` is true for NaN; return its register."""
         kind = self.kind(dtype, wide)
         if dtype.kind == "f":
             return self.emit(f"fcmp {FLOAT_COMPARISONS[operation]} {kind} {names[0]}, {names[1]}")
@@ -277,12 +307,19 @@ class Instructions:
         return self.emit(f"icmp {sign}{operation} {kind} {names[0]}, {names[1]}")
 
     def extreme(self, operation: str, value: Value, wide: bool, names: Sequence[str]) -> str:
-        """The larger or smaller number; NaN if either is.
+        """Write the larger or smaller of two numbers, NaN if either is; return its register.
 
-        The select returns its last operand if one is NaN. A constant, which is not, therefore comes first. As an
-        integer, a NaN without sign is larger than every number.
+        The bits of numbers without sign are compared as integers, among which NaN is the largest. For other numbers a
+        ``select`` returns its last operand if an operand is NaN, so a constant, which is none, comes first.
+
+        Args:
+            operation: ``max`` or ``min``.
+            value: The result.
+            wide: Whether it is a vector of lanes.
+            names: Register or literal of each operand.
         """
-        kind, mask = self.kind(value.dtype, wide), self.kind(BOOL, wide)
+        kind = self.kind(value.dtype, wide)
+        mask = self.kind(BOOL, wide)
         if operation == "max" and value.dtype.kind == "f" and is_unsigned(value):
             integer = np.dtype(f"i{value.dtype.itemsize}")
             bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
@@ -305,7 +342,7 @@ class Instructions:
         return self.emit(f"select {mask} {is_nan}, {kind} {first}, {kind} {extreme_register}")
 
     def convert(self, operation: str, source: np.dtype, dtype: np.dtype, wide: bool, name: str) -> str:
-        """A register with the number in another type or, for ``bitcast``, with the same bits.
+        """Write the conversion of a number or, for ``bitcast``, of its bits; return its register.
 
         Args:
             operation: ``bitcast``, or any conversion of numbers.
@@ -337,21 +374,23 @@ class Instructions:
         return self.emit(f"{instruction} {old} {name} to {new}")
 
     def lookup(self, value: Value, wide: bool) -> str:
-        """An element of a constant table."""
+        """Write the reading of an element of a constant table, at an index limited to its end; return its register."""
         table, (index,) = value.detail, value.operands
         dtype = stored_type(value.dtype)
-        scalar, count = scalar_type(dtype), table.size
+        scalar = scalar_type(dtype)
+        count = table.size
         name = f"@t{len(self.tables)}"
         numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
         self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
-        largest = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
+        largest = f"{scalar_type(index.dtype)} {count - 1}"  # precomputation goes beyond a loop's end
         limit = (self.kind(index.dtype, wide), f"splat ({largest})" if wide else str(count - 1))
         typed = (self.kind(index.dtype, wide), self.read(index, wide))
         register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], typed, limit)
         if not wide:
             place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
             return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))
-        kind, mask = self.kind(dtype, True), self.kind(BOOL, True)
+        kind = self.kind(dtype, True)
+        mask = self.kind(BOOL, True)
         pointers = f"<{self.width} x ptr>"
         places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
         function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"

@@ -1,7 +1,7 @@
-"""Machine code of a lane's program: compilation by LLVM, and calls that share the lanes between threads.
+"""Machine code of a lane's program: compilation by LLVM, and its run in several threads.
 
-A call of compiled code releases Python's lock, so threads of this process use all cores. Each takes the next vectors
-of lanes when it is done with its own; lanes are independent, so it does not matter which thread runs which.
+A call of compiled code releases Python's lock, so the threads of this process use all cores. A thread that has finished
+its vectors of lanes takes the next ones; lanes are independent, so results do not depend on the thread.
 """
 
 import ctypes
@@ -24,59 +24,59 @@ from dssc_jax.lanes.interface import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
 CODE_LEVEL = 2  # optimisation level of LLVM's code generation
-PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
+PARTS = 32  # parts of a batch for each thread; many, because neither parts nor cores are equally fast
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; the environment may limit them further."""
+    """Number of cores to use: those of the system, or fewer if the environment variable asks for it."""
     limit = os.environ.get(CORES_VARIABLE, "")
     return min(available_cores(), max(1, int(limit))) if limit.isdecimal() else available_cores()
 
 
 def available_cores() -> int:
-    """Cores that the system gives to this process."""
+    """Number of cores on which the system lets this process run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def features() -> Any:
-    """The features of this processor: for each of LLVM's names whether it has the feature."""
+    """The features of this processor: a mapping from LLVM's names to whether the processor has the feature."""
     return llvm.get_host_cpu_features()
 
 
 @cache
 def scheduling_model() -> str:
-    """The processor for which LLVM chooses among the instructions that this one has, and orders them.
+    """Name of the processor for which LLVM orders instructions; those of this processor are used.
 
-    Atom executes them in order. For it, LLVM puts what does not wait between what waits, as
-    :mod:`dssc_jax.lanes.passes.scheduling` does; for others it often restores the order of the text.
+    On x86-64 it is Atom, which executes instructions in order. For it, LLVM fills waiting times with independent
+    instructions, as :mod:`dssc_jax.lanes.passes.scheduling` does; for others it often restores the order of the text.
     """
     return "atom" if llvm.get_process_triple().startswith("x86_64") else llvm.get_host_cpu_name()
 
 
 def code_settings() -> list[str]:
-    """The facts about the machine code for a manifest: LLVM's version and the processor."""
+    """LLVM's version and the processor, in words for a manifest."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 
 def add_symbol(symbol: str, address: int) -> None:
-    """Let machine code of this process call a function by its symbol."""
+    """Register the address of a symbol, so that machine code of this process can call the function."""
     llvm.add_symbol(symbol, address)
 
 
 @cache
 def has_near_constants() -> bool:
-    """Whether instructions read constants at a distance from themselves, and not at an address in a register.
+    """Whether instructions read constants from memory at an offset from themselves.
 
-    On x86-64 without AVX-512, 16 vector registers are too few to keep constants; each is read where it is used. The
-    memory manager on which this depends is tried with Linux's object files alone.
+    On x86-64 without AVX-512 there are 16 vector registers, too few to hold constants, so each constant is read where
+    it is used. This needs a memory manager that has been tried with Linux's object files only.
     """
     triple = llvm.get_process_triple()
     return triple.startswith("x86_64") and "linux" in triple and vector_bits() < 512
 
 
 def target_machine() -> Any:
-    """A description of this processor for LLVM; an engine takes it over."""
+    """A new description of this processor for LLVM; an engine takes possession of the one it is given."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     relocation, model = ("pic", "small") if has_near_constants() else ("default", "jitdefault")
@@ -87,7 +87,7 @@ def target_machine() -> Any:
 
 @cache
 def vector_bits() -> int:
-    """Bits of this processor's widest vectors that LLVM knows how to use."""
+    """Number of bits of this processor's widest vectors that LLVM can use."""
     for name, bits in (("avx512f", 512), ("avx", 256)):
         if features().get(name):
             return bits
@@ -95,43 +95,47 @@ def vector_bits() -> int:
 
 
 def code_name(text: str) -> str:
-    """A name for the machine code of a module: that of its text and of all that translates it."""
+    """The name in the cache of a module's machine code: a digest of the text and of :func:`translator`."""
     return f"lanes-{hashlib.sha256(chr(10).join((text, *translator())).encode()).hexdigest()}"
 
 
 @cache
 def translator() -> tuple[str, ...]:
-    """The facts that decide the machine code of a module's text: LLVM, the processor, its features, the addresses."""
-    model, instructions, addresses = scheduling_model(), features().flatten(), str(has_near_constants())
+    """Everything that determines the machine code of a module beside its text: LLVM's version and its settings."""
+    model = scheduling_model()
+    instructions = features().flatten()
+    addresses = str(has_near_constants())
     return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), addresses
 
 
 def object_code(text: str) -> bytes:
-    """Compile a module to an object file."""
-    return target_machine().emit_object(module_here(text))
+    """Compile the text of a module to an object file."""
+    return target_machine().emit_object(parsed_module(text))
 
 
 def assembly(text: str) -> str:
-    """The machine code of a module for a reader."""
-    return target_machine().emit_assembly(module_here(text))
+    """Compile the text of a module to assembly language."""
+    return target_machine().emit_assembly(parsed_module(text))
 
 
-def module_here(text: str) -> Any:
-    """A module for this processor."""
-    module, machine = llvm.parse_assembly(text), target_machine()
-    module.triple, module.data_layout = machine.triple, str(machine.target_data)
+def parsed_module(text: str) -> Any:
+    """Parse the text of a module, and set it for this processor."""
+    module = llvm.parse_assembly(text)
+    machine = target_machine()
+    module.triple = machine.triple
+    module.data_layout = str(machine.target_data)
     return module
 
 
 def engine_of(module: Any) -> Any:
-    """LLVM's engine that loads a module; code and constants lie in one place where they must be near each other."""
+    """LLVM's engine for a module, which loads code and constants near each other where instructions need that."""
     manager = has_near_constants() or None  # llvmlite's memory manager, which is not the default everywhere
     return llvm.create_mcjit_compiler(module, target_machine(), use_lmm=manager)
 
 
 @dataclass
 class LoadedCode:
-    """Machine code in this process.
+    """Machine code that is loaded into this process.
 
     Args:
         code: An object file with the function :data:`~dssc_jax.lanes.interface.ENTRY_POINT`.
@@ -143,12 +147,13 @@ class LoadedCode:
         self._engine = engine_of(llvm.parse_assembly(""))
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(self.code))
         self._engine.finalize_object()
-        pointer, count = ctypes.c_void_p, ctypes.c_int64
+        pointer = ctypes.c_void_p
+        count = ctypes.c_int64
         signature = ctypes.CFUNCTYPE(None, pointer, pointer, count, count)
         self._function = signature(self.address(ENTRY_POINT))
 
     def address(self, symbol: str) -> int:
-        """Where a function of the code lies in memory."""
+        """The address of a function of the code."""
         return int(self._engine.get_function_address(symbol))
 
     def start(
@@ -157,9 +162,10 @@ class LoadedCode:
         """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
-        lock, stop_event = threading.Lock(), threading.Event()
+        lock = threading.Lock()
+        stop_event = threading.Event()
 
-        def work() -> float:  # holds the columns as long as it runs, whoever else lets go of them
+        def work() -> float:  # refers to the columns, so that they exist as long as it runs
             input_addresses = addresses(inputs)
             output_addresses = addresses(outputs)
             while True:
@@ -175,20 +181,20 @@ class LoadedCode:
         def finish() -> float:
             try:
                 return max(future.result() for future in futures)
-            except BaseException:  # such as Ctrl-C: the threads end with the part that they run
+            except BaseException:  # such as Ctrl-C: the threads finish their parts and end
                 stop_event.set()
                 raise
 
-        weakref.finalize(finish, stop_event.set)  # nobody waits any more
+        weakref.finalize(finish, stop_event.set)  # the caller has dropped the function, so nobody waits
         return finish
 
 
 def addresses(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """Addresses of contiguous arrays."""
+    """The addresses of contiguous arrays, as an array."""
     return np.array([column.ctypes.data for column in columns] or [0], np.uintp)
 
 
 @cache
 def workers(threads: int) -> ThreadPoolExecutor:
-    """A pool of threads of this process."""
+    """The pool of a number of threads, one for the whole process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="lanes")

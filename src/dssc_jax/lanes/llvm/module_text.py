@@ -1,7 +1,7 @@
-"""LLVM's text of a lane's program: one function that runs all lanes of a range, a vector of lanes at a time.
+"""The text for LLVM of a lane's program: one function that runs all lanes of a range, a vector of lanes at a time.
 
-Fast arithmetic lets the machine contract a product and a sum into one rounding, and forgets the sign of zero. Nothing
-else is assumed: a NaN is an outcome. Strict arithmetic does neither.
+Fast arithmetic allows a product and a sum to be contracted, with one rounding, and ignores the sign of zero. It assumes
+nothing else: a NaN is an outcome. Strict arithmetic allows neither.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
-from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, ahead_plan
+from dssc_jax.lanes.passes.precomputation import TURNS, Precomputation, PrecomputationPlan, precomputation_plan
 from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
@@ -30,7 +30,7 @@ ATTRIBUTES = (
 
 
 class Emitter(Instructions):
-    """Writes the function of a program.
+    """Writes the module of a program.
 
     Args:
         program: The program.
@@ -42,14 +42,16 @@ class Emitter(Instructions):
 
     def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:
         super().__init__(width, STRICT if strict else FAST, stored_constants)
-        self.program, self.window, self.strict = program, window, strict
+        self.program = program
+        self.window = window
+        self.strict = strict
         self.alive = reachable(program)
         self.parts: dict[int, list[str]] = {}
         self.called_functions: dict[str, ForeignFunction] = {}
         self.computed_ids: set[int] = set()
 
     def text(self) -> str:
-        """The module."""
+        """The text of the module."""
         self.lines += self.opening()
         self.label = "lanes"
         self.block(self.program.body)
@@ -63,11 +65,11 @@ class Emitter(Instructions):
         return "\n".join([*head_lines, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def head(self) -> str:
-        """The line with which the function begins."""
+        """The first line of the function, whose arguments ``first`` and ``last`` are the range of lanes."""
         return f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
 
     def opening(self) -> list[str]:
-        """From the entry to the first instruction of a vector of lanes."""
+        """The lines before the first instruction of a vector of lanes."""
         return [
             "  %some = icmp ult i64 %first, %last",
             "  br i1 %some, label %lanes, label %done",
@@ -76,7 +78,7 @@ class Emitter(Instructions):
         ]
 
     def closing(self) -> list[str]:
-        """From the last store of a vector of lanes to the end."""
+        """The lines after the last store of a vector of lanes."""
         return [
             f"  %next = add i64 %lane, {self.width}",
             "  %more = icmp ult i64 %next, %last",
@@ -86,11 +88,12 @@ class Emitter(Instructions):
         ]
 
     def functions(self) -> list[str]:
-        """The subroutines that were called."""
+        """The definitions of the subroutines and functions of C that are called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
             subroutine_emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0)
-            subroutine_emitter.tables, subroutine_emitter.declarations = self.tables, self.declarations
+            subroutine_emitter.tables = self.tables
+            subroutine_emitter.declarations = self.declarations
             lines += subroutine_emitter.definition(name)
         for function in self.called_functions.values():
             lines += foreign_calls.definition(function, self.width)
@@ -99,7 +102,7 @@ class Emitter(Instructions):
     # Blocks
 
     def block(self, block: CodeBlock) -> None:
-        """Write the nodes of a block that are needed."""
+        """Write the nodes of a block on which a result depends, in scheduled order."""
         for node in schedule([node for node in block.nodes if self.is_needed(node)], self.window):
             if isinstance(node, Record):
                 self.record(node)
@@ -111,18 +114,20 @@ class Emitter(Instructions):
                 self.branch(node)
 
     def is_needed(self, node: Node) -> bool:
-        """Whether a result depends on a node, and it is not yet computed."""
+        """Whether a result depends on a node that is not precomputed."""
         return id(node) in self.alive and id(node) not in self.computed_ids
 
     def loop(self, loop: CodeLoop) -> None:
-        """Write a loop that tests at its end; uniform values are computed ahead where that is worthwhile."""
-        top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
+        """Write a loop that tests at its end; uniform values are precomputed where that saves time."""
+        top = self.new_name("loop")
+        end = self.new_name("end")
+        entry = self.label
         alive = [
             i
             for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
             if any(id(value) in self.alive for value in pair)
         ]
-        plan = ahead_plan(loop, self.alive) if self.width > 1 else None
+        plan = precomputation_plan(loop, self.alive) if self.width > 1 else None
         if loop.guard is None:
             self.lines.append(f"  br label %{top}")
         else:
@@ -146,15 +151,25 @@ class Emitter(Instructions):
             self.name(loop.results[i], names[i])
 
     def turn(self, loop: CodeLoop) -> str:
-        """Write the body of a loop; the register that tells whether it goes on."""
+        """Write the body of a loop; return the register of the condition for another turn."""
         self.block(loop.body)
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
-    def turns(self, loop: CodeLoop, plan: AheadPlan, alive: Sequence[int]) -> str:
-        """Write several turns of a loop, with uniform values computed ahead; whether it goes on after the last."""
-        inner, out = self.fresh("turn"), self.fresh("out")
-        ahead = Ahead(self, plan, self.window)
+    def turns(self, loop: CodeLoop, plan: PrecomputationPlan, alive: Sequence[int]) -> str:
+        """Write an inner loop over several turns of a loop, with uniform values precomputed for all of them.
+
+        Args:
+            loop: The loop.
+            plan: The values to precompute.
+            alive: Positions of the states that are needed.
+
+        Returns:
+            The register of the condition for another turn, after the last one.
+        """
+        inner = self.new_name("turn")
+        out = self.new_name("out")
+        ahead = Precomputation(self, plan, self.window)
         ahead.write(loop)
         entry = self.label
         self.allocated += ahead.allocations()
@@ -163,7 +178,8 @@ class Emitter(Instructions):
         first = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
-        turn_value, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
+        turn_value = f"%{self.new_name('t')}"
+        next_turn = f"%{self.new_name('t')}"
         phi_line = len(self.lines)
         self.lines.append("")
         phi_lines = self.reserve_phis([loop.states[i] for i in varying])
@@ -180,23 +196,32 @@ class Emitter(Instructions):
         return proceed
 
     def reserve_phis(self, states: Sequence[Value]) -> list[int]:
-        """Name the states at the top of a loop, and reserve a line for the phi of each, which :meth:`fill` writes."""
+        """Name the states at the top of a loop, and reserve a line for the phi of each; return the lines' positions.
+
+        :meth:`fill` writes the lines when the sources of the states are known.
+        """
         start = len(self.lines)
-        names = [f"%{self.fresh('x')}" for _ in states]
+        names = [f"%{self.new_name('x')}" for _ in states]
         self.lines += names
         for state, name in zip(states, names, strict=True):
             self.name(state, name)
         return list(range(start, start + len(states)))
 
     def fill(self, line: int, state: Value, *sources: tuple[Value | str, str]) -> None:
-        """Write where a state comes from: a value or register, and the label before."""
+        """Write the phi of a state into its reserved line.
+
+        Args:
+            line: Position of the line.
+            state: The state.
+            sources: The values or registers from which it comes, each with the label of the preceding block.
+        """
         wide = state.varying
         pairs = [(x if isinstance(x, str) else self.read(x, wide), label) for x, label in sources]
         text = ", ".join(f"[ {name}, %{label} ]" for name, label in pairs)
         self.lines[line] = f"  {self.lines[line]} = phi {self.kind(state.dtype, wide)} {text}"
 
     def branch(self, branch: Branch) -> None:
-        """Write both sides of a branch in turn; each runs if a lane takes it."""
+        """Write both sides of a branch, one after the other; each is skipped if no lane takes it."""
         alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
         varying = self.is_vector(branch.condition)
         condition = self.read(branch.condition, varying)
@@ -206,7 +231,7 @@ class Emitter(Instructions):
                 mask = self.invert(condition, varying) if number else condition
                 side_values = {i: (values[i], result.varying) for i, result in alive.items()}
                 sides.append(self.side(self.any_lane(mask) if varying else mask, block, side_values))
-            else:  # its values are known before
+            else:  # all its values are known before the branch
                 sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
         for i, result in alive.items():
             kind = self.kind(result.dtype, result.varying)
@@ -214,7 +239,7 @@ class Emitter(Instructions):
             self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
 
     def value(self, value: Value) -> str:
-        """The instructions of one value; its register."""
+        """Write the instructions of one value; return its register."""
         match value.operation:
             case Operation.FOREIGN:
                 return self.foreign(value.detail, value)
@@ -223,7 +248,7 @@ class Emitter(Instructions):
         return super().value(value)
 
     def foreign(self, function: ForeignFunction, value: Value) -> str:
-        """A call of a function of C for each lane; the register of its first result."""
+        """Write the call of a function of C for each lane; return the register of its first result."""
         self.called_functions[function.symbol] = function
         self.declarations.add(f"declare void @{function.symbol}(ptr) nonlazybind")
         self.declarations.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
@@ -239,29 +264,40 @@ class Emitter(Instructions):
         return self.parts[id(value)][0]
 
     def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
-        """Memory for the vectors of some numbers, reserved once."""
-        name = f"%{self.fresh('buffer')}"
+        """Reserve memory for the vectors of some numbers, once in the function; return its register."""
+        name = f"%{self.new_name('buffer')}"
         size = foreign_calls.buffer_bytes(places, self.width)
         self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
         return name
 
     def store_in_buffer(self, buffer: str, offset: int, value: Value) -> None:
-        """Store a value for each lane in a buffer."""
+        """Write the storing of a value of each lane at an offset of a buffer [bytes]."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
         self.write(place, "0", value, True)
 
     def load_from_buffer(self, buffer: str, offset: int, dtype: np.dtype) -> str:
-        """Load a value for each lane from a buffer."""
+        """Write the loading of a value of each lane from an offset of a buffer [bytes]; return its register."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
     def invert(self, condition: str, wide: bool) -> str:
-        """Negate a condition; the register of the result."""
+        """Write the negation of a condition; return its register."""
         return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
 
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
-        """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
-        side_label, end, entry = self.fresh("side"), self.fresh("end"), self.label
+        """Write one side of a branch.
+
+        Args:
+            is_taken: Register that tells whether any lane takes the side.
+            block: The block of the side.
+            values: Results of the side, each with whether it is a vector, by position.
+
+        Returns:
+            The registers of the results; zeros if no lane takes the side.
+        """
+        side_label = self.new_name("side")
+        end = self.new_name("end")
+        entry = self.label
         self.lines.append(f"  br i1 {is_taken}, label %{side_label}, label %{end}")
         self.begin(side_label)
         self.block(block)
@@ -278,12 +314,20 @@ class Emitter(Instructions):
     # Memory
 
     def store(self, position: int, output: Value) -> None:
-        """Store a result of the lanes; a truth value as a byte."""
+        """Write the storing of a result of the lanes."""
         self.write(self.column("outputs", position), "%lane", output, True)
 
     def write(self, column: str, element: str, value: Value, wide: bool) -> None:
-        """Store a value, or one for each lane, at an element of a column."""
-        register, dtype = self.read(value, wide), value.dtype
+        """Write the storing of a value at an element of a column; a truth value is stored as a byte.
+
+        Args:
+            column: Register with the address of the column.
+            element: Register or literal with the position of the element.
+            value: The value.
+            wide: Whether to store the value of each lane, one after another, from the element on.
+        """
+        register = self.read(value, wide)
+        dtype = value.dtype
         if dtype == BOOL:
             kind = self.kind(BOOL, wide)
             dtype = stored_type(BOOL)
@@ -292,7 +336,7 @@ class Emitter(Instructions):
         self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
 
     def record(self, record: Record) -> None:
-        """Store an element of a recorded array: those of the lanes of a vector lie side by side."""
+        """Write the storing of an element of a recording, where the elements of a vector's lanes are neighbours."""
         index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
         element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
@@ -300,17 +344,17 @@ class Emitter(Instructions):
                 self.write(self.column("outputs", position), element, record.value, True)
 
     def recorded_element(self, recording: Recording, index: str) -> str:
-        """Where the element of an index begins in a recorded array."""
+        """Write the computation of the position of an element in a recording; return its register."""
         start = self.emit(f"mul i64 %lane, {recording.length}")
         offset = self.emit(f"mul i64 {index}, {self.width}")
         return self.emit(f"add i64 {start}, {offset}")
 
 
 class SubroutineEmitter(Emitter):
-    """Writes a subroutine, whose inputs are its arguments."""
+    """Writes a subroutine as a function of LLVM, whose arguments are the inputs of its program."""
 
     def input(self, value: Value, wide: bool) -> str:
-        """An argument."""
+        """The register of an argument."""
         return f"%a{value.detail}"
 
     def definition(self, name: str) -> list[str]:
@@ -327,5 +371,5 @@ class SubroutineEmitter(Emitter):
 def module_text(
     program: Program, width: int, strict: bool = False, window: int = 0, stored_constants: bool = False
 ) -> str:
-    """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
+    """The text for LLVM of a program's module; arguments as of :class:`Emitter`."""
     return Emitter(program, width, strict, window, stored_constants).text()

@@ -17,14 +17,14 @@ from dssc_jax.lanes.program import (
 
 
 def read_inputs(program: Program) -> set[int]:
-    """Positions of the inputs that a result depends on."""
+    """Positions of the inputs on which a result depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes if id(node) in alive)
     return {int(node.detail) for node in nodes if isinstance(node, Value) and node.operation == "input"}
 
 
 def reachable(program: Program) -> set[int]:
-    """Identities of the values, loops and branches that a result depends on."""
+    """Ids of the nodes on which a result depends."""
     visited: set[int] = set()
     pending: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
     records: dict[int, list[Node]] = {}
@@ -54,7 +54,13 @@ def reachable(program: Program) -> set[int]:
 
 
 def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[int, list[Node]]) -> None:
-    """The records of each recording, with the loops and branches around them."""
+    """Find the records of a block and of those within it.
+
+    Args:
+        block: The block.
+        around: The loops and branches around the block.
+        records: Gets, by the id of each recording, its records and the loops and branches around them.
+    """
     for node in block.nodes:
         if isinstance(node, Record):
             records.setdefault(id(node.recording), []).extend([node, *around])
@@ -63,7 +69,7 @@ def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[in
 
 
 def operation_counts(program: Program) -> dict[str, int]:
-    """How often each operation occurs among the values that are needed."""
+    """Number of values by operation, among those on which a result depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes)
     return dict(Counter(node.operation for node in nodes if isinstance(node, Value) and id(node) in alive))

@@ -1,6 +1,6 @@
-"""States of loops that are always the negative of another state, such as DSSC's command u = -u_av.
+"""Removal of loop states that are always the negative of another state, such as DSSC's command u = -u_av.
 
-No loop needs to carry both. Zeros may change their sign by it, so this is for fast arithmetic alone.
+It may change the sign of zeros, so it is for fast arithmetic alone.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ Pair = tuple[int, int, int]
 
 
 def join_opposites(program: Program) -> None:
-    """Change a program so that no loop carries a state and its negative."""
+    """Change a program so that no loop carries both a state and its negative."""
     loops = loops_of(program.body)
     holding = opposite_pairs(loops)
     for loop in loops:
@@ -28,9 +28,14 @@ def join_opposites(program: Program) -> None:
 
 
 def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
-    """The pairs that hold before the first turn, and after a turn if all pairs held before it."""
+    """The pairs of states that are opposite in every turn, by induction over the turns.
+
+    They are the largest set of candidates in which each pair is opposite before the first turn, and opposite after a
+    turn if all pairs of the set are opposite before it.
+    """
     candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
-    holding, refuted = set(candidates), list[Pair]()
+    holding = set(candidates)
+    refuted = list[Pair]()
     dependent: dict[Pair, list[Pair]] = {}
     for pair, loop in candidates.items():
         _, value, negated = pair
@@ -49,7 +54,7 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
 
 
 def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
-    """Positions of states that may be opposite: they are equally far behind what is computed, as in delays."""
+    """Positions of pairs of states that may be opposite: their values were computed equally many turns ago."""
     positions_by_delay: dict[int, list[int]] = {}
     for position in range(len(loop.states)):
         positions_by_delay.setdefault(turns_behind(loop, position), []).append(position)
@@ -58,7 +63,7 @@ def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
 
 
 def turns_behind(loop: CodeLoop, position: int) -> int:
-    """How many states of the loop hand a value on, or its negative, before it is in this one."""
+    """Number of states through which a value, or its negative, passes until it is in this state, as in a delay."""
     visited = set[int]()
     while position not in visited:
         visited.add(position)
@@ -71,12 +76,12 @@ def turns_behind(loop: CodeLoop, position: int) -> int:
 
 
 def loops_of(block: CodeBlock) -> list[CodeLoop]:
-    """All loops within a block."""
+    """All loops of a block and of the blocks within it."""
     return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
 
 
 def opposite(value: Value, negated: Value) -> bool | Pair:
-    """Whether the second value is the negative of the first, or the pair of states that decides it."""
+    """Whether the second value is the negative of the first; if that depends on a pair of states, the pair."""
     if negated.operation == "neg" and negated.operands[0] is value:
         return True
     if value.operation == negated.operation == "constant":
@@ -88,14 +93,21 @@ def opposite(value: Value, negated: Value) -> bool | Pair:
 
 
 def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
-    """Compute states from their negatives, in the body and behind the loop."""
+    """Remove states from a loop, and compute them from their negatives in the body and after the loop.
+
+    Args:
+        loop: The loop.
+        negatives: Position of the negative that stays, by the position of a state to remove.
+    """
     surrounding_block = loop.body.parent
     assert surrounding_block is not None
     after_loop = surrounding_block.nodes.index(loop) + 1
     for values, block, insertion_index in ((loop.states, loop.body, 0), (loop.results, surrounding_block, after_loop)):
         changed = [values[negative] for negative in negatives]
         for value, position in zip(changed, negatives.values(), strict=True):
-            value.operation, value.operands, value.detail = Operation.NEG, (values[position],), None
+            value.operation = Operation.NEG
+            value.operands = (values[position],)
+            value.detail = None
         block.nodes[insertion_index:insertion_index] = changed
     for values in (loop.initial_states, loop.states, loop.next_states, loop.results):
         values[:] = [value for position, value in enumerate(values) if position not in negatives]

@@ -1,8 +1,8 @@
-"""Uniform values of a time loop, computed ahead: several turns at a time, in a vector along time.
+"""Precomputation of the uniform values of a time loop, for several turns at once, in a vector along time.
 
-All lanes share the time and what follows from it alone, such as the sine of a reference. Once a turn, as scalars, such
-values would cost as much as all lanes of a vector. If the uniform state of a loop only counts, a vector can hold the
-values of the next :data:`TURNS` turns. They are stored, and each turn reads its own.
+All lanes share the time and what follows from it alone, such as the sine of a reference. As scalars in every turn, such
+values would cost as much as those of a whole vector of lanes. If the uniform states of a loop only count, a vector can
+hold the values of the next :data:`TURNS` turns. They are stored in a buffer, from which each turn reads its own.
 """
 
 from collections.abc import Set
@@ -11,20 +11,20 @@ from dataclasses import dataclass
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
 from dssc_jax.lanes.passes.scheduling import schedule
-from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
+from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, operands_of
 
 TURNS = 8
-WORTHWHILE = 12  # uniform operations in a turn that are worth it
+WORTHWHILE = 12  # uniform operations in a turn from which on precomputation saves time
 
 
 @dataclass(frozen=True)
-class AheadPlan:
+class PrecomputationPlan:
     """The values of a loop to precompute.
 
     Args:
-        counters: Positions of the uniform states, and by how much each grows in a turn.
+        counters: Growth of each uniform state in a turn, by the state's position.
         values: The uniform values of the body, in order.
-        outputs: The counters and values that a turn reads.
+        outputs: The counters and values that a turn reads, and that are therefore stored.
     """
 
     counters: dict[int, int]
@@ -32,12 +32,12 @@ class AheadPlan:
     outputs: list[Value]
 
 
-def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
+def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan | None:
     """Select the values of a loop's body to precompute; None if that is impossible or not worthwhile.
 
     Args:
         loop: The loop.
-        alive: Identities of the values that are needed.
+        alive: Ids of the values that the program's results depend on.
     """
     body_nodes = [node for block in all_blocks(loop.body) for node in block.nodes]
     nodes = [node for node in body_nodes if id(node) in alive]
@@ -53,15 +53,16 @@ def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
     if not all(counters.values()):
         return None
     planned_ids = set(map(id, values))
-    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in read_by(node)}
+    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in operands_of(node)}
     read_ids |= {id(loop.proceed), *(id(loop.next_states[i]) for i in states)}
     candidates = [*(loop.states[i] for i in counters), *values]
-    return AheadPlan(counters, values, [value for value in candidates if id(value) in read_ids])
+    return PrecomputationPlan(counters, values, [value for value in candidates if id(value) in read_ids])
 
 
 def step(loop: CodeLoop, position: int) -> int:
-    """The constant by which a state grows in every turn; 0 if it changes otherwise."""
-    state, next_value = loop.states[position], loop.next_states[position]
+    """The constant whole number by which a state of a loop grows in every turn; 0 if it does anything else."""
+    state = loop.states[position]
+    next_value = loop.next_states[position]
     if next_value.operation == "add" and next_value.dtype.kind in "iu":
         for state_operand, increment in (next_value.operands, next_value.operands[::-1]):
             if state_operand is state and increment.operation == "constant":
@@ -69,16 +70,16 @@ def step(loop: CodeLoop, position: int) -> int:
     return 0
 
 
-class Ahead(Instructions):
-    """Writes the uniform values of the next turns as vectors along time.
+class Precomputation(Instructions):
+    """Writes the instructions that precompute uniform values, as vectors along time.
 
     Args:
-        lanes: Where the instructions of the lanes are written; both go to the same lines.
-        plan: What to compute.
+        lanes: The instructions of the lanes, to which these are added.
+        plan: The values.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
-    def __init__(self, lanes: Instructions, plan: AheadPlan, window: int) -> None:
+    def __init__(self, lanes: Instructions, plan: PrecomputationPlan, window: int) -> None:
         super().__init__(
             TURNS,
             lanes.flags,
@@ -88,14 +89,17 @@ class Ahead(Instructions):
             declarations=lanes.declarations,
             subroutines=lanes.subroutines,
         )
-        self.lanes, self.plan, self.window, self.buffers = lanes, plan, window, dict[int, str]()
+        self.lanes = lanes
+        self.plan = plan
+        self.window = window
+        self.buffers = dict[int, str]()
 
-    def fresh(self, prefix: str = "v") -> str:
-        """A new name."""
-        return self.lanes.fresh(prefix)
+    def new_name(self, prefix: str = "v") -> str:
+        """A new name among those of the lanes."""
+        return self.lanes.new_name(prefix)
 
     def begin(self, label: str) -> None:
-        """Start a basic block of the lanes."""
+        """Begin a basic block of the lanes."""
         self.lanes.begin(label)
 
     def current(self) -> str:
@@ -103,17 +107,17 @@ class Ahead(Instructions):
         return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
-        """Every value is computed as a vector."""
+        """Whether a value is a vector along time: every one is, except constants."""
         return value.operation != "constant"
 
     def read(self, value: Value, vector: bool) -> str:
-        """A value as an operand; one that is known before the loop is repeated."""
+        """The register or literal of a value; a value from before the loop is repeated in a vector."""
         if value.operation != "constant" and (id(value), True) not in self.names:
             self.names[id(value), True] = self.splat(value.dtype, self.lanes.read(value, False))
         return super().read(value, vector)
 
     def write(self, loop: CodeLoop) -> None:
-        """Compute the values of the next turns from the counters at the first, and store them."""
+        """Write the computation of the values of the next turns from the present counters, and their storing."""
         for position, growth in self.plan.counters.items():
             state = loop.states[position]
             scalar = scalar_type(state.dtype)
@@ -124,19 +128,20 @@ class Ahead(Instructions):
             assert isinstance(value, Value)
             self.name(value, self.value(value))
         for value in self.plan.outputs:
-            register, dtype = self.names[id(value), True], stored_type(value.dtype)
+            register = self.names[id(value), True]
+            dtype = stored_type(value.dtype)
             if value.dtype == BOOL:
                 register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
-            buffer = self.buffers[id(value)] = f"%{self.fresh('ahead')}"
+            buffer = self.buffers[id(value)] = f"%{self.new_name('ahead')}"
             self.lines.append(f"  store {self.kind(dtype, True)} {register}, ptr {buffer}, align 64")
 
     def allocations(self) -> list[str]:
-        """Memory for what is stored, to be reserved once."""
+        """The instructions that reserve the buffers, for the start of the function."""
         pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.plan.outputs)
         return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
 
     def load(self, turn: str) -> None:
-        """Read the values of one turn as scalars of the lanes."""
+        """Write the reading of one turn's values as scalars; ``turn`` is the register with the turn's number."""
         for value in self.plan.outputs:
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)

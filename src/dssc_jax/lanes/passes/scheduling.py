@@ -1,9 +1,9 @@
-"""The order of a block's nodes: what the others wait for comes first.
+"""List scheduling: the order of a block's nodes in which a processor waits least.
 
 A processor looks for work among its next few hundred instructions only. In the order of the trace these often wait for
-each other, such as one stage of Runge-Kutta's method for the one before. List scheduling puts them in the order in
-which a machine would begin them that begins three in a cycle: a node comes as soon as its operands are known, and among
-several the one with the most cycles to the end of the block. The window limits how far a node comes before one that
+each other, as each stage of Runge-Kutta's method waits for the one before. List scheduling simulates a machine that
+begins three operations in a cycle: a node comes as soon as its operands are known, and among several such nodes the one
+with the longest chain to the end of the block comes first. The window limits how far a node may come before one that
 precedes it in the trace. The wider it is, the more values are alive at a time, and registers are few.
 """
 
@@ -11,19 +11,19 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import chain
 
-from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, read_by
+from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, operands_of
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20, "foreign": 100}
 OTHER_CYCLES = 2
-AT_A_TIME = 3  # operations that begin in a cycle
+AT_A_TIME = 3  # operations that begin in one cycle
 
 
 def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
     """Order the nodes of a block for emission.
 
     Args:
-        nodes: Nodes in an order in which operands precede what reads them.
-        window: How many places beyond the first node that is not yet placed to look.
+        nodes: Nodes, each after the nodes whose values it reads.
+        window: Number of places after the first unplaced node among which the next node is chosen.
     """
     users = users_of(nodes)
     remaining = [0] * len(nodes)
@@ -33,11 +33,15 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
     for user in chain.from_iterable(users):
         missing_operands[user] += 1
 
-    is_placed, known_at = [False] * len(nodes), [0.0] * len(nodes)
-    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # operands are placed; a heap by place
-    waiting_heap: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
-    ready_heap: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
-    order, first_unplaced, time = [], 0, 0.0
+    is_placed = [False] * len(nodes)
+    known_at = [0.0] * len(nodes)
+    # nodes move from heap to heap: all operands are placed; within the window, too; and the operands are known, too
+    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # by place
+    waiting_heap: list[tuple[float, int, int]] = []  # by the time at which the operands are known
+    ready_heap: list[tuple[int, int]] = []  # by the remaining cycles, most first
+    order = []
+    first_unplaced = 0
+    time = 0.0
     while len(order) < len(nodes):
         while is_placed[first_unplaced]:
             first_unplaced += 1
@@ -61,30 +65,30 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
 
 
 def users_of(nodes: Sequence[Node]) -> list[list[int]]:
-    """For each node the positions of those that read it."""
+    """For each node, the positions of the nodes that read its values."""
     users: list[list[int]] = [[] for _ in nodes]
-    maker = {id(value): i for i, node in enumerate(nodes) for value in made_by(node)}
+    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}
     for i, node in enumerate(nodes):
-        for operand in {maker[id(value)] for value in read_within(node) if id(value) in maker}:
+        for operand in {maker[id(value)] for value in operands_within(node) if id(value) in maker}:
             users[operand].append(i)
     return users
 
 
-def made_by(node: Node) -> Sequence[Value]:
+def results_of(node: Node) -> Sequence[Value]:
     """The values that a node computes for its block."""
     if isinstance(node, CodeLoop | Branch):
         return node.results
     return (node,) if isinstance(node, Value) else ()
 
 
-def read_within(node: Node) -> Iterator[Value]:
+def operands_within(node: Node) -> Iterator[Value]:
     """The values that a node and its blocks read."""
-    yield from read_by(node)
+    yield from operands_of(node)
     for block in inner_blocks(node):
         for part in block.nodes:
-            yield from read_within(part)
+            yield from operands_within(part)
 
 
 def cycles(node: Node) -> int:
-    """Until the values of a node are known; loops and branches are not modelled."""
+    """Latency of a node in cycles; that of loops and branches is not modelled, and 0."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

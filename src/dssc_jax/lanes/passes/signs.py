@@ -1,4 +1,4 @@
-"""Values whose sign bit is known to be 0, also that of a NaN. Their order is that of their bits as integers."""
+"""Sign analysis: values whose sign bit is always 0, also as a NaN. Their order is that of their bits as integers."""
 
 import numpy as np
 
@@ -6,12 +6,13 @@ from dssc_jax.lanes.program import Value
 
 
 def is_unsigned(value: Value, assumed_states: frozenset[tuple[int, int]] = frozenset()) -> bool:
-    """Whether a floating-point number has no sign, such as |x| and the largest of several.
+    """Whether the sign bit of a floating-point number is always 0, as that of |x|.
+
+    A state of a loop has no sign if it begins without one and no turn adds one. This is shown by induction.
 
     Args:
         value: The number.
-        assumed_states: States of loops that are already assumed to have no sign, by the loop's identity and their
-            position: a state has no sign if it begins without one and a turn does not add one.
+        assumed_states: States that the induction assumes to have no sign, by the id of the loop and their position.
     """
     match value.operation:
         case "abs":

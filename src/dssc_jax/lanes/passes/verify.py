@@ -3,7 +3,7 @@
 import numpy as np
 
 from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
-from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Program, Record, Slot, Value, read_by
+from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Program, Record, Slot, Value, operands_of
 
 SAME_TYPE = frozenset(ARITHMETIC) | {Operation.DIV, Operation.REM}
 """Operations whose operands and result have one type."""
@@ -14,11 +14,11 @@ OPERAND_COUNTS = {
     "part": 1,
     "select": 3,
 }
-"""Operands of operations that have not two."""
+"""Number of operands of the operations that do not have two."""
 
 
 class InvalidProgram(Exception):
-    """A program that breaks a rule of its form; a pass or a translation is wrong."""
+    """A program that breaks a rule of its form, because of an error in the translation or in a pass."""
 
 
 def verify(program: Program) -> None:
@@ -35,7 +35,7 @@ def verify(program: Program) -> None:
 
 
 def verify_block(block: CodeBlock, defined: set[int]) -> None:
-    """Check a block; ``defined`` has the values that it and what follows it may read, by their identities."""
+    """Check a block, and add its values to ``defined``, the ids of the values that may be read."""
     for node in block.nodes:
         match node:
             case Value():
@@ -46,13 +46,13 @@ def verify_block(block: CodeBlock, defined: set[int]) -> None:
             case Branch():
                 verify_branch(node, defined)
             case Record():
-                for value in read_by(node):
+                for value in operands_of(node):
                     require_defined(value, defined, "a record")
                 require(not node.position.varying, node.position, "a record's position must be uniform")
 
 
 def verify_value(value: Value, defined: set[int]) -> None:
-    """Check operands, types and uniformity of a single value."""
+    """Check operands, dtypes and uniformity of a single value; ``defined`` as for :func:`verify_block`."""
     operation = value.operation
     operands = value.operands
     require(isinstance(operation, Operation), value, "is no operation")
@@ -91,7 +91,7 @@ def verify_value(value: Value, defined: set[int]) -> None:
 
 
 def verify_access(value: Value) -> None:
-    """Check types and the index of an operation on a slot."""
+    """Check the dtypes and the index of an operation on a slot."""
     require(isinstance(value.detail, Slot), value, "must have a slot")
     require(value.dtype == (value.detail.dtype if value.operation == Operation.READ else TOKEN), value, "type is wrong")
     if value.operation != Operation.MEMORY:
@@ -102,7 +102,7 @@ def verify_access(value: Value) -> None:
 
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
-    """Check a loop, its body and its state."""
+    """Check a loop, its body and its states; ``defined`` as for :func:`verify_block`."""
     for value in loop.initial_states:
         require_defined(value, defined, "a loop's begin")
     if loop.guard is not None:
@@ -131,7 +131,7 @@ def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
 
 
 def verify_branch(branch: Branch, defined: set[int]) -> None:
-    """Check a branch, its sides and its results."""
+    """Check a branch, its sides and its results; ``defined`` as for :func:`verify_block`."""
     require_defined(branch.condition, defined, "a branch's condition")
     require(branch.condition.dtype == BOOL, branch.condition, "a branch's condition must be a truth value")
     for side, values in zip(branch.sides, branch.values, strict=True):
@@ -145,7 +145,7 @@ def verify_branch(branch: Branch, defined: set[int]) -> None:
 
 
 def define(value: Value, defined: set[int]) -> None:
-    """Note that a value is defined, once."""
+    """Add a value to the defined ones, and require that it is new."""
     require(id(value) not in defined, value, "is defined twice")
     defined.add(id(value))
 
@@ -157,7 +157,17 @@ def require_defined(value: Value, defined: set[int], reader: str) -> None:
 
 
 def require(holds: bool, value: Value | None, rule: str, *details: object) -> None:
-    """Raise :class:`InvalidProgram` unless a rule holds for a value; its text has a place ``{}`` for each detail."""
+    """Require that a rule holds.
+
+    Args:
+        holds: Whether it holds.
+        value: The value that it is about; None: the whole program.
+        rule: The rule in words, with a place ``{}`` for each detail.
+        details: Objects to put in these places.
+
+    Raises:
+        InvalidProgram: It does not hold.
+    """
     if not holds:
         subject = "the program" if value is None else f"'{value.operation}' of type {value.dtype}"
         raise InvalidProgram(f"{subject}: {rule.format(*details)}")

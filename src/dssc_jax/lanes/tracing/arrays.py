@@ -1,6 +1,7 @@
-"""Small arrays within a lane: moved element by element at translation, so that only arithmetic is left to run.
+"""Rules of operations on small arrays within a lane.
 
-An array of values is a NumPy array of objects. An array that is known before the run keeps its numbers.
+Elements are moved when the program is translated, so that only arithmetic is left to run. An array of values is a NumPy
+array of objects; a constant array stays an array of numbers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,10 +23,10 @@ from dssc_jax.lanes.tracing.specification import (
     Parameters,
     Specification,
     TranslationRule,
-    absent,
-    anything,
+    any_value,
     array_type,
     element_type,
+    no_value,
     result_type,
     rule,
 )
@@ -35,7 +36,7 @@ Tensor = np.ndarray
 
 
 def as_tensor(value: Any, build: Builder) -> Tensor:
-    """A value as an array of objects: an array's numbers become constants, and a scalar is an array of shape ()."""
+    """A value as an array of objects: numbers become constants, and a scalar becomes an array of shape ()."""
     if isinstance(value, np.ndarray) and value.dtype == object:
         return value
     tensor = np.empty(np.shape(value) if isinstance(value, np.ndarray) else (), object)
@@ -47,12 +48,12 @@ def as_tensor(value: Any, build: Builder) -> Tensor:
 
 
 def from_tensor(tensor: Any) -> Any:
-    """An array of objects; of shape (), its element."""
+    """An array of objects, or its only element if its shape is ()."""
     return tensor[()] if isinstance(tensor, np.ndarray) and tensor.dtype == object and not tensor.shape else tensor
 
 
 def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence[Any]) -> Any:
-    """A function of scalars applied to arrays of equal shape, and scalars."""
+    """Apply a function of scalars to each element of operands, which are scalars and arrays of one shape."""
     if not any(isinstance(operand, np.ndarray) for operand in operands):
         return function(*operands)
     tensors = np.broadcast_arrays(*(as_tensor(operand, build) for operand in operands))
@@ -63,8 +64,9 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
 
 
 def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """An array repeated along new axes."""
-    shape, axes = params["shape"], params["broadcast_dimensions"]
+    """``lax.broadcast_in_dim``: an array repeated along new axes."""
+    shape = params["shape"]
+    axes = params["broadcast_dimensions"]
     if not shape:
         return operands[0]
     source = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
@@ -74,8 +76,8 @@ def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equat
     return np.broadcast_to(source.reshape(sizes), shape)
 
 
-def moving(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., Any]:
-    """A rule that moves the elements of one array by a function of NumPy."""
+def movement_rule(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., Any]:
+    """The translation of an operation that only moves elements, by ``(array, parameters) -> array`` of NumPy."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         operand = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
@@ -86,70 +88,71 @@ def moving(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., A
 
 
 def scalar_of(build: Builder, result: Tensor) -> Any:
-    """An array; of shape (), the value in it."""
+    """An array, or a value if its shape is ()."""
     if result.shape:
         return result
     return result[()] if result.dtype == object else build.constant(result, result.dtype)
 
 
-def strided(operand: Tensor, params: Parameters) -> Tensor:
-    """A part of an array between fixed indices."""
+def static_slice(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.slice``: a part of an array between constant indices."""
     strides = params["strides"] or [1] * operand.ndim
     parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return operand[tuple(slice(start, stop, step) for start, stop, step in parts)]
 
 
-def reshaped(operand: Tensor, params: Parameters) -> Tensor:
-    """An array in another shape."""
+def reshape(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.reshape``: an array in another shape."""
     return operand.reshape(params["new_sizes"])
 
 
-def squeezed(operand: Tensor, params: Parameters) -> Tensor:
-    """An array without some axes of size 1."""
+def squeeze(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.squeeze``: an array without some axes of size 1."""
     return np.squeeze(operand, tuple(params["dimensions"]))
 
 
-def expanded(operand: Tensor, params: Parameters) -> Tensor:
-    """An array with new axes of size 1."""
+def expand_dims(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.expand_dims``: an array with new axes of size 1."""
     return np.expand_dims(operand, tuple(params["dimensions"]))
 
 
-def transposed(operand: Tensor, params: Parameters) -> Tensor:
-    """An array with its axes in another order."""
+def transpose(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.transpose``: an array with its axes in another order."""
     return np.transpose(operand, params["permutation"])
 
 
-def reversed_along(operand: Tensor, params: Parameters) -> Tensor:
-    """An array reversed along some axes."""
+def reverse(operand: Tensor, params: Parameters) -> Tensor:
+    """``lax.rev``: an array reversed along some axes."""
     return np.flip(operand, params["dimensions"])
 
 
 def concatenate(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Arrays one after another."""
+    """``lax.concatenate``: arrays one after another along an axis."""
     are_constant = all(operand.dtype != object for operand in operands)
     parts = operands if are_constant else [as_tensor(operand, build) for operand in operands]
     return np.concatenate(parts, params["dimension"])
 
 
 def stack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Arrays beside one another along a new axis."""
+    """``jnp.stack``: arrays side by side along a new axis."""
     return np.stack([as_tensor(operand, build) for operand in operands], params["axis"])
 
 
 def unstack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
-    """The parts of an array along an axis, without that axis."""
+    """``jnp.unstack``: the parts of an array along an axis, without that axis."""
     parts = np.moveaxis(as_tensor(operands[0], build), params["axis"], 0)
     return [from_tensor(np.asarray(part, object)) for part in parts]
 
 
 def split_array(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
-    """An array in several parts."""
+    """``lax.split``: consecutive parts of an array along an axis."""
     return np.split(operands[0], np.cumsum(params["sizes"])[:-1], params["axis"])
 
 
 def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """An array with a margin, and gaps between its elements."""
-    operand, margin = as_tensor(operands[0], build), operands[1]
+    """``lax.pad``: an array with a margin around it, and gaps between its elements."""
+    operand = as_tensor(operands[0], build)
+    margin = operands[1]
     if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
         raise Unsupported("a negative margin")
     result = np.empty(array_type(equation.outvars[0]).shape, object)
@@ -163,17 +166,19 @@ def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: J
 
 
 def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """The index of each element along an axis."""
-    shape, axis = params["shape"], params["dimension"]
+    """``lax.iota``: an array whose elements are their indices along an axis."""
+    shape = params["shape"]
+    axis = params["dimension"]
     line = np.arange(shape[axis], dtype=params["dtype"])
     return np.broadcast_to(line.reshape([-1 if i == axis else 1 for i in range(len(shape))]), shape)
 
 
 def reduction(operation: str) -> Callable[..., Any]:
-    """A rule that combines the elements along some axes."""
+    """The translation of a reduction, which combines the elements along some axes by an operation."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        axes, tensor = params["axes"], as_tensor(operands[0], build)
+        axes = params["axes"]
+        tensor = as_tensor(operands[0], build)
         remaining_axes = [axis for axis in range(tensor.ndim) if axis not in axes]
         remaining_shape = [tensor.shape[axis] for axis in remaining_axes]
         rows = np.transpose(tensor, [*remaining_axes, *axes]).reshape(*remaining_shape, -1)
@@ -185,7 +190,7 @@ def reduction(operation: str) -> Callable[..., Any]:
 
 
 def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
-    """Apply a function to each row along the last axis."""
+    """Apply a function to each row along the last axis; return the array of its results."""
     result = np.empty(rows.shape[:-1], object)
     for position in np.ndindex(result.shape):
         result[position] = function(list(rows[position]))
@@ -193,7 +198,7 @@ def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> A
 
 
 def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Sums of products."""
+    """``lax.dot_general``: sums of products over some axes of two arrays."""
     (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
     sides = []
     for operand, sums, batch in zip(operands, (left_sum, right_sum), (left_batch, right_batch), strict=True):
@@ -211,8 +216,8 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equ
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
 
 
-def cumulative_rule(operation: str) -> Callable[..., Any]:
-    """A rule for partial sums and their like."""
+def cumulation(operation: str) -> Callable[..., Any]:
+    """The translation of a cumulative operation, such as ``cumsum``."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         tensor = np.moveaxis(as_tensor(operands[0], build), params["axis"], -1).copy()
@@ -229,53 +234,57 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
 
 
 def same_precision(precision: Any, equation: JaxprEqn) -> bool:
-    """Any precision of JAX's enumeration: a processor computes all in the type itself. An algorithm is none."""
+    """The condition of a product's precision: one of JAX's enumeration, which mean the same here; no algorithm."""
     parts = precision if isinstance(precision, tuple) else (precision,)
     return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
 
 
-def of_one_type(equation: JaxprEqn) -> str | None:
-    """Refuse a sum of products whose operands and result differ in type."""
+def refuse_mixed_types(equation: JaxprEqn) -> str | None:
+    """Why a sum of products is not translated: its operands and result differ in type; None if they do not."""
     types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
     return None if len(types) == 1 else "operands and results of several types"
 
 
 def reduction_rule(operation: str, types: Any) -> TranslationRule:
-    """The rule of a reduction."""
-    return rule(reduction(operation), types, axes=anything, out_sharding=absent)
+    """The rule of a reduction by an operation."""
+    return rule(reduction(operation), types, axes=any_value, out_sharding=no_value)
 
 
-def partial_rule(operation: str) -> TranslationRule:
-    """The rule of partial sums and their like."""
-    return rule(cumulative_rule(operation), NUMBER_TYPES, axis=anything, reverse=anything)
+def cumulative_rule(operation: str) -> TranslationRule:
+    """The rule of a cumulative operation."""
+    return rule(cumulation(operation), NUMBER_TYPES, axis=any_value, reverse=any_value)
 
 
 ARRAY_RULES: dict[str, TranslationRule] = {
-    "broadcast_in_dim": rule(broadcast, MOVED_TYPES, shape=anything, broadcast_dimensions=anything, sharding=absent),
-    "reshape": rule(moving(reshaped), MOVED_TYPES, new_sizes=anything, dimensions=absent, sharding=absent),
-    "squeeze": rule(moving(squeezed), MOVED_TYPES, dimensions=anything),
-    "expand_dims": rule(moving(expanded), MOVED_TYPES, dimensions=anything),
-    "transpose": rule(moving(transposed), MOVED_TYPES, permutation=anything),
-    "rev": rule(moving(reversed_along), MOVED_TYPES, dimensions=anything),
-    "slice": rule(moving(strided), MOVED_TYPES, start_indices=anything, limit_indices=anything, strides=anything),
-    "concatenate": rule(concatenate, MOVED_TYPES, dimension=anything),
-    "stack": rule(stack, MOVED_TYPES, axis=anything),
-    "unstack": rule(unstack, MOVED_TYPES, axis=anything),
-    "split": rule(split_array, MOVED_TYPES, sizes=anything, axis=anything),
-    "pad": rule(pad, SCALARS, padding_config=anything),
-    "iota": rule(iota, NUMBER_TYPES, dtype=anything, shape=anything, dimension=anything, sharding=absent),
+    "broadcast_in_dim": rule(
+        broadcast, MOVED_TYPES, shape=any_value, broadcast_dimensions=any_value, sharding=no_value
+    ),
+    "reshape": rule(movement_rule(reshape), MOVED_TYPES, new_sizes=any_value, dimensions=no_value, sharding=no_value),
+    "squeeze": rule(movement_rule(squeeze), MOVED_TYPES, dimensions=any_value),
+    "expand_dims": rule(movement_rule(expand_dims), MOVED_TYPES, dimensions=any_value),
+    "transpose": rule(movement_rule(transpose), MOVED_TYPES, permutation=any_value),
+    "rev": rule(movement_rule(reverse), MOVED_TYPES, dimensions=any_value),
+    "slice": rule(
+        movement_rule(static_slice), MOVED_TYPES, start_indices=any_value, limit_indices=any_value, strides=any_value
+    ),
+    "concatenate": rule(concatenate, MOVED_TYPES, dimension=any_value),
+    "stack": rule(stack, MOVED_TYPES, axis=any_value),
+    "unstack": rule(unstack, MOVED_TYPES, axis=any_value),
+    "split": rule(split_array, MOVED_TYPES, sizes=any_value, axis=any_value),
+    "pad": rule(pad, SCALARS, padding_config=any_value),
+    "iota": rule(iota, NUMBER_TYPES, dtype=any_value, shape=any_value, dimension=any_value, sharding=no_value),
     "reduce_sum": reduction_rule("add", NUMBER_TYPES),
     "reduce_prod": reduction_rule("mul", NUMBER_TYPES),
     "reduce_max": reduction_rule("max", NUMBER_TYPES),
     "reduce_min": reduction_rule("min", NUMBER_TYPES),
     "reduce_and": reduction_rule("and", WHOLE | TRUTH),
     "reduce_or": reduction_rule("or", WHOLE | TRUTH),
-    "cumsum": partial_rule("add"),
-    "cumprod": partial_rule("mul"),
-    "cummax": partial_rule("max"),
-    "cummin": partial_rule("min"),
+    "cumsum": cumulative_rule("add"),
+    "cumprod": cumulative_rule("mul"),
+    "cummax": cumulative_rule("max"),
+    "cummin": cumulative_rule("min"),
     "dot_general": TranslationRule(dot_general, Specification(NUMBER_TYPES, {
-        "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
-        "out_sharding": absent}, of_one_type)),
+        "dimension_numbers": any_value, "precision": same_precision, "preferred_element_type": result_type,
+        "out_sharding": no_value}, refuse_mixed_types)),
 }  # fmt: skip
-"""TranslationRule of each primitive by its name."""
+"""The rule of each primitive by its name."""

@@ -8,13 +8,13 @@ from jax.extend.core import JaxprEqn
 from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.foreign import FOREIGN_CALL
 from dssc_jax.lanes.program import Value
-from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, TranslationRule, anything, rule
+from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, TranslationRule, any_value, rule
 
 
 def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Value]:
-    """The results of a call."""
+    """The results of a call of a function of C."""
     return build.foreign(params["function"], operands)
 
 
-FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, NUMBER_TYPES, function=anything)}
+FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, NUMBER_TYPES, function=any_value)}
 """The rule of the one primitive that calls C."""

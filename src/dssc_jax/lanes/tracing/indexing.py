@@ -1,7 +1,7 @@
-"""Elements of an array within a lane at indices of the run: gathers, scatters and slices.
+"""Rules of gathers, scatters and slices: elements of an array within a lane at indices that the run computes.
 
-A table that is known before the run is read in memory; any other array by a chain of selects. Every index is first
-taken as a signed number that can hold the size of the array.
+An element of a constant table is read from memory, that of any other array by a chain of selects. Every index is first
+converted to a signed type that can hold the size of the array.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,20 +20,26 @@ from dssc_jax.lanes.tracing.specification import (
     SCALARS,
     Parameters,
     TranslationRule,
-    absent,
-    anything,
+    any_value,
     array_type,
+    no_value,
     one_of,
     rule,
 )
 from dssc_jax.lanes.unsupported import Unsupported
 
-MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
+MOST_SELECTS = 1024  # largest number of elements among which a chain of selects chooses
 INDEX_TYPE = np.dtype(np.int32)
+MODES = one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")
+"""Condition of the mode of a gather or scatter."""
 
 
 def element(build: Builder, table: Tensor, position: Value) -> Value:
-    """The element of a flat array at a position of the run, which lies within it."""
+    """The element of a one-dimensional array at a position, which must lie within it.
+
+    Raises:
+        Unsupported: The array is neither constant nor short.
+    """
     if position.operation == "constant":
         entry = table[int(position.detail)]
         return entry if table.dtype == object else build.constant(entry, table.dtype)
@@ -49,8 +55,9 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
 
 
 def row(build: Builder, table: Any, at: Value) -> Any:
-    """A row of an array at an index of the run."""
-    inner, count = table.shape[1:], int(np.prod(table.shape[1:]))
+    """The row of an array at an index along its first axis."""
+    inner = table.shape[1:]
+    count = int(np.prod(table.shape[1:]))
     columns = table.reshape(table.shape[0], count)
     elements = np.empty(count, object)
     for column in range(count):
@@ -59,23 +66,30 @@ def row(build: Builder, table: Any, at: Value) -> Any:
 
 
 def wide_index(build: Builder, start: Value) -> Value:
-    """An index in a signed type that holds every array's size and all of the index's own values that matter."""
-    if start.dtype == np.dtype(np.uint64):  # beyond the largest signed number: the end of every array
+    """An index converted to a signed type, in which it has the same value or is beyond the end of every array."""
+    if start.dtype == np.dtype(np.uint64):
         limit = build.constant(np.iinfo(np.int64).max, start.dtype)
         return build.add("convert", build.add("min", start, limit), dtype=np.dtype(np.int64))
     wide = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
     return build.add("convert", start, dtype=np.dtype(np.int64) if wide else INDEX_TYPE)
 
 
-def clipped(build: Builder, start: Value, limit: int) -> Value:
-    """A wide index within 0 .. limit."""
+def clip_index(build: Builder, start: Value, limit: int) -> Value:
+    """A signed index, clipped to 0 .. limit."""
     return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(limit, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
-    """``lax.dynamic_slice``: a part of fixed size at indices of the run, moved inwards where it would reach beyond.
+    """The window of an array at some start, as ``lax.dynamic_slice`` reads it.
 
-    Each element of the part is chosen from its candidates: the array's elements at that position for every start.
+    A start at which the window would reach beyond the array is moved inwards. Each element of the window is selected
+    among its candidates: the array's elements at that position for every possible start.
+
+    Args:
+        build: The builder.
+        operand: The array.
+        starts: Start of the window along each axis.
+        sizes: Size of the window along each axis.
     """
     limits = [size - part for size, part in zip(operand.shape, sizes, strict=True)]
     start = flat_start(build, starts, limits)
@@ -88,13 +102,19 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
 
 
 def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -> Value:
-    """The number of a start among all that are possible, 0 .. limit along every axis, in C order."""
+    """The number of a start among all possible ones, in C order.
+
+    Args:
+        build: The builder.
+        starts: Start along each axis.
+        limits: Largest start along each axis; the smallest is 0.
+    """
     axes = [axis for axis, limit in enumerate(limits) if limit]
     if not axes:
         return build.constant(0, INDEX_TYPE)
 
     def term(axis: int) -> Value:
-        start = build.add("convert", clipped(build, starts[axis], limits[axis]), dtype=INDEX_TYPE)
+        start = build.add("convert", clip_index(build, starts[axis], limits[axis]), dtype=INDEX_TYPE)
         stride = int(np.prod([limits[inner] + 1 for inner in axes if inner > axis]))
         return build.add("mul", start, build.constant(stride, INDEX_TYPE))
 
@@ -105,28 +125,30 @@ def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -
 
 
 def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
-    """The index vectors of a gather or scatter, one for each of its points, as wide indices."""
+    """The index vectors of a gather or scatter, one for each of its points, in signed types."""
     tensor = as_tensor(indices, build)
     rows = tensor.reshape(-1, tensor.shape[-1])
     return [[wide_index(build, index) for index in vector] for vector in rows]
 
 
 def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Windows of an array at indices of the run."""
+    """``lax.gather``: windows of an array at several starts."""
     operand, indices = operands
-    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    numbers = params["dimension_numbers"]
+    sizes = params["slice_sizes"]
     fill = params["mode"].name == "FILL_OR_DROP"
     if not isinstance(operand, np.ndarray):
         operand = as_tensor(operand, build)
-    points, zero = [], build.constant(0, INDEX_TYPE)
+    points = []
+    zero = build.constant(0, INDEX_TYPE)
     for vector in index_rows(build, indices):
         starts = [zero] * operand.ndim
         for axis, start in zip(numbers.start_index_map, vector, strict=True):
             starts[axis] = start
         part = window(build, operand, starts, sizes)
         if fill:
-            is_inside = lies_within(build, operand.shape, starts, sizes)
-            fill_value = filler(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
+            is_inside = is_window_inside(build, operand.shape, starts, sizes)
+            fill_value = fill_value_of(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
             part = elementwise(
                 lambda x, mask=is_inside, other=fill_value: build.add("select", mask, x, other), build, [part]
             )
@@ -140,8 +162,8 @@ def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation
     return from_tensor(np.transpose(grid, np.argsort([*batch, *numbers.offset_dims])) if shape else grid)
 
 
-def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
-    """Whether a window lies within an array."""
+def is_window_inside(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
+    """Whether a window lies within an array of a shape."""
     is_inside = build.constant(True, np.dtype(bool))
     for size, start, part in zip(shape, starts, sizes, strict=True):
         for operation, bound in (("ge", 0), ("le", size - part)):
@@ -149,8 +171,8 @@ def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], s
     return is_inside
 
 
-def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
-    """The value that an index beyond an array reads."""
+def fill_value_of(build: Builder, fill: Any, dtype: np.dtype) -> Value:
+    """The value that a gather reads beyond its array: the given one, or JAX's default for the dtype."""
     if fill is not None:
         return build.constant(fill, dtype)
     match dtype.kind:
@@ -163,10 +185,21 @@ def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
     return build.constant(True, dtype)
 
 
-def with_window(
+def combine_window(
     build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
 ) -> Tensor:
-    """An array with a window combined with other values, at indices of the run that lie within it."""
+    """An array of which a window is combined with other values.
+
+    Args:
+        build: The builder.
+        operand: The array.
+        starts: Start of the window along each axis; a window that reaches beyond the array changes nothing.
+        update: The other values, in the shape of the window.
+        combine: ``(old element, new element) -> element``.
+
+    Raises:
+        Unsupported: Too many elements would have to be compared.
+    """
     if operand.size * update.size > MOST_SELECTS * 16:
         raise Unsupported(f"{update.size} of {operand.size} numbers written at an index")
     result = operand.copy()
@@ -186,7 +219,7 @@ def with_window(
 
 
 def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """A window of an array."""
+    """``lax.dynamic_slice``: a window of an array."""
     operand, *starts = operands
     if isinstance(operand, Memory):
         return np.array([operand.read(build, wide_index(build, starts[0]))], object)
@@ -196,24 +229,30 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, e
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Replace a window of an array."""
+    """``lax.dynamic_update_slice``: an array with a window replaced."""
     operand, update, *starts = operands
     if isinstance(operand, Memory):
         return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
-    target, new = as_tensor(operand, build), as_tensor(update, build)
+    target = as_tensor(operand, build)
+    new = as_tensor(update, build)
     limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
     pairs = zip(starts, limits, strict=True)
-    clipped_starts = [clipped(build, wide_index(build, start), limit) for start, limit in pairs]
-    return with_window(build, target, clipped_starts, new, lambda old, new: new)
+    clipped_starts = [clip_index(build, wide_index(build, start), limit) for start, limit in pairs]
+    return combine_window(build, target, clipped_starts, new, lambda old, new: new)
 
 
 def scatter(operation: str) -> Callable[..., Tensor]:
-    """An array with windows combined with others, at indices of the run."""
+    """The translation of ``lax.scatter``: an array with several windows combined with other values.
+
+    Args:
+        operation: Operation of the combination; empty: replacement.
+    """
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
-        target, new = as_tensor(operand, build), as_tensor(updates, build)
+        target = as_tensor(operand, build)
+        new = as_tensor(updates, build)
         vectors = index_rows(build, indices)
         batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
         windows = np.transpose(new, [*batch, *numbers.update_window_dims])
@@ -224,40 +263,35 @@ def scatter(operation: str) -> Callable[..., Tensor]:
             starts = [build.constant(0, INDEX_TYPE)] * target.ndim
             for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
                 limit = target.shape[axis] - update.shape[axis]
-                starts[axis] = clipped(build, start, limit) if clip else start
-            target = with_window(build, target, starts, update, lambda old, new: (
+                starts[axis] = clip_index(build, start, limit) if clip else start
+            target = combine_window(build, target, starts, update, lambda old, new: (
                 build.add(operation, old, new) if operation else new))  # fmt: skip
         return target
 
     return rule
 
 
-def unbatched(numbers: Any, equation: JaxprEqn) -> bool:
-    """Dimension numbers of a gather or scatter without batches."""
+def has_no_batches(numbers: Any, equation: JaxprEqn) -> bool:
+    """The condition of a gather's or scatter's dimension numbers: there are no batches."""
     return not numbers.operand_batching_dims
 
 
-def mode_of(*names: str) -> Any:
-    """The condition of a gather's or scatter's mode."""
-    return one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS", *names)
-
-
 def scatter_rule(operation: str) -> TranslationRule:
-    """The rule of a scatter."""
+    """The rule of a scatter with an operation; see :func:`scatter`."""
     return rule(
-        scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
-        update_jaxpr=anything, update_consts=absent, indices_are_sorted=anything, unique_indices=anything,
+        scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=has_no_batches, mode=MODES,
+        update_jaxpr=any_value, update_consts=no_value, indices_are_sorted=any_value, unique_indices=any_value,
     )  # fmt: skip
 
 
 INDEXING_RULES: dict[str, TranslationRule] = {
     "gather": rule(
-        gather, SCALARS, dimension_numbers=unbatched, slice_sizes=anything, mode=mode_of(), fill_value=anything,
-        indices_are_sorted=anything, unique_indices=anything,
+        gather, SCALARS, dimension_numbers=has_no_batches, slice_sizes=any_value, mode=MODES, fill_value=any_value,
+        indices_are_sorted=any_value, unique_indices=any_value,
     ),
-    "dynamic_slice": rule(dynamic_slice, SCALARS, slice_sizes=anything),
+    "dynamic_slice": rule(dynamic_slice, SCALARS, slice_sizes=any_value),
     "dynamic_update_slice": rule(dynamic_update_slice, SCALARS),
     "scatter": scatter_rule(""),
     "scatter-add": scatter_rule("add"),
 }  # fmt: skip
-"""TranslationRule of each primitive by its name."""
+"""The rule of each primitive by its name."""

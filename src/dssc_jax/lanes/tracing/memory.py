@@ -1,7 +1,8 @@
-"""Arrays that a loop carries and that are only read and written one element at a time, at an index of the time.
+"""Arrays that a loop carries and accesses one element at a time, at an index that is the same in all lanes.
 
 They stay in the memory of a vector of lanes: an access costs one instruction, however long the array is. An access is
-an operation on a *token*, which stands for the content at that point of the program, so every pass keeps their order.
+an operation on a *token*, which stands for the content at that point of the program, so every pass keeps the order of
+the accesses.
 """
 
 from collections.abc import Sequence
@@ -29,8 +30,8 @@ class Memory:
     Args:
         slot: The slot.
         token: The value that stands for the content.
-        reads: The reads of this content so far, which a later write must follow.
-        is_overwritten: Whether there is a later content.
+        reads: The reads of this content so far, after which a later write must come.
+        is_overwritten: Whether a later content has replaced this one.
     """
 
     slot: Slot
@@ -43,46 +44,46 @@ class Memory:
         """Shape of the array."""
         return (self.slot.length,)
 
-    def follows(self, token: Value) -> "Memory":
-        """The content after an operation, which makes this one obsolete."""
+    def successor(self, token: Value) -> "Memory":
+        """The content after an operation that returns the token; it replaces this content."""
         self.is_overwritten = True
         return Memory(self.slot, token)
 
     def require_current(self) -> None:
-        """Require that there is no later content.
+        """Require that no later content has replaced this one.
 
         Raises:
-            Unsupported: there is one.
+            Unsupported: One has.
         """
         if self.is_overwritten:
             raise Unsupported("an array that is read after it was written")
 
     def read(self, build: Builder, index: Value) -> Value:
-        """An element.
+        """The element at an index.
 
         Raises:
-            Unsupported: The index differs between lanes, or there is a later content.
+            Unsupported: The index differs between lanes, or a later content has replaced this one.
         """
         self.require_current()
-        value = build.read(self.slot, self.token, clamped(build, index, self.slot.length))
+        value = build.read(self.slot, self.token, clamped_position(build, index, self.slot.length))
         self.reads.append(value)
         return value
 
     def write(self, build: Builder, index: Value, value: Value) -> "Memory":
-        """The content with another element.
+        """The content after a value was written at an index.
 
         Raises:
-            Unsupported: The index differs between lanes, or there is a later content.
+            Unsupported: The index differs between lanes, or a later content has replaced this one.
         """
         self.require_current()
-        position = clamped(build, index, self.slot.length)
-        return self.follows(build.write(self.slot, self.token, position, value, self.reads))
+        position = clamped_position(build, index, self.slot.length)
+        return self.successor(build.write(self.slot, self.token, position, value, self.reads))
 
-    def entering(self) -> Value:
-        """The token with which a loop begins.
+    def initial_token(self) -> Value:
+        """The token with which a loop begins that carries the array.
 
         Raises:
-            Unsupported: Something has read the content before, which the loop may overwrite.
+            Unsupported: The content was read before, and the loop may overwrite it.
         """
         self.require_current()
         if self.reads:
@@ -90,11 +91,11 @@ class Memory:
         return self.token
 
 
-def clamped(build: Builder, index: Value, length: int) -> Value:
-    """An index, clamped to the array.
+def clamped_position(build: Builder, index: Value, length: int) -> Value:
+    """An index clamped to 0 .. length - 1, as JAX does it, and converted to :data:`INDEX_TYPE`.
 
     Raises:
-        Unsupported: It differs between lanes.
+        Unsupported: The index differs between lanes.
     """
     if index.varying:
         raise Unsupported("an array of the time loop at an index that differs between lanes")
@@ -103,14 +104,14 @@ def clamped(build: Builder, index: Value, length: int) -> Value:
     return build.add("convert", clamped_index, dtype=INDEX_TYPE)
 
 
-def kept_in_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
-    """The state before a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
+def move_to_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
+    """The initial state of a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
 
     Args:
         build: The builder.
-        initial_state: The state before the loop.
-        body: The loop's body; ``first`` of its operands precede the state.
-        first: Number of those operands.
+        initial_state: The initial state.
+        body: The loop's body.
+        first: Number of the body's operands before the state.
     """
     states = []
     for position, value in enumerate(initial_state):
@@ -123,7 +124,7 @@ def kept_in_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, fi
 
 
 def zeros_of(value: Any) -> np.dtype | None:
-    """The type of a one-dimensional array of real zeros of admissible length; None for any other value."""
+    """The dtype of a value if it is a one-dimensional array of floating-point zeros of admissible length; else None."""
     if not isinstance(value, np.ndarray) or value.ndim != 1 or not SMALLEST <= len(value) <= LARGEST:
         return None
     elements = value
@@ -136,12 +137,22 @@ def zeros_of(value: Any) -> np.dtype | None:
 
 
 def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
-    """Whether a body only reads and writes single elements of an operand, and returns it as this result alone."""
+    """Whether a body only accesses single elements of an operand, and returns it as one result alone.
+
+    Args:
+        body: The body.
+        operand: Position of the operand.
+        result: Position of the result.
+    """
     return versions(body, body.invars[operand]) == [result]
 
 
 def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
-    """Which results are later versions of an array; None if the program does more than access single elements of it."""
+    """Positions of the results that are later versions of an array.
+
+    Returns:
+        None if the program does more with the array than access single elements of it.
+    """
     version_variables: set[Any] = {array}
     for equation in jaxpr.eqns:
         operands = enumerate(equation.invars)
@@ -156,7 +167,12 @@ def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
 
 
 def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] | None:
-    """As :func:`versions`, for one equation, with the positions of the array among its operands."""
+    """As :func:`versions`, for one equation.
+
+    Args:
+        equation: The equation.
+        operand_positions: Positions of the array, or of later versions of it, among the operands.
+    """
     name = equation.primitive.name
     params = equation.params
     if name == "dynamic_slice":
@@ -186,5 +202,11 @@ def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] |
 
 
 def carried_versions(body: Jaxpr, operand: int, state: int) -> list[int] | None:
-    """As :func:`versions`, for a loop that carries the array as one of its states."""
+    """As :func:`versions`, for a loop that carries the array.
+
+    Args:
+        body: The loop's body.
+        operand: Position of the array among the body's operands.
+        state: Position of the array among the loop's states.
+    """
     return [state] if stays_in_place(body, operand, state) else None

@@ -1,6 +1,6 @@
-"""Names of a trace's values in a model's source: the variable, field or argument to which an operation is assigned.
+"""Names of a trace's values: the variable, field or argument to which a model's source assigns an operation.
 
-JAX's trace tells the place in the source of each operation, to the column. The syntax tree of the file tells the rest:
+JAX's trace tells the place of each operation in the source, to the column. The syntax tree of the file tells the rest:
 
     wanted = (error.sigma - decay * sigma_hat) * inverse_c      the product is ``wanted``
     return SampleRatios(gain * decay, ...)                      the product is the field's name
@@ -22,16 +22,16 @@ from dssc_jax.lanes.program import Program, Value
 from dssc_jax.lanes.tracing.translate import INLINED, Translator, traced_program
 
 LIBRARY = ("/jax/", "<frozen", "dssc_jax/lanes", "dssc_jax/core/numerics")
-"""Parts of the paths of files that are no model's."""
+"""Parts of the paths of files that belong to no model."""
 
 
 class Origin(NamedTuple):
-    """Where the source of a model computes a value.
+    """The place in a model's source where a value is computed.
 
     Args:
-        name: What the source calls it; empty for a part of an expression.
-        function: Qualified name of the function.
-        summary: First line of the function's documentation.
+        name: Name of the value in the source; empty for a part of an expression.
+        function: Qualified name of the function around it.
+        summary: First line of the function's docstring.
     """
 
     name: str
@@ -40,21 +40,31 @@ class Origin(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A call or operation in a source file: the code that contains it, its lines and columns."""
+    """A call or operation in a source file.
+
+    Args:
+        code: The code object that contains it.
+        span: Its first and last line, first and last column.
+    """
 
     code: CodeType
     span: tuple[Any, ...]
 
 
 class Source(NamedTuple):
-    """The syntax tree of a file: the node at each place, and the parent of each node."""
+    """The syntax tree of a file.
+
+    Args:
+        nodes: The expression at each span.
+        parents: The parent of each node.
+    """
 
     nodes: dict[tuple[Any, ...], ast.expr]
     parents: dict[ast.AST, ast.AST]
 
 
 class OriginTranslator(Translator):
-    """A translator that records the origin of each value that it computes, by the value's ``id``.
+    """A translator that records the origin of each value, by the value's ``id``.
 
     Args:
         build: The builder.
@@ -68,7 +78,7 @@ class OriginTranslator(Translator):
         self._outermost_call: JaxprEqn | None = None
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Translate one equation. Values computed within a called function have the origin of the outermost call."""
+        """Translate one equation; values computed within a call get the origin of the outermost call."""
         is_outermost = self._outermost_call is None and equation.primitive.name in INLINED
         if is_outermost:
             self._outermost_call = equation
@@ -87,14 +97,14 @@ class OriginTranslator(Translator):
 
 
 def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, dict[int, Origin]]:
-    """As :func:`~dssc_jax.lanes.tracing.translate.translate`, with the origin of values by their identity.
+    """As :func:`~dssc_jax.lanes.tracing.translate.translate`, with the origins of the values.
 
     Args:
         lane: A function of scalars.
         arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
 
     Returns:
-        The program, the tree of its results with shapes and types, and the origins.
+        The program, the tree of its results with shapes and types, and the origin of each value by the value's ``id``.
 
     Raises:
         Unsupported: An operation has no rule.
@@ -105,16 +115,16 @@ def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, di
 
 
 def origin_of(equation: JaxprEqn) -> Origin:
-    """The origin of an equation's results."""
+    """The origin of an equation's results; empty if no model's source leads to the equation."""
     places = list(model_places(equation))
     if not places:
         return Origin("")
-    named = [place for place in places if not place.code.co_name.startswith("__")]  # an operator says nothing
-    return Origin(assigned_name(places), *function_at((named or places)[0]))
+    outside_operators = [place for place in places if not place.code.co_name.startswith("__")]
+    return Origin(assigned_name(places), *function_at((outside_operators or places)[0]))
 
 
 def model_places(equation: JaxprEqn) -> Iterator[Place]:
-    """The places in models that led to an equation, innermost first."""
+    """The places in models whose calls led to an equation, innermost first."""
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     if traceback is None:
         return
@@ -141,7 +151,7 @@ def source(file: str) -> Source:
 
 
 def function_at(place: Place) -> tuple[str, str]:
-    """Name and first line of the documentation of the function at a place."""
+    """Qualified name of the function around a place, and the first line of its docstring."""
     nodes, parents = source(place.code.co_filename)
     node: ast.AST | None = nodes.get(place.span)
     while node is not None and not isinstance(node, ast.FunctionDef):
@@ -153,8 +163,15 @@ def function_at(place: Place) -> tuple[str, str]:
 
 
 def assigned_name(places: Sequence[Place]) -> str:
-    """The name to which the value at the first place is assigned, there or where the calls around it return it."""
-    elements: list[int] = []  # positions in the tuples that the value is returned in, innermost last
+    """The name to which a value is assigned, at its own place or where the calls around it return it.
+
+    Args:
+        places: The place of the value, then those of the calls around it.
+
+    Returns:
+        The name; empty if the value is a part of an expression.
+    """
+    elements: list[int] = []  # positions of the value in the tuples that contain it, innermost last
     for place in places:
         nodes, parents = source(place.code.co_filename)
         start = nodes.get(place.span)
@@ -184,7 +201,12 @@ def assigned_name(places: Sequence[Place]) -> str:
 
 
 def target_name(target: ast.AST, elements: list[int]) -> str:
-    """The name in a target of an assignment that gets the element of a value."""
+    """The name in an assignment's target that gets an element of the value; empty if none does.
+
+    Args:
+        target: The target, a name or nested tuples of names.
+        elements: Positions in the nested tuples of the value, innermost last.
+    """
     remaining = list(elements)
     while isinstance(target, ast.Tuple) and remaining:
         position = remaining.pop()
@@ -195,7 +217,13 @@ def target_name(target: ast.AST, elements: list[int]) -> str:
 
 
 def field_name(code: CodeType, call: ast.Call, position: int) -> str:
-    """The field that a positional argument of a NamedTuple's constructor fills; empty for other calls."""
+    """The field that a positional argument of a NamedTuple's constructor fills; empty for any other call.
+
+    Args:
+        code: Code object that contains the call.
+        call: The call.
+        position: Position of the argument.
+    """
     if not isinstance(call.func, ast.Name):
         return ""
     modules = list(sys.modules.values())

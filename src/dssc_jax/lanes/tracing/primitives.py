@@ -1,7 +1,7 @@
-"""JAX's elementwise primitives in terms of the operations of a lane's program, one row each.
+"""Rules of JAX's elementwise primitives, which translate them into the operations of a lane's program.
 
-A row is a function of the builder, the operands, the equation's parameters and the type of the result. Functions such
-as the sine are not here: :mod:`dssc_jax.lanes.functions.elementary` writes them as arithmetic, and JAX traces that.
+Functions such as the sine are not here: :mod:`dssc_jax.lanes.functions.elementary` writes them as arithmetic, and JAX
+traces that.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,23 +22,24 @@ from dssc_jax.lanes.tracing.specification import (
     Parameters,
     Specification,
     TranslationRule,
-    absent,
-    anything,
+    any_value,
     array_type,
+    no_value,
     one_of,
     rule,
 )
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
+"""``(builder, operands, parameters of the equation, dtype of the result) -> result``."""
 
 
 def same_operation(operation: str) -> ElementRule:
-    """An operation of the same meaning."""
+    """The translation of a primitive that is an operation of the program, too."""
     return lambda build, operands, params, dtype: build.add(operation, *operands)
 
 
 def larger_or_smaller(operation: str) -> ElementRule:
-    """The larger or smaller number; of truth values, whether one or both hold."""
+    """The translation of ``max`` or ``min``; for truth values these are "or" and "and"."""
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         logic = {"max": "or", "min": "and"}
@@ -48,17 +49,18 @@ def larger_or_smaller(operation: str) -> ElementRule:
 
 
 def division(operation: str) -> ElementRule:
-    """Division, or its remainder.
+    """The translation of ``div`` or ``rem``, with JAX's results where integers have no quotient.
 
-    The machine must not divide an integer by zero, nor the least one by -1. By zero the quotient has all bits set and
-    the remainder is x; the quotient by -1 is -x, which wraps.
+    The machine must not divide an integer by zero, nor the least integer by -1. Divided by zero, x has a quotient with
+    all bits set and the remainder x; divided by -1, it has the quotient -x, which wraps.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
-        zero, unit = build.constant(0, dtype), build.constant(1, dtype)
+        zero = build.constant(0, dtype)
+        unit = build.constant(1, dtype)
         by_zero = build.add("eq", y, zero)
         signed = dtype.kind == "i"
         unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
@@ -74,15 +76,17 @@ def division(operation: str) -> ElementRule:
 
 
 def shift(operation: str, treated_as: str = "") -> ElementRule:
-    """A shift; by the width of the type or more it leaves nothing, or the sign.
+    """The translation of a shift; beyond the width of the type nothing remains, or copies of the sign bit.
 
     Args:
         operation: ``shl`` or ``shr``.
-        treated_as: The kind of integer that is shifted, whatever the type: "i" copies the sign bit, "u" moves zeros in.
+        treated_as: Kind of integer as which the operand is shifted: "i" copies the sign bit, "u" moves zeros in; empty:
+            the operand's own kind.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        width, unsigned = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
+        width = 8 * dtype.itemsize
+        unsigned = np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
         x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
         limit = build.constant(width - 1, kind)
@@ -95,7 +99,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
 
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """-1, 1, or the operand itself if it is a zero or NaN."""
+    """The sign of the operand, -1 or 1; the operand itself if it is a zero or NaN."""
     (x,) = operands
     zero = build.constant(0, dtype)
     not_positive = x
@@ -118,7 +122,8 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
     """
     index, *cases = operands
     if index.dtype == BOOL:
-        if_false, if_true = cases[0], cases[-1]
+        if_false = cases[0]
+        if_true = cases[-1]
         return build.add("select", index, if_true, if_false)
     selected = cases[-1]
     for number in reversed(range(len(cases) - 1)):
@@ -128,7 +133,7 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
 
 
 def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand's number in another type."""
+    """The operand converted to the dtype of the result; to a truth value, whether it is not 0."""
     (x,) = operands
     if dtype == BOOL and x.dtype != BOOL:
         return build.add("ne", x, build.constant(0, x.dtype))
@@ -139,7 +144,8 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
     """x to a whole power, by squaring."""
     if exponent < 0:
         return build.add("div", build.constant(1, x.dtype), whole_power(build, x, -exponent))
-    result, square = None, x
+    result = None
+    square = x
     while exponent:
         if exponent & 1:
             result = square if result is None else build.add("mul", result, square)
@@ -148,14 +154,17 @@ def whole_power(build: Builder, x: Value, exponent: int) -> Value:
     return build.constant(1, x.dtype) if result is None else result
 
 
-def finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+def is_finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """Whether a number is neither infinite nor NaN."""
     (x,) = operands
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
 def in_total_order(operation: str) -> ElementRule:
-    """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
+    """The translation of a comparison in which NaN is above all numbers.
+
+    JAX removes the signs of 0 and of NaN before it.
+    """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
         a, b = operands
@@ -168,7 +177,7 @@ def in_total_order(operation: str) -> ElementRule:
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """Every bit inverted."""
+    """The operand with every bit inverted."""
     ones = build.constant(True if dtype == BOOL else -1, dtype)
     return build.add("xor", operands[0], ones)
 
@@ -178,8 +187,8 @@ def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dt
     return operands[0]
 
 
-def rounded_by(build: Builder, x: Value, method: str) -> Value:
-    """The nearest whole number; halves to even, or away from zero."""
+def nearest_whole(build: Builder, x: Value, method: str) -> Value:
+    """The whole number nearest to x; ``method`` rounds halves to even, or away from zero."""
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)
     half = build.add("trunc", x)
@@ -189,42 +198,42 @@ def rounded_by(build: Builder, x: Value, method: str) -> Value:
     return build.add("select", beyond_half, build.add("add", half, unit), half)
 
 
-def same_width(equation: JaxprEqn) -> str | None:
-    """Refuse bits that become more or fewer numbers, and truth values, which have no bits."""
+def refuse_other_width(equation: JaxprEqn) -> str | None:
+    """Why a bitcast is not translated: operand and result differ in width; None if they do not."""
     sizes = {np.dtype(array_type(variable).dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
     return None if len(sizes) == 1 else "bits of another width"
 
 
-def keeps_precision(equation: JaxprEqn) -> str | None:
-    """Refuse a reduction to fewer bits than the type has."""
+def refuse_lost_bits(equation: JaxprEqn) -> str | None:
+    """Why a reduction of precision is not translated: it removes bits; None if it keeps all."""
     digits = np.finfo(array_type(equation.outvars[0]).dtype)
     lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
     return None if lengths == (digits.nexp, digits.nmant) else "fewer bits than the type has"
 
 
 def real_power(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """A whole power."""
+    """The operand to a constant whole power."""
     return whole_power(build, operands[0], params["y"])
 
 
 def square(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The product with itself."""
+    """The square of the operand."""
     return build.add("mul", operands[0], operands[0])
 
 
 def reciprocal_root(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """1/x^(1/2)."""
+    """The reciprocal of the operand's square root."""
     return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
 
 
 def same_bits(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The bits of a number as those of another type."""
+    """The operand's bits as a number of the result's dtype."""
     return build.add("bitcast", *operands, dtype=dtype)
 
 
 def rounding(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The nearest whole number."""
-    return rounded_by(build, operands[0], params["rounding_method"].name)
+    """The whole number nearest to the operand, by the method of the equation."""
+    return nearest_whole(build, operands[0], params["rounding_method"].name)
 
 
 ELEMENT_RULES: dict[str, TranslationRule] = {
@@ -235,8 +244,8 @@ ELEMENT_RULES: dict[str, TranslationRule] = {
     **{name: rule(same_operation(name), WHOLE | TRUTH) for name in ("and", "or", "xor")},
     "abs": rule(same_operation("abs"), REAL | SIGNED_INTEGERS),
     "add_any": rule(same_operation("add"), NUMBER_TYPES),
-    "mul": rule(same_operation("mul"), NUMBER_TYPES, out_dtype=absent),
-    "sqrt": rule(same_operation("sqrt"), REAL, accuracy=absent),
+    "mul": rule(same_operation("mul"), NUMBER_TYPES, out_dtype=no_value),
+    "sqrt": rule(same_operation("sqrt"), REAL, accuracy=no_value),
     "div": rule(division("div"), NUMBER_TYPES),
     "rem": rule(division("rem"), NUMBER_TYPES),
     "shift_left": rule(shift("shl"), WHOLE),
@@ -248,18 +257,18 @@ ELEMENT_RULES: dict[str, TranslationRule] = {
     "sign": rule(sign_of, NUMBER_TYPES),
     "clamp": rule(clamp, NUMBER_TYPES),
     "select_n": rule(select_n, SCALARS),
-    "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
+    "convert_element_type": rule(convert, SCALARS, new_dtype=any_value, weak_type=any_value, sharding=no_value),
     "bitcast_convert_type": TranslationRule(same_bits, Specification(
-        NUMBER_TYPES, {"new_dtype": anything}, same_width)),
-    "integer_pow": rule(real_power, NUMBER_TYPES, y=anything),
+        NUMBER_TYPES, {"new_dtype": any_value}, refuse_other_width)),
+    "integer_pow": rule(real_power, NUMBER_TYPES, y=any_value),
     "square": rule(square, NUMBER_TYPES),
-    "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
+    "rsqrt": rule(reciprocal_root, REAL, accuracy=no_value),
     "round": rule(rounding, REAL, rounding_method=one_of("TO_NEAREST_EVEN", "AWAY_FROM_ZERO")),
-    "is_finite": rule(finite, REAL | TRUTH),
+    "is_finite": rule(is_finite, REAL | TRUTH),
     "stop_gradient": rule(same_value, SCALARS),
     "copy": rule(same_value, SCALARS),
     "copy_p": rule(same_value, SCALARS),
     "reduce_precision": TranslationRule(same_value, Specification(
-        REAL, {"exponent_bits": anything, "mantissa_bits": anything}, keeps_precision)),
+        REAL, {"exponent_bits": any_value, "mantissa_bits": any_value}, refuse_lost_bits)),
 }  # fmt: skip
-"""TranslationRule of each primitive by its name; its translation is an :data:`ElementRule`."""
+"""The rule of each primitive by its name; its translation is an :data:`ElementRule`."""

@@ -24,7 +24,7 @@ from dssc_jax.lanes.tracing.specification import (
     Specification,
     TranslationRule,
     Types,
-    anything,
+    any_value,
     array_type,
     one_of,
     rule,
@@ -38,50 +38,51 @@ PARITY = 0x1BD11BDA
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A random key: two words."""
+    """A random key, which consists of two words of 32 bits."""
 
     high: Value
     low: Value
 
 
-def rotated(build: Builder, x: Value, count: int) -> Value:
-    """The bits of a word moved up in a circle."""
+def rotate_left(build: Builder, x: Value, count: int) -> Value:
+    """A word of 32 bits, rotated left by ``count`` bits."""
     up = build.add("shl", x, build.constant(count, WORD))
     return build.add("or", up, build.add("shr", x, build.constant(32 - count, WORD)))
 
 
 def threefry(build: Builder, key: Key, high: Value, low: Value) -> tuple[Value, Value]:
-    """A block of two words, enciphered with a key."""
+    """Threefry's cipher: encrypt a block of two words with a key."""
     parity = build.add("xor", build.add("xor", key.high, key.low), build.constant(PARITY, WORD))
     schedule = key.high, key.low, parity
-    x, y = build.add("add", high, key.high), build.add("add", low, key.low)
+    x = build.add("add", high, key.high)
+    y = build.add("add", low, key.low)
     for group in range(5):
         for count in ROTATIONS[group % 2]:
             x = build.add("add", x, y)
-            y = build.add("xor", x, rotated(build, y, count))
+            y = build.add("xor", x, rotate_left(build, y, count))
         x = build.add("add", x, schedule[(group + 1) % 3])
         y = build.add("add", y, build.add("add", schedule[(group + 2) % 3], build.constant(group + 1, WORD)))
     return x, y
 
 
 def require_threefry(key_type: Any) -> None:
-    """Require keys of this generator.
+    """Require that a type of keys is that of Threefry.
 
     Raises:
-        Unsupported: They belong to another.
+        Unsupported: It belongs to another generator.
     """
     if "fry" not in str(key_type):
         raise Unsupported(f"random numbers of another generator, {key_type}")
 
 
 def fold_in(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """A key derived from a key and a number."""
+    """``jax.random.fold_in``: a new key from a key and a number."""
     key, number = operands
     return Key(*threefry(build, key, build.constant(0, WORD), build.add("convert", number, dtype=WORD)))
 
 
 def seed(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """The key of a seed: its upper and its lower word."""
+    """``jax.random.key``: the upper and the lower word of a seed."""
     (number,) = operands
     if number.dtype.itemsize < 8:
         return Key(build.constant(0, WORD), build.add("convert", number, dtype=WORD))
@@ -92,7 +93,11 @@ def seed(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def counter_blocks(build: Builder, key: Key, shape: tuple[int, ...]) -> list[tuple[Value, Value]]:
-    """The blocks 0, 1, 2, ... of a key, one for each element of an array."""
+    """The encrypted counters 0, 1, 2, ... of a key, one for each element of an array of this shape.
+
+    Raises:
+        Unsupported: JAX is set to another scheme of counters.
+    """
     if not jax.config.jax_threefry_partitionable:  # pyright: ignore[reportAttributeAccessIssue]
         raise Unsupported("jax_threefry_partitionable is off")
     zero = build.constant(0, WORD)
@@ -100,7 +105,7 @@ def counter_blocks(build: Builder, key: Key, shape: tuple[int, ...]) -> list[tup
 
 
 def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
-    """The elements as an array of a shape; of shape (), the one element itself."""
+    """Elements as an array of a shape; for the shape (), the only element itself."""
     if not shape:
         return elements[0]
     tensor = np.empty(len(elements), object)
@@ -109,9 +114,10 @@ def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
 
 
 def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Random words of 8, 16, 32 or 64 bits."""
+    """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits."""
     (key,), width, shape = operands, params["bit_width"], params["shape"]
-    dtype, words = np.dtype(f"u{width // 8}"), []
+    dtype = np.dtype(f"u{width // 8}")
+    words = []
     for high, low in counter_blocks(build, key, shape):
         if width == 64:
             upper = build.add("shl", build.add("convert", high, dtype=dtype), build.constant(32, dtype))
@@ -122,50 +128,40 @@ def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 
 def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """Several keys from one, as rows of words."""
+    """``jax.random.split``: an array of new keys from one key."""
     (key,), shape = operands, params["shape"]
-    return shaped_keys([Key(*pair) for pair in counter_blocks(build, key, shape)], shape)
+    return with_shape([Key(*pair) for pair in counter_blocks(build, key, shape)], shape)
 
 
-def shaped_keys(keys: Sequence[Key], shape: tuple[int, ...]) -> Any:
-    """Keys as an array; a single key by itself."""
-    if not shape:
-        return keys[0]
-    tensor = np.empty(len(keys), object)
-    for position, key in enumerate(keys):
-        tensor[position] = key
-    return tensor.reshape(shape)
-
-
-def unwrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """The two words of a key as an array."""
+def words_of_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """``jax.random.key_data``: the two words of a key as an array."""
     return with_shape([operands[0].high, operands[0].low], (2,))
 
 
-def wrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """A key from an array of two words."""
+def key_of_words(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
+    """``jax.random.wrap_key_data``: a key from an array of two words."""
     words = as_tensor(operands[0], build)
     if words.shape != (2,):
         raise Unsupported(f"an array of keys of shape {words.shape[:-1]}")
     return Key(*words)
 
 
-def of_scalars(equation: JaxprEqn) -> str | None:
-    """Refuse arrays of keys or seeds."""
+def refuse_arrays(equation: JaxprEqn) -> str | None:
+    """Why an equation is not translated: an operand is an array of keys or seeds; None if none is."""
     return "an array of random keys" if any(array_type(variable).shape for variable in equation.invars) else None
 
 
-def of_single_key(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:
-    """A rule for a single key or seed."""
-    return TranslationRule(translate, Specification(types, parameters, of_scalars))
+def single_key_rule(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:
+    """A rule for equations whose operands are single keys or seeds; arguments as for :func:`rule`."""
+    return TranslationRule(translate, Specification(types, parameters, refuse_arrays))
 
 
 RANDOM_RULES: dict[str, TranslationRule] = {
-    "random_fold_in": of_single_key(fold_in, WHOLE | {KEY}),
-    "random_seed": of_single_key(seed, WHOLE | {KEY}, impl=anything),
-    "random_bits": of_single_key(bits, UNSIGNED_INTEGERS | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=anything),
-    "random_split": of_single_key(split_key, frozenset({KEY}), shape=anything),
-    "random_unwrap": of_single_key(unwrap, UNSIGNED_INTEGERS | {KEY}),
-    "random_wrap": rule(wrap, UNSIGNED_INTEGERS | {KEY}, impl=anything),
+    "random_fold_in": single_key_rule(fold_in, WHOLE | {KEY}),
+    "random_seed": single_key_rule(seed, WHOLE | {KEY}, impl=any_value),
+    "random_bits": single_key_rule(bits, UNSIGNED_INTEGERS | {KEY}, bit_width=one_of(8, 16, 32, 64), shape=any_value),
+    "random_split": single_key_rule(split_key, frozenset({KEY}), shape=any_value),
+    "random_unwrap": single_key_rule(words_of_key, UNSIGNED_INTEGERS | {KEY}),
+    "random_wrap": rule(key_of_words, UNSIGNED_INTEGERS | {KEY}, impl=any_value),
 }
 """TranslationRule of each primitive by its name; a generator is refused by the type of its keys."""

@@ -1,7 +1,7 @@
 """Specifications of rules: types of operands and results, and values of parameters, that are translated exactly.
 
-Whatever a specification does not list is refused by name: another type, another value, or a parameter that a newer JAX
-adds. The program then runs as plain XLA. :meth:`Specification.require` is the only place that decides so.
+Everything that a specification does not list is refused by name: another type, another value, or a parameter that a
+newer JAX adds. The program then runs as plain XLA. :meth:`Specification.require` is the only place of this decision.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,36 +24,36 @@ WHOLE = SIGNED_INTEGERS | UNSIGNED_INTEGERS
 NUMBER_TYPES = REAL | WHOLE
 SCALARS = NUMBER_TYPES | TRUTH
 MOVED_TYPES = SCALARS | {KEY}
-"""Types whose elements a rule only moves."""
+"""Types of elements for rules that only move elements."""
 
 Variable: TypeAlias = Var | Literal
 ElementType: TypeAlias = np.dtype | str
-"""NumPy's type of elements, :data:`KEY`, or the name of another type."""
+"""NumPy's dtype of elements, :data:`KEY`, or the name of another type."""
 Types: TypeAlias = frozenset[np.dtype] | frozenset[np.dtype | str]
 Parameters: TypeAlias = Mapping[str, Any]
-"""Parameters of an equation, whose types depend on its primitive."""
+"""Parameters of an equation by name, whose types depend on its primitive."""
 Condition = Callable[[object, JaxprEqn], bool]
-"""(value of a parameter, equation) -> whether the rule translates it exactly."""
+"""``(value of a parameter, equation) -> whether the rule translates it exactly``."""
 
 
-def anything(value: object, equation: JaxprEqn) -> bool:
-    """Any value: the rule reads it, or it has no effect on a lane."""
+def any_value(value: object, equation: JaxprEqn) -> bool:
+    """The condition of a parameter that may have any value: the rule reads it, or it has no effect on a lane."""
     return True
 
 
-def absent(value: object, equation: JaxprEqn) -> bool:
-    """No value, or an empty one."""
+def no_value(value: object, equation: JaxprEqn) -> bool:
+    """The condition of a parameter that must be None or empty."""
     return value is None or (isinstance(value, tuple | list) and not value)
 
 
 def result_type(value: Any, equation: JaxprEqn) -> bool:
-    """The common type of all operands and results, or none."""
+    """The condition of a parameter that must be None or the common dtype of all operands and results."""
     types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
     return value is None or types == {np.dtype(value)}
 
 
 def one_of(*values: object) -> Condition:
-    """Whether a parameter is one of a few values, or of their names in an enumeration."""
+    """The condition of a parameter that must have one of some values, or one of these names in an enumeration."""
     return lambda value, equation: getattr(value, "name", value) in values
 
 
@@ -62,9 +62,9 @@ class Specification:
     """The types and parameters of a primitive that are translated exactly.
 
     Args:
-        types: The types of every operand and result; None: a call or a loop, whose inner equations are checked.
-        parameters: The condition of each parameter. One that is not listed is refused.
-        exact: A further condition on the whole equation: None, or what is not translated.
+        types: Types that every operand and result may have; None: a call or a loop, whose inner equations are checked.
+        parameters: The condition of each parameter; a parameter that is not listed is refused.
+        exact: ``(equation) -> reason`` why the whole equation is not translated exactly, or None if it is.
     """
 
     types: Types | None
@@ -72,19 +72,19 @@ class Specification:
     exact: Callable[[JaxprEqn], str | None] = lambda equation: None
 
     def require(self, equation: JaxprEqn) -> None:
-        """Require that an equation is within the specification.
+        """Require that an equation meets the specification.
 
         Raises:
-            Unsupported: A type, a parameter or the value of one is not.
+            Unsupported: A type, a parameter or the value of a parameter does not.
         """
         if self.types is not None:
             for variable in (*equation.invars, *equation.outvars):
                 require_type(variable.aval, self.types)
         for name, value in equation.params.items():
             if name not in self.parameters:
-                raise Unsupported(f"an unknown parameter {name} = {abbreviated(value)}")
+                raise Unsupported(f"an unknown parameter {name} = {abbreviation(value)}")
             if not self.parameters[name](value, equation):
-                raise Unsupported(f"the parameter {name} = {abbreviated(value)}")
+                raise Unsupported(f"the parameter {name} = {abbreviation(value)}")
         reason = self.exact(equation)
         if reason is not None:
             raise Unsupported(reason)
@@ -92,11 +92,11 @@ class Specification:
 
 @dataclass(frozen=True)
 class TranslationRule:
-    """A translation beside what it is exact for.
+    """The rule for one primitive of JAX.
 
     Args:
-        translate: Writes the operations of a primitive.
-        specification: What it translates exactly.
+        translate: Builds the operations of an equation of the primitive.
+        specification: The equations that ``translate`` translates exactly.
     """
 
     translate: Callable[..., Any]
@@ -104,7 +104,7 @@ class TranslationRule:
 
 
 def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condition) -> TranslationRule:
-    """A rule for some types, with the conditions of its parameters."""
+    """A rule for operands and results of some types, with the condition of each parameter."""
     return TranslationRule(translate, Specification(types, parameters))
 
 
@@ -112,7 +112,7 @@ def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
     """Shape and dtype of an operand or a result.
 
     Raises:
-        Unsupported: It is no array.
+        Unsupported: The variable is no array.
     """
     shape = getattr(variable.aval, "shape", None)
     dtype = getattr(variable.aval, "dtype", None)
@@ -122,7 +122,7 @@ def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
 
 
 def element_type(aval: object) -> ElementType:
-    """The type of an array's elements."""
+    """The type of the elements of an abstract array of JAX."""
     dtype = getattr(aval, "dtype", None)
     if dtype is None:
         return str(aval)
@@ -132,7 +132,7 @@ def element_type(aval: object) -> ElementType:
 
 
 def require_type(aval: object, types: Types) -> None:
-    """Require that an array's elements have one of the given types.
+    """Require that the elements of an abstract array of JAX have one of some types.
 
     Raises:
         Unsupported: They have another type.
@@ -145,7 +145,7 @@ def require_type(aval: object, types: Types) -> None:
     raise Unsupported(f"elements of type {actual}")
 
 
-def abbreviated(value: object) -> str:
-    """A parameter's value for a message."""
+def abbreviation(value: object) -> str:
+    """The text of a parameter's value for a message, at most 60 characters."""
     text = " ".join(str(getattr(value, "name", value)).split())
     return text if len(text) <= 60 else f"{text[:57]}..."

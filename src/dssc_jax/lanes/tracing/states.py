@@ -14,13 +14,17 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 
 def components(value: Any, build: Builder) -> list[Value]:
-    """The scalars of a value, in order."""
+    """The scalars of a value, in order: itself, the words of a key, the token of a memory, or an array's elements.
+
+    Raises:
+        Unsupported: The value is a recording, or an array of keys.
+    """
     if isinstance(value, Value):
         return [value]
     if isinstance(value, Key):
         return [value.high, value.low]
     if isinstance(value, Memory):
-        return [value.entering()]
+        return [value.initial_token()]
     if isinstance(value, Recording):
         raise Unsupported("a recorded array within a loop")
     scalars = list(as_tensor(value, build).ravel())
@@ -30,25 +34,26 @@ def components(value: Any, build: Builder) -> list[Value]:
 
 
 def refuse_recordings(operands: Sequence[Any]) -> None:
-    """Require operands that a lane can read.
+    """Require that no operand is an array that a loop records or carries in memory, which no operation can read.
 
     Raises:
-        Unsupported: One is an array that a loop has recorded, or carries in memory.
+        Unsupported: An operand is one.
     """
     if any(isinstance(operand, Recording | Memory) for operand in operands):
         raise Unsupported("an array that a loop records or carries, as an operand")
 
 
 def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
-    """Build values of the given kinds from their scalars; the inverse of :func:`components`."""
-    remaining, values = list(scalars), []
+    """Build values of the kinds and shapes of ``likes`` from their scalars; the inverse of :func:`flatten`."""
+    remaining = list(scalars)
+    values = []
     for like in likes:
         if isinstance(like, Value):
             values.append(remaining.pop(0))
         elif isinstance(like, Key):
             values.append(Key(remaining.pop(0), remaining.pop(0)))
         elif isinstance(like, Memory):
-            values.append(like.follows(remaining.pop(0)))
+            values.append(like.successor(remaining.pop(0)))
         else:
             tensor = np.empty(like.shape, object)
             tensor.ravel()[:] = remaining[: tensor.size]
@@ -63,7 +68,7 @@ def flatten(values: Sequence[Any], build: Builder) -> list[Value]:
 
 
 def is_varying(value: Any) -> bool:
-    """Whether a part of a value differs between lanes."""
+    """Whether a scalar of a value may differ between lanes."""
     if isinstance(value, Value):
         return value.varying
     if isinstance(value, Key):

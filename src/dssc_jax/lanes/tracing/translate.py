@@ -1,7 +1,7 @@
 """Translation of JAX's trace of one lane into a :class:`~dssc_jax.lanes.program.Program`.
 
-This module and those it lists its rules in are the only ones that know JAX's primitives. Calls are inlined. A small
-array within a lane becomes that many scalars; a constant array stays a table. A random key is a pair of words.
+Only this module and the tables of rules that it imports know JAX's primitives. Calls are inlined. A small array within
+a lane becomes scalars; a constant array stays a table. A random key is a pair of words.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,16 +14,25 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.functions.elementary import ELEMENTARY, RareRule
 from dssc_jax.lanes.interface import AXIS
-from dssc_jax.lanes.program import BOOL, Program, Recording, Subroutine, Value
+from dssc_jax.lanes.program import Program, Recording, Subroutine, Value
 from dssc_jax.lanes.tracing import indexing, random_bits
 from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, elementwise
 from dssc_jax.lanes.tracing.foreign_calls import FOREIGN_RULES
-from dssc_jax.lanes.tracing.memory import Memory, kept_in_memory
+from dssc_jax.lanes.tracing.loops import LOOPS
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
-from dssc_jax.lanes.tracing.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
-from dssc_jax.lanes.tracing.states import assemble, components, flatten, is_varying, refuse_recordings
-from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
+from dssc_jax.lanes.tracing.specification import (
+    SCALARS,
+    WHOLE,
+    TranslationRule,
+    any_value,
+    array_type,
+    no_value,
+    require_type,
+    rule,
+)
+from dssc_jax.lanes.tracing.states import refuse_recordings
+from dssc_jax.lanes.tracing.varying import VaryingResults, is_key
 from dssc_jax.lanes.unsupported import Unsupported
 
 
@@ -46,33 +55,35 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
 
 
 def traced_program(translator: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
-    """As :func:`translate`, by a given translator."""
+    """Trace the program of one lane and translate it by a translator; see :func:`translate`."""
     traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
     for aval in (*traced.in_avals, *traced.out_avals):
         require_type(aval, SCALARS)
     build = translator.build
-    types = [np.dtype(aval.dtype) for aval in traced.in_avals]  # those of the arguments, in JAX's present precision
+    types = [np.dtype(aval.dtype) for aval in traced.in_avals]
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
     outputs = translator.run(traced, inputs)
     return Program(types, build.here, [output(value) for value in outputs]), shape
 
 
-def type_of(atom: Any) -> Any:
-    """Shape and type of a variable or literal of a trace."""
-    return atom.aval
-
-
 def output(value: Any) -> Value | Recording:
-    """A result of a lane, which is a scalar or a recorded array."""
+    """The value itself, which must be a scalar or a recording to be a result of a lane.
+
+    Raises:
+        Unsupported: It is an array.
+    """
     if not isinstance(value, Value | Recording):
         raise Unsupported("an array as a result")
     return value
 
 
 class Translator:
-    """Translates equations, in order, into operations of a builder.
+    """Translates the equations of a trace, in order, into operations of a program.
 
-    ``has_memory`` says whether a loop may carry an array in memory; if not, its elements are scalars.
+    ``has_memory`` tells whether loops may carry arrays in memory; if not, their elements are scalars.
+
+    Args:
+        build: The builder of the program.
     """
 
     has_memory = True
@@ -84,13 +95,17 @@ class Translator:
         self._subroutines: dict[Any, Subroutine] = {}
 
     def run(self, program: ClosedJaxpr, operands: Sequence[Any]) -> list[Any]:
-        """The results of a traced program for the given operands."""
+        """Translate a traced program for some operands, and return its results.
+
+        Raises:
+            Unsupported: An equation has no translation; the error tells its place in the model.
+        """
         jaxpr = program.jaxpr
         scope: dict[Var, Any] = dict(zip(jaxpr.constvars, map(self.constant, program.consts), strict=True))
         scope.update(zip(jaxpr.invars, operands, strict=True))
 
         def read(atom: Any) -> Any:
-            return self.constant(atom.val, type_of(atom).dtype) if isinstance(atom, Literal) else scope[atom]
+            return self.constant(atom.val, array_type(atom).dtype) if isinstance(atom, Literal) else scope[atom]
 
         for equation in jaxpr.eqns:
             try:
@@ -101,7 +116,12 @@ class Translator:
         return [read(atom) for atom in jaxpr.outvars]
 
     def constant(self, number: Any, dtype: Any = None) -> Any:
-        """A number, a table or a random key that is known before the lane begins."""
+        """A constant of a trace: a number, a table or a random key.
+
+        Args:
+            number: The constant.
+            dtype: Its dtype; None: its own.
+        """
         if is_key(jax.typeof(number)):
             random_bits.require_threefry(number.dtype)
             words = np.asarray(jax.random.key_data(number))
@@ -112,19 +132,23 @@ class Translator:
         return array if array.shape else self.build.constant(array, array.dtype)
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The results of one equation."""
+        """Translate one equation, and return its results.
+
+        Raises:
+            Unsupported: There is no rule for its primitive, or the rule does not translate it exactly.
+        """
         name = equation.primitive.name
-        for rules, translated in self.families:
+        for rules, apply in self.families:
             if name in rules:
                 rules[name].specification.require(equation)
-                return translated(rules[name], equation, operands)
+                return apply(rules[name], equation, operands)
         raise Unsupported("no rule for it")
 
     @property
     def families(
         self,
     ) -> Sequence[tuple[Mapping[str, TranslationRule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
-        """All rules, by the name of their primitive, and how each kind of rule is applied."""
+        """The tables of rules, each with the method that applies a rule of it."""
         return (
             (INLINED, self.program),
             (LOOPS, self.program),
@@ -138,13 +162,13 @@ class Translator:
         )
 
     def program(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The results of an equation with inner programs, or over several lanes."""
+        """Apply a rule of an equation with inner programs, or over several lanes."""
         return translation.translate(self, equation, operands)
 
     def element(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The result of an operation on each element."""
+        """Apply a rule of an elementwise operation to each element."""
         refuse_recordings(operands)
-        dtype = np.dtype(type_of(equation.outvars[0]).dtype)
+        dtype = np.dtype(array_type(equation.outvars[0]).dtype)
 
         def scalar(*scalars: Value) -> Value:
             return translation.translate(self.build, scalars, equation.params, dtype)
@@ -152,13 +176,14 @@ class Translator:
         return [elementwise(scalar, self.build, operands)]
 
     def elementary(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The result of an elementary function of each element."""
+        """Apply a rule of an elementary function, which is itself traced, to each element."""
         refuse_recordings(operands)
-        types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
+        types = [np.dtype(array_type(atom).dtype) for atom in equation.invars]
         function = self.function(translation.translate, types)
         if not isinstance(translation, RareRule):
             return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        condition, subroutine = self.function(translation.is_rare, types), self.subroutine(translation.rarely, types)
+        condition = self.function(translation.is_rare, types)
+        subroutine = self.subroutine(translation.rarely, types)
 
         def usual_or_rare(*scalars: Value) -> Value:
             usual_result = self.run(function, scalars)[0]
@@ -169,14 +194,14 @@ class Translator:
         return [elementwise(usual_or_rare, self.build, operands)]
 
     def array(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The results of an operation that moves or combines elements."""
+        """Apply a rule of an operation that moves or combines the elements of arrays."""
         if translation not in MEMORY_RULES:
             refuse_recordings(operands)
         results = translation.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
     def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
-        """The trace of an elementary function, whatever the precision of the program."""
+        """The trace of an elementary function of scalars with some dtypes, made once, with 64 bits allowed."""
         key = function, *types
         if key not in self._functions:
             scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in types]
@@ -185,7 +210,7 @@ class Translator:
         return self._functions[key]
 
     def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
-        """A function of real numbers as a subroutine of the program, translated once for their types."""
+        """The subroutine of a function of scalars with some dtypes, translated once."""
         key = function, *types
         if key not in self._subroutines:
             translator = Translator(Builder(self.build.fast))
@@ -198,20 +223,21 @@ class Translator:
 
 
 def called_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """The results of a call."""
+    """Inline a call; return its results."""
     inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
     return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
 
 
 def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """The results of an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
-    shapes = [jax.ShapeDtypeStruct(type_of(atom).shape, type_of(atom).dtype) for atom in equation.invars]
+    """Inline an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
+    shapes = [array_type(atom) for atom in equation.invars]
     return translator.run(jax.make_jaxpr(equation.params["_prim"].expand)(*shapes), operands)
 
 
 def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """The maximum over all lanes of truth values, 0 or 1."""
-    build, results = translator.build, []
+    """``lax.pmax`` over the lanes of numbers that are 0 or 1: whether any lane has a 1."""
+    build = translator.build
+    results = []
     for operand in operands:
         if not isinstance(operand, Value):
             raise Unsupported("a maximum over the lanes of arrays")
@@ -220,149 +246,38 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
     return results
 
 
-def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """A loop that ends when no lane goes on; a lane that ended before keeps its state."""
-    params, build = equation.params, translator.build
-    head, body = params["cond_jaxpr"], params["body_jaxpr"]
-    first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    head_constants, constants, initial_state = operands[:first], operands[first:second], operands[second:]
-    if translator.has_memory:
-        initial_state = kept_in_memory(build, initial_state, body.jaxpr, second - first)
-    flags = [is_varying(value) for value in (*operands[:second], *initial_state)]
-    varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
-    if lanes_differ and any(isinstance(value, Memory) for value in initial_state):
-        raise Unsupported("an array in memory in a loop that lanes leave at different times")
-    enter = translator.run(head, [*head_constants, *initial_state])[0]
-    scalars = flatten(initial_state, build)
-    differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
-    guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
-    carried = list(scalars)
-    if lanes_differ:  # the last one tells whether the lane still runs
-        carried.append(enter)
-        differs.append(True)
-    loop = build.loop(carried, differs, guard)
-    states = loop.states[: len(scalars)]
-    next_state = translator.run(body, [*constants, *assemble(initial_state, states)])
-    next_scalars = flatten(next_state, build)
-    proceed = translator.run(head, [*head_constants, *next_state])[0]
-    if lanes_differ:
-        is_running = loop.states[-1]
-        pairs = zip(next_scalars, states, strict=True)
-        next_scalars = [build.add("select", is_running, new, old) for new, old in pairs]
-        proceed = build.add("and", is_running, proceed)
-        next_scalars.append(proceed)
-        proceed = build.add("any", proceed)
-    return assemble(initial_state, build.end_loop(loop, next_scalars, proceed)[: len(scalars)])
-
-
-def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """A loop of known length over the rows of some arrays; what it stacks is recorded."""
-    params, build = equation.params, translator.build
-    length, body = params["length"], params["jaxpr"]
-    first, state_count = parts_of_scan(equation)
-    second = first + state_count
-    constants, initial_state, rows = operands[:first], operands[first:second], operands[second:]
-    if translator.has_memory:
-        initial_state = kept_in_memory(build, initial_state, body.jaxpr, first)
-    recorded_variables = equation.outvars[state_count:]
-    if recorded_variables and (length == 0 or params["reverse"]):
-        raise Unsupported("a loop that records nothing, or backwards")
-    if length == 0:
-        return initial_state
-    recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in recorded_variables]
-    if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in recorded_variables):
-        raise Unsupported("a loop that records arrays")
-    flags = translator.varying_results.of_scan(
-        body.jaxpr, [is_varying(value) for value in (*constants, *initial_state, *rows)], first, second
-    )
-    scalars, index = flatten(initial_state, build), np.dtype(np.int32)
-    differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
-    loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
-    turn, *states = loop.states
-    at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
-    slices = [indexing.row(build, table, at) for table in rows]
-    results = translator.run(body, [*constants, *assemble(initial_state, states), *slices])
-    for recording, value in zip(recordings, results[state_count:], strict=True):
-        build.record(recording, turn, *components(value, build))
-    next_turn = build.add("add", turn, build.constant(1, index))
-    proceed = build.add("lt", next_turn, build.constant(length, index))
-    loop_results = build.end_loop(loop, [next_turn, *flatten(results[:state_count], build)], proceed)
-    return [*assemble(initial_state, loop_results[1:]), *recordings]
-
-
-def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """``lax.cond`` and ``lax.switch``: nested branches of two sides, of which each lane chooses for itself."""
-    index, *remaining = operands
-    refuse_recordings(remaining)
-    build, branches = translator.build, equation.params["branches"]
-    condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
-
-    def case(number: int) -> list[Any]:
-        if number == len(branches) - 1:
-            return translator.run(branches[number], remaining)
-        if condition is not None:  # a truth value that JAX has made a number
-            predicate = build.add("xor", condition, build.constant(True, BOOL))
-        else:
-            predicate = build.add("le", index, build.constant(number, index.dtype))
-        kinds: list[list[Any]] = []
-
-        def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
-            def scalars() -> list[Value]:
-                kinds.append(results())
-                return flatten(kinds[-1], build)
-
-            return scalars
-
-        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: case(number + 1))
-        scalars = build.branch(predicate, sides)
-        return assemble(kinds[0], scalars)
-
-    return case(0)
-
-
 def this_axis(axes: Any, equation: JaxprEqn) -> bool:
-    """The axis over the lanes."""
+    """The condition of a reduction's axes: the axis over the lanes alone."""
     return tuple(axes) == (AXIS,)
 
 
-LOOPS = {
-    "while": rule(
-        while_rule, None, cond_jaxpr=anything, body_jaxpr=anything, cond_nconsts=anything, body_nconsts=anything
-    ),
-    "scan": rule(
-        scan_rule, None, jaxpr=anything, length=anything, reverse=anything, unroll=anything, num_consts=anything,
-        num_carry=anything, ft_in=anything, ft_out=anything,
-    ),
-    "cond": rule(cond, None, branches=anything),
-}  # fmt: skip
-"""Rules of loops and branches; their translation is a function of the translator."""
-
-OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
+OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=no_value)}
 """Reductions over the lanes that run together."""
 
-REMATERIALISED = rule(called_program, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
-                      policy=anything)  # fmt: skip
+REMATERIALISED = rule(called_program, None, jaxpr=any_value, prevent_cse=any_value, differentiated=any_value,
+                      policy=any_value)  # fmt: skip
 MEMORY_RULES = [indexing.INDEXING_RULES[name] for name in ("dynamic_slice", "dynamic_update_slice")]
-"""Rules of what may be done with an array in memory."""
+"""Rules of the operations that an array in memory allows."""
 
 INLINED = {
     "jit": rule(
-        called_program, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
-        in_layouts=anything, out_layouts=anything, donated_invars=anything, ctx_mesh=anything, keep_unused=anything,
-        inline=anything, compiler_options_kvs=absent,
+        called_program, None, jaxpr=any_value, name=any_value, in_shardings=any_value, out_shardings=any_value,
+        in_layouts=any_value, out_layouts=any_value, donated_invars=any_value, ctx_mesh=any_value,
+        keep_unused=any_value, inline=any_value, compiler_options_kvs=no_value,
     ),
-    "closed_call": rule(called_program, None, call_jaxpr=anything),
-    "core_call": rule(called_program, None, call_jaxpr=anything),
-    "call_hi_primitive": rule(expanded_program, None, _prim=anything),
+    "closed_call": rule(called_program, None, call_jaxpr=any_value),
+    "core_call": rule(called_program, None, call_jaxpr=any_value),
+    "call_hi_primitive": rule(expanded_program, None, _prim=any_value),
     "remat": REMATERIALISED,
     "remat2": REMATERIALISED,
     "checkpoint": REMATERIALISED,
     "custom_jvp_call": rule(
-        called_program, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
+        called_program, None, call_jaxpr=any_value, jvp_jaxpr_fun=any_value, num_consts=any_value,
+        symbolic_zeros=any_value,
     ),
     "custom_vjp_call": rule(
-        called_program, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
-        out_trees=anything, symbolic_zeros=anything,
+        called_program, None, call_jaxpr=any_value, fwd_jaxpr_thunk=any_value, bwd=any_value, num_consts=any_value,
+        out_trees=any_value, symbolic_zeros=any_value,
     ),
 }  # fmt: skip
-"""Calls, whose program takes their place."""
+"""Rules of calls, which are inlined."""

@@ -1,7 +1,7 @@
-"""Which values of a traced program may differ between lanes, before it is translated.
+"""Analysis of a trace, before its translation: the values that may differ between lanes, and are called varying.
 
-A loop needs to know it of its state before its body is built. It spreads from the operands of an equation to its
-results, through loops until nothing changes.
+The builder needs to know which states of a loop vary before it builds the loop's body. If an operand of an equation
+varies, so do its results; in loops this is repeated until nothing changes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ def is_key(aval: Any) -> bool:
 
 
 def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
-    """How many operands of a scan are constants, and how many are its state.
+    """The number of a scan's operands that are constants, and the number that are its state.
 
     JAX stores these two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
     """
@@ -34,19 +34,19 @@ def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
 
 
 class VaryingResults:
-    """Which results of a program vary if some of its operands do.
+    """Finds the results of a program that vary, from the operands that do.
 
-    A *mask* is an integer. Bit 0 says that a value varies whatever the operands are; bit i + 1, that it varies if
-    operand i does. Masks join by "or", and a flag is the mask 0 or 1.
+    A *mask* is an integer that tells when a value varies. Bit 0: always; bit i + 1: if operand i of the program varies.
+    The mask of a value that depends on several others is their bitwise "or".
     """
 
     def __init__(self) -> None:
         self._masks: dict[int, tuple[Jaxpr, list[int]]] = {}
 
     def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
-        """The mask of each result, from that of each operand.
+        """The mask of each result of a jaxpr, from the mask of each operand.
 
-        The masks in terms of the jaxpr's own inputs are found once. The jaxpr is kept with them, so that no other one
+        The masks in terms of the jaxpr's inputs are computed once. The jaxpr is stored with them, so that no other one
         can get its id.
         """
         if id(jaxpr) not in self._masks:
@@ -63,8 +63,18 @@ class VaryingResults:
     def of_while(
         self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
     ) -> tuple[list[int], int]:
-        """The mask of each part of a while loop's state, and that of its condition."""
-        head_constants, constants, state = operands[:first], operands[first:second], list(operands[second:])
+        """The mask of each state of a while loop, and the mask of its condition.
+
+        Args:
+            head: The loop's condition.
+            body: The loop's body.
+            operands: Masks of the condition's constants, the body's constants, and the initial states.
+            first: Position of the body's first constant.
+            second: Position of the first state.
+        """
+        head_constants = operands[:first]
+        constants = operands[first:second]
+        state = list(operands[second:])
         while True:
             condition = self.of(head, [*head_constants, *state])[0]
             body_masks = self.of(body, [*constants, *state])
@@ -74,8 +84,17 @@ class VaryingResults:
             state = next_state
 
     def of_scan(self, body: Jaxpr, operands: Sequence[int], first: int, second: int) -> list[int]:
-        """The mask of each part of a scan's state."""
-        constants, state, rows = operands[:first], list(operands[first:second]), operands[second:]
+        """The mask of each state of a scan.
+
+        Args:
+            body: The scan's body.
+            operands: Masks of the constants, the initial states, and the rows.
+            first: Position of the first state.
+            second: Position of the first row.
+        """
+        constants = operands[:first]
+        state = list(operands[first:second])
+        rows = operands[second:]
         while True:
             body_masks = self.of(body, [*constants, *state, *rows])
             next_state = [old | new for old, new in zip(state, body_masks, strict=False)]
@@ -84,15 +103,17 @@ class VaryingResults:
             state = next_state
 
     def _equation(self, equation: JaxprEqn, operands: list[int]) -> list[int]:
-        """The masks of one equation's results."""
-        name, params = equation.primitive.name, equation.params
+        """The masks of one equation's results, from the masks of its operands."""
+        name = equation.primitive.name
+        params = equation.params
         count = len(equation.outvars)
         if name.startswith("pmax"):
             return [0] * count
         if name == FOREIGN_CALL:
             return [1] * count
         if name == "while":
-            first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+            first = params["cond_nconsts"]
+            second = params["cond_nconsts"] + params["body_nconsts"]
             return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
         if name == "scan":
             constants, state_count = parts_of_scan(equation)
@@ -111,7 +132,7 @@ class VaryingResults:
 
 
 def varying_mask(mask: int, operands: Sequence[int]) -> int:
-    """A result's mask in terms of what the operands come from."""
+    """Replace the operands in a mask by their own masks."""
     result_mask = mask & 1
     while mask := mask & ~1:
         lowest = mask & -mask

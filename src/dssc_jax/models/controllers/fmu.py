@@ -8,7 +8,7 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.named import report_type
 from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu
-from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, no_words
+from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, empty_words
 from dssc_jax.core.native.fmu_tables import (
     FILE_KEYS,
     OUTPUTS_KEY,
@@ -83,7 +83,7 @@ class FmuController:
 
     def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
         """The state before an instance begins."""
-        return no_words()
+        return empty_words()
 
     def begin(self, gains: Params, state: tuple[Scalar, ...], lane: Scalar, steps: int) -> tuple[Scalar, ...]:
         """The state of a new instance with the draw's parameters."""

@@ -7,7 +7,7 @@ from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import report_type
 from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu
-from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, no_words
+from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, empty_words
 from dssc_jax.core.native.fmu_tables import (
     FILE_KEYS,
     OUTPUTS_KEY,
@@ -95,7 +95,7 @@ class FmuPlant:
 
     def init(self, params: Params) -> FmuState:
         """The state before an instance begins."""
-        return FmuState(no_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
+        return FmuState(empty_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
         """The state at t = 0 of a new instance with the draw's parameters."""
@@ -166,7 +166,7 @@ def loaded_plant(table: TomlTable) -> Plant:
 
 UNLOADED = Plant(
     FmuPlantParams,
-    init=lambda params: FmuState(no_words(), 0.0, 0.0, ()),
+    init=lambda params: FmuState(empty_words(), 0.0, 0.0, ()),
     derivative=no_derivative,
     measure=lambda params, state, drive: Measurement(state.y, state.y_dot),
     input_gain=input_gain,

@@ -12,14 +12,20 @@ Balls = dict[str, arb]
 
 
 class Rejected(Exception):
-    """A premise that could not be shown."""
+    """Raised where a premise cannot be shown; the message names the premise and its place."""
 
 
 class StageLimits(NamedTuple):
-    """Bounds of |sigma|, |e| and |sigma - s| at the samples, and of |e(t)| at all times.
+    """Bounds that the stage of a proof shows.
 
-    ``level`` and ``slope`` bound what the state adds to |d| and |d'|, with :data:`ENTERED` times these bounds.
-    ``error_change`` bounds the change of e in a sample, where phi_1 depends on e.
+    Args:
+        sigma: Bound of |sigma| at the samples [m/s].
+        e: Bound of |e| at the samples [m].
+        change: Bound of |sigma - s|, the change of sigma in a sample [m/s].
+        between: Bound of |e(t)| at all times [m].
+        level: Bound of what the state adds to |d| [m/s], under :data:`ENTERED` times these bounds.
+        slope: Bound of what the state adds to |d'| [m/s^2], under the same bounds.
+        error_change: Bound of the change of e in a sample [m], where phi_1 depends on e; else 0.
     """
 
     sigma: arb
@@ -36,7 +42,7 @@ ENTERED = "1.0001"
 
 
 def require_premise(holds: bool, reason: str) -> None:
-    """Reject unless the premise holds."""
+    """Raise :class:`Rejected` with a reason, unless a premise holds."""
     if not holds:
         raise Rejected(reason)
 
@@ -57,23 +63,44 @@ def ball_ends(ball: arb) -> tuple[arb, arb]:
     return ball.lower(), ball.upper()
 
 
-def maximum(a: arb, b: arb) -> arb:
-    """The larger of two exact numbers."""
-    return a if a >= b else b
+def maximum(*numbers: arb) -> arb:
+    """The largest of exact numbers."""
+    largest, *candidates = numbers
+    for number in candidates:
+        largest = largest if largest >= number else number
+    return largest
+
+
+def minimum(*numbers: arb) -> arb:
+    """The smallest of exact numbers."""
+    smallest, *candidates = numbers
+    for number in candidates:
+        smallest = smallest if smallest <= number else number
+    return smallest
+
+
+def minimum_bound(a: arb, b: arb) -> arb:
+    """An upper bound of the smaller of two numbers in balls."""
+    return minimum(a.upper(), b.upper())
 
 
 def total(terms: Sequence[arb]) -> arb:
-    """The sum."""
+    """The sum of the terms."""
     return sum(terms, arb(0))
 
 
 def identity(n: int) -> arb_mat:
-    """The unit matrix."""
+    """The unit matrix, (n, n)."""
     return arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
 
 
+def unit_rows(n: int) -> list[arb_mat]:
+    """The rows of the unit matrix, (1, n) each."""
+    return [arb_mat([row]) for row in identity(n).tolist()]
+
+
 def column(matrix: arb_mat, j: int) -> arb_mat:
-    """A column, (n, 1)."""
+    """Column j of a matrix, (n, 1)."""
     return arb_mat([[row[j]] for row in matrix.tolist()])
 
 
@@ -82,31 +109,44 @@ def matrix_of_columns(columns: Sequence[Sequence[arb]]) -> arb_mat:
     return arb_mat([list(row) for row in zip(*columns, strict=True)])
 
 
-def side_by_side(left: arb_mat, right: arb_mat) -> arb_mat:
-    """Two matrices with the same number of rows, beside each other."""
-    pairs = zip(left.tolist(), right.tolist(), strict=True)
-    return arb_mat([[*left_row, *right_row] for left_row, right_row in pairs])
+def side_by_side(*blocks: arb_mat) -> arb_mat:
+    """The matrix of blocks with equally many rows, from left to right."""
+    rows = []
+    for parts in zip(*(block.tolist() for block in blocks), strict=True):
+        rows.append([entry for part in parts for entry in part])
+    return arb_mat(rows)
+
+
+def stack(blocks: Sequence[arb_mat]) -> arb_mat:
+    """The matrix of blocks with equally many columns, from top to bottom."""
+    return arb_mat([row for block in blocks for row in block.tolist()])
 
 
 def quadratic_form(matrix: arb_mat, state: arb_mat) -> arb:
-    """z'Mz of a column z."""
+    """z'Mz, for a matrix M and a column z."""
     return (state.transpose() * matrix * state)[0, 0]
 
 
 def symmetric_matrix(rows: Sequence[Sequence[float]]) -> arb_mat:
-    """P, from its upper triangle."""
+    """A symmetric matrix of exact numbers from its upper triangle, (n, n)."""
     n = len(rows)
     return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
 
 
 def symmetric_part(block: list[list[arb]]) -> arb_mat:
-    """The mean of a matrix and its transpose, both of which contain the same symmetric matrix."""
+    """The mean of a matrix and its transpose.
+
+    The ball of a symmetric matrix need not be symmetric. Both it and its transpose hold the matrix, so their mean does.
+    """
     n = len(block)
     return arb_mat([[(block[i][j] + block[j][i]) / 2 for j in range(n)] for i in range(n)])
 
 
 def approximate_root(matrix: arb_mat) -> arb_mat | None:
-    """A lower triangular L with L L' close to the matrix's midpoint, in exact numbers; None if there is none."""
+    """A lower triangular matrix L of exact numbers with L L' close to the midpoint of a matrix.
+
+    It is a Cholesky factor whose rounding does not matter to the caller. None if the midpoint is not positive definite.
+    """
     n = matrix.nrows()
     root = [[arb(0)] * n for _ in range(n)]
     for i in range(n):
@@ -123,10 +163,10 @@ def approximate_root(matrix: arb_mat) -> arb_mat | None:
 
 
 def positive_definite(matrix: arb_mat) -> bool:
-    """Whether every symmetric matrix in the ball is positive definite.
+    """Whether every symmetric matrix M in a ball is shown to be positive definite.
 
-    With L L' close to it, L^-1 M L^-T lies within I plus a small ball; each row's sum of magnitudes of the difference
-    to I is below 1 (Gershgorin).
+    With L L' close to M, the matrix L^-1 M L^-T is close to I. By Gershgorin's theorem it is positive definite if in
+    each row the magnitudes of the difference to I add up to less than 1.
     """
     root = approximate_root(matrix)
     if root is None:

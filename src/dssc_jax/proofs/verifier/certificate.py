@@ -36,7 +36,10 @@ class Problem(TypedDict):
 
 
 class Stage(TypedDict):
-    """The entries of a stage of either method: a region, bounds of the disturbance, lambda, P and the method."""
+    """The entries of a stage of either method.
+
+    ``sigma`` and ``e`` bound the region, ``level`` and ``slope`` the disturbance; ``rate`` is lambda, ``p`` is P.
+    """
 
     sigma: float
     e: float
@@ -61,7 +64,7 @@ class SmallGainStage(Stage):
 
 
 class InvariantStage(Stage):
-    """A stage of method 1, an invariant set.
+    """A stage of the method "invariant set".
 
     ``pieces`` is the number of pieces of the region, ``degree`` that of the polynomial in 1/mu, ``multipliers`` are the
     mu_j of P6. ``coordinate`` is v or q, and ``moved`` bounds the change of e in a sample.
@@ -75,14 +78,14 @@ class InvariantStage(Stage):
 
 
 class BoxProof(TypedDict):
-    """The stages of one box."""
+    """The proof of one box: the first stage holds the start, each other one begins where the one before it ends."""
 
     box: Box
     stages: Sequence[SmallGainStage | InvariantStage]
 
 
 class Certificate(TypedDict):
-    """A problem, the proofs of its boxes, and whether they cover it."""
+    """The content of a certificate's file: a problem, the proofs of its boxes, and whether they cover the problem."""
 
     version: int
     complete: bool

@@ -1,4 +1,9 @@
-"""The sampled loop in sliding, z+ = A z + B w, enclosed in balls: the verifier's own construction."""
+"""The sampled loop in sliding, z+ = A z + B w, enclosed in balls: the verifier's own construction.
+
+The state z holds e, e', the zero dynamics' eta, zeta, the sensor's memory, v or q, and s. zeta is k_p times what the
+unmodelled dynamics or the delay hold, v is u_av, q = v - phi_1(s), and s is sigma one sample before. The command counts
+relative to d_r, the disturbance and what the reference asks for. docs/proofs.md derives the equations.
+"""
 
 from collections.abc import Sequence
 from itertools import product
@@ -6,7 +11,7 @@ from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, matrix_of_columns, maximum
+from dssc_jax.proofs.verifier.balls import Balls, ball_ends, exact_ends, matrix_of_columns, maximum, unit_rows
 from dssc_jax.proofs.verifier.certificate import Box, Problem
 from dssc_jax.proofs.verifier.held_plant import companion_form, flows, generator_over, memory_weights, state_places
 
@@ -14,14 +19,27 @@ SAMPLE_PIECES = 8  # pieces of a sample on which its inside is enclosed
 
 
 class Corner(NamedTuple):
-    """One sample at a corner: A and the inputs' columns."""
+    """One sample z+ = A z + B w of the plant and the gains at a corner of their intervals.
+
+    Args:
+        a: A, (n, n).
+        b: B, a column for each input of magnitude at most 1, (n, inputs).
+    """
 
     a: arb_mat
     b: arb_mat
 
 
 class SignalBounds(NamedTuple):
-    """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
+    """Bounds, over a box, of the disturbance with the reference's share, d_r, and of the nominal control's share, f.
+
+    Args:
+        level: Bound of |d_r| [m/s].
+        slope: Bound of |d_r'| [m/s^2].
+        feed_slope: Bound of |f'| [m/s^2].
+        offset: Bound of |d_r + f| [m/s].
+        offset_slope: Bound of the derivative of d_r + f [m/s^2].
+    """
 
     level: arb
     slope: arb
@@ -31,7 +49,15 @@ class SignalBounds(NamedTuple):
 
 
 class SignalRows(NamedTuple):
-    """Rows that give five signals: e and sigma as they are measured, sigma - s, v or q, and s."""
+    """Rows over the state z, (1, n) each.
+
+    Args:
+        e: e as it is measured.
+        sigma: sigma as it is measured.
+        change: sigma - s, the change of sigma in a sample.
+        v: v, or q.
+        s: s, sigma one sample before.
+    """
 
     e: arb_mat
     sigma: arb_mat
@@ -41,7 +67,7 @@ class SignalRows(NamedTuple):
 
 
 def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
-    """What disturbance and reference add up to: d_r = d - (y_m'' + a_p y_m')/k_p, f = (y_m'' + a_n y_m')/k_n."""
+    """Bounds of d_r = d - (y_m'' + a_p y_m')/k_p and f = (y_m'' + a_n y_m')/k_n over a box of plants."""
     level = arb(problem["level"])
     slope = arb(problem["slope"])
     speed, acceleration, jerk = map(arb, problem["reference"])
@@ -68,13 +94,8 @@ def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
     return SignalBounds(*largest_bounds)
 
 
-def unit_rows(n: int) -> list[arb_mat]:
-    """The rows of the unit matrix."""
-    return [arb_mat([[int(i == place) for i in range(n)]]) for place in range(n)]
-
-
 def signal_rows(problem: Problem) -> SignalRows:
-    """The rows of the signals."""
+    """The rows of the signals that the controller works with; a sensor's lag shows e and e' through its memory."""
     places = state_places(problem)
     unit = unit_rows(places.n)
     e, speed, *_, v, s = unit
@@ -88,7 +109,17 @@ def signal_rows(problem: Problem) -> SignalRows:
 def sample_corners(
     problem: Problem, box: Box, vertices: list[arb_mat], gains: Balls, *, is_integrated: bool
 ) -> list[Corner]:
-    """Every corner of plant and gains, the plant's at the vertices that ``held_plant.held_vertices`` gives."""
+    """One sample at every corner of plant and gains.
+
+    Every plant and gain of the box has an A in the hull of these, so that what is convex in A holds for all.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of k_p, a_p and 1/mu.
+        vertices: The held plant at its vertices, by :func:`dssc_jax.proofs.verifier.held_plant.held_vertices`.
+        gains: Balls of the gains.
+        is_integrated: Whether z holds q in place of v.
+    """
     sizes = signal_bounds(problem, box)
     within_sample = inside_bounds(problem, box, arb(problem["sample_time"]))
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
@@ -103,7 +134,15 @@ def sample_corners(
 def sample_matrix(
     problem: Problem, held_matrix: arb_mat, k_p: arb, gain: Sequence[arb], *, is_integrated: bool = False
 ) -> arb_mat:
-    """A at one corner; in the coordinate q = v - phi_1(s), the first gain is phi_1/sigma."""
+    """A of one sample, (n, n).
+
+    Args:
+        problem: The certificate's problem.
+        held_matrix: [[Phi, Gamma], [0, 1]] of the plant with a held command.
+        k_p: High-frequency gain [1/s].
+        gain: K_P, K_I and K_N; if z holds q, the first is phi_1/sigma.
+        is_integrated: Whether z holds q = v - phi_1(s) in place of v.
+    """
     n = state_places(problem).n
     chi = n - 2
     v_row, command = control_rows(problem, gain, is_integrated=is_integrated)
@@ -115,7 +154,13 @@ def sample_matrix(
 
 
 def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> tuple[arb_mat, arb_mat]:
-    """The rows of v+ or q+, without what d_r + f changes by, and of the command plus d_r."""
+    """The rows over z of v or q after the sample and of the command, both relative to d_r, (1, n) each.
+
+    Args:
+        problem: The certificate's problem.
+        gain: K_P, K_I and K_N; if z holds q, the first is phi_1/sigma.
+        is_integrated: Whether z holds q = v - phi_1(s) in place of v.
+    """
     rows = signal_rows(problem)
     proportional, k_i, k_n = gain
     v_row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
@@ -134,7 +179,7 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) 
 
 
 def zeta_jump(problem: Problem) -> list[arb]:
-    """The change of zeta that a change of k_p d_r by 1 causes."""
+    """The entries by which zeta changes if k_p d_r changes by 1, since zeta counts relative to it."""
     zeta = state_places(problem).zeta
     if problem["denominator"]:
         return [1 / companion_form(problem).a[0], *(arb(0) for _ in zeta[1:])]
@@ -142,7 +187,17 @@ def zeta_jump(problem: Problem) -> list[arb]:
 
 
 def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, within_sample: list[arb]) -> arb_mat:
-    """Input columns for changes of d_r + f and -f, and for theta's components; the inputs have sizes of at most 1."""
+    """B: a column for each input, scaled so that every input is at most 1 in magnitude, (n, inputs).
+
+    The inputs are the changes of d_r + f and of -f from sample to sample, and the components of theta, the effect of
+    d_r's change within a sample.
+
+    Args:
+        problem: The certificate's problem.
+        k_p: High-frequency gain [1/s].
+        sizes: Bounds of the disturbance and the reference.
+        within_sample: Bounds of theta's components, by :func:`inside_bounds`.
+    """
     zeta, memory, n = state_places(problem)
     t = arb(problem["sample_time"])
     jump = [k_p * entry for entry in zeta_jump(problem)]
@@ -155,7 +210,16 @@ def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, within_sample
 
 
 def inside_bounds(problem: Problem, box: Box, time: arb) -> list[arb]:
-    """Bound of each component of theta: D t^2/2 times the largest |exp(F s)| k_p from d_r to it, for s in [0, t]."""
+    """Bounds of the components of theta, the effect of d_r's change within a time since the sample.
+
+    d_r changes by at most D s after a time s, and acts through exp(F s) k_p, F of the held plant. So a component is
+    below D t^2/2 k_p times the largest entry of exp(F s) for s in [0, t].
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of the plant.
+        time: t [s].
+    """
     n = state_places(problem).n
     largest = [arb(0)] * n
     for flow in flows(generator_over(problem, box), time, SAMPLE_PIECES):
@@ -166,9 +230,14 @@ def inside_bounds(problem: Problem, box: Box, time: arb) -> list[arb]:
 
 
 def start_columns(problem: Problem, box: Box, ratio: arb) -> arb_mat:
-    """Every corner of the starts: z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and the ratio.
+    """Every corner of the states in which the loop may start, as columns, (n, corners).
 
-    ``ratio`` is the ball of what the start takes from v or q, over sigma.
+    z is affine in the initial state, in d_r(0), f(0), k_p d_r(0) and the ratio, so that every start is in their hull.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of the plant.
+        ratio: Ball of -v/sigma, or of -q/sigma, at the start, without d_r and f.
     """
     memory = state_places(problem).memory
     sizes = signal_bounds(problem, box)

@@ -1,9 +1,9 @@
-"""How far the functions of the conservative form are from straight lines, enclosed: the verifier's own.
+"""How far the functions phi_1 and phi_2 are from straight lines, enclosed: the verifier's own.
 
-With |sigma| and |e| within a region, bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n)
-sigma|, where n is what the nominal control takes through its term 1/tau_m. A share of what the third holds may be taken
-from what the second holds. The region is cut where the enclosure of a
-piece exceeds what is reached at points by more than a small share.
+Over a region of |sigma| and |e| these are bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 +
+k_n) sigma|, where n is what the nominal control takes through its term 1/tau_m. A multiple of the third difference may
+be taken from the second. The region is cut where the enclosure of a piece exceeds what is reached at points by more
+than a small share.
 """
 
 import math
@@ -39,26 +39,26 @@ def function_distances(
     share: float = 0.0,
     change: float | None = None,
 ) -> Balls:
-    """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
+    """Upper bounds of the distances from straight lines over a region, by name: ``phi_1``, ``phi_2`` and ``both``.
 
     Args:
         problem: The certificate's problem.
-        sigma: Bound of |sigma|.
-        e: Bound of |e|.
-        centre: The slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
-        room: The largest excess over the distances at points, as a share of them; Table 1's functions have their own.
-        sigma_from: The lower end of |sigma|.
-        share: The second bound is that of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|; unless it is
-            0, with an excess of ``SHARED_ROOM``. Table 1's functions take none.
-        change: In the implicit form, a bound of |sigma - s|: the distance of phi_2 then contains
-            :func:`increment_error` over T_s.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m]; of Table 1's functions only.
+        centre: The slopes k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
+        room: The largest excess over the distances at points, as a share of them; ``DISTANCE_ROOM`` for Table 1's.
+        sigma_from: Smallest |sigma| [m/s]; 0 for Table 1's.
+        share: Multiple of the third difference that is taken from the second one. Unless it is 0, the second bound
+            may exceed the distances at points by ``SHARED_ROOM``. Table 1's functions take none.
+        change: In the implicit form, a bound of |sigma - s| [m/s]: the distance of phi_2 then contains
+            :func:`increment_error` over T_s. None: the conservative form.
     """
     rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
     at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
-    least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
+    least_rooms = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
     least_rooms["phi_2"] += abs(share) * least_rooms["both"]
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
@@ -92,7 +92,7 @@ def function_distances(
 def distances_at(
     problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
 ) -> Balls:
-    """Balls of the distances for |sigma| in an interval."""
+    """Balls of the distances from straight lines for |sigma| in an interval; see :func:`function_distances`."""
     gains = gains_at(problem, size)
     largest = arb(size[1])
     differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
@@ -116,14 +116,14 @@ def increment_error(problem: Problem, low: float, change: float) -> arb:
 
 
 def phi_1(problem: Problem, sigma: float) -> arb:
-    """phi_1 of functions of sigma alone, at one point."""
+    """phi_1 at one sigma >= 0, of functions of sigma alone."""
     return gains_at(problem, (sigma, sigma))["mean"] * arb(sigma)
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
-    """Upper bounds of the distances of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+    """:func:`function_distances` for Table 1's functions, which depend on e, too; in float64, rounded outwards."""
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
-    least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
+    least_rooms = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
     at_points = dict.fromkeys(DISTANCES, 0.0)
     result = dict.fromkeys(DISTANCES, 0.0)
     cells = first_cells(square_root(0.0, sigma), (0.0, e))
@@ -148,7 +148,7 @@ def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) 
 
 
 def cell_distances(problem: Problem, cells: Cells, slopes: dict[str, Intervals]) -> dict[str, Intervals]:
-    """Intervals of the distances in cells."""
+    """Intervals of the distances of Table 1's functions from straight lines in cells, by name."""
     gains = gains_of(problem, cells)
     size = cells.root * cells.root
     result = {}
@@ -161,12 +161,12 @@ def cell_distances(problem: Problem, cells: Cells, slopes: dict[str, Intervals])
 
 
 def magnitude(values: Intervals) -> Intervals:
-    """Intervals of |x|."""
+    """Intervals of |x| for x in intervals."""
     low, high = np.abs(values.low), np.abs(values.high)
     holds_zero = (values.low <= 0.0) & (values.high >= 0.0)
     return Intervals(np.where(holds_zero, 0.0, np.minimum(low, high)), np.maximum(low, high))
 
 
-def rounding_of(names: tuple[str, ...], centre: Balls) -> float:
-    """The room that rounding needs, over |sigma|."""
+def rounding_room(names: tuple[str, ...], centre: Balls) -> float:
+    """The excess of a distance that its rounding needs, over |sigma|."""
     return DISTANCE_ROUNDING * sum(abs(float(centre[name])) for name in names) + 1e-280

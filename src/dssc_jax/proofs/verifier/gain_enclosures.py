@@ -16,29 +16,29 @@ SMALLEST_REGION = 1e-12  # smallest bound of |sigma| and |e| at the start
 
 
 class PointHull:
-    """The hull of the gains at points, which their enclosure cannot be smaller than."""
+    """The hull of the gains at some points: an enclosure of the gains contains it, and should not be much larger."""
 
     def __init__(self, problem: Problem) -> None:
-        """Without a point."""
+        """An empty hull."""
         self.problem = problem
         self.ends: dict[str, tuple[float, float]] = {}
 
     def add(self, size: float) -> None:
-        """Take in the gains at one |sigma|."""
+        """Extend the hull by the gains at one |sigma|."""
         for name, ball in gains_at(self.problem, (size, size)).items():
             value = float(ball.mid())
             low, high = self.ends.get(name, (math.inf, -math.inf))
             self.ends[name] = (min(low, value), max(high, value))
 
     def rooms(self) -> dict[str, float]:
-        """By how much a ball may exceed the hull."""
+        """The largest excess of a ball over the hull that is allowed, by gain."""
         return {
             name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + SMALLEST_ROOM
             for name, (low, high) in self.ends.items()
         }
 
     def is_exceeded_by(self, balls: Balls, rooms: dict[str, float]) -> bool:
-        """Whether balls widen the hull by too much."""
+        """Whether a ball exceeds the hull by more than its room."""
         for name, ball in balls.items():
             low, high = self.ends[name]
             if not (ball > low - rooms[name] and ball < high + rooms[name]):
@@ -47,10 +47,17 @@ class PointHull:
 
 
 def enclosed_gains(problem: Problem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Balls:
-    """Balls of the gains for |sigma| and |e| from their lower ends to a bound.
+    """Balls of the gains that the loop can have in a region of sigma and e, by name.
 
-    Of K_P, K_I, K_N, of the sliding condition's gains, and in the conservative form of phi_1/sigma and of what phi_1
-    changes by with e. Table 1's functions depend on e: :func:`dssc_jax.proofs.verifier.table_gains.table_gains`.
+    They are K_P, K_I, K_N and the sliding condition's gains, in the conservative form also phi_1/sigma and the slope of
+    phi_1 in e.
+
+    Args:
+        problem: The certificate's problem.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m]; of Table 1's functions only, which depend on e.
+        sigma_from: Smallest |sigma| [m/s].
+        e_from: Smallest |e| [m].
     """
     if problem["functions"]["kind"] == "vgsta":
         result = table_gains(problem, sigma, e, sigma_from, e_from)
@@ -100,10 +107,13 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
 
 
 def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
-    """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
+    """Ball of -v/sigma_0 at the start, or of -q/sigma_0, without d_r and f, for every start of the problem.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. With ``is_integrated`` the
-    coordinate is q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2.
+
+    Args:
+        problem: The certificate's problem.
+        is_integrated: Whether the coordinate is q = v - phi_1(sigma_0) in place of v.
     """
     if problem["start"] == "zero":
         return arb(0)
@@ -118,7 +128,7 @@ def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
 
 
 def size_ends(ball: arb) -> tuple[float, float]:
-    """Bounds of |x| over a ball, rounded outwards; the larger is positive."""
+    """Lower and upper bound of |x| over a ball, rounded outwards; the upper one is positive."""
     size = abs(ball)
     low = math.nextafter(float(size.lower()), -math.inf)
     high = math.nextafter(float(size.upper()), math.inf)
@@ -149,7 +159,7 @@ def middle_of(piece: tuple[float, float]) -> float:
 
 
 def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
-    """The gains for |sigma| in an interval."""
+    """Balls of the gains that depend on sigma alone, for |sigma| in an interval, by name."""
     constants = constants_of(problem)
     k_o_tau_av, tau_m = functions_at(problem, constants, size)
     t = arb(problem["sample_time"])
@@ -170,12 +180,18 @@ def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
 
 
 def constants_of(problem: Problem) -> Balls:
-    """The constants of the functions, exact."""
+    """The constants of a problem's functions, by name."""
     return {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
 
 
 def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple[arb, arb]:
-    """k_o tau_av and tau_m for |sigma| in an interval, with constants c: the rows of Table 2 and of Section V."""
+    """k_o tau_av [1] and tau_m [s] for |sigma| in an interval: the rows of Table 2 and of Section V.
+
+    Args:
+        problem: The certificate's problem, with the kind of the functions.
+        c: Their constants.
+        size: Interval of |sigma| [m/s].
+    """
     kind = problem["functions"]["kind"]
     low, high = ends_of(size)
     r = low.union(high)
@@ -214,7 +230,10 @@ def ends_of(size: tuple[float, float]) -> tuple[arb, arb]:
 
 
 def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av: arb) -> arb:
-    """phi_1/sigma, the mean of K_P over [0, sigma], where k_o tau_av is alpha (r + beta) with r = |sigma|^(1/2)."""
+    """phi_1/sigma, the mean of K_P over [0, sigma], for |sigma| in an interval.
+
+    All these functions have k_o tau_av = alpha (r + beta) with r = |sigma|^(1/2), of which the mean is known.
+    """
     match problem["functions"]["kind"]:
         case "constant":
             return 1 / k_o_tau_av

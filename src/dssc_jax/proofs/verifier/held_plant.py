@@ -24,7 +24,13 @@ class StatePlaces(NamedTuple):
 
 
 class CompanionForm(NamedTuple):
-    """G(mu s): a_0 .. of the monic denominator, output row, feedthrough."""
+    """G(mu s) as a state-space system.
+
+    Args:
+        a: Coefficients of the denominator over the leading one, in rising powers, without that of 1.
+        output: Output row.
+        direct: Feedthrough.
+    """
 
     a: list[arb]
     output: list[arb]
@@ -32,7 +38,13 @@ class CompanionForm(NamedTuple):
 
 
 class BoxSide(NamedTuple):
-    """A side of a box: its name and width, and the derivative of the generator along it, times T_s."""
+    """A side of a box along which the held plant varies.
+
+    Args:
+        name: ``a_p`` or ``rate``.
+        width: Width of the interval.
+        slope: Derivative of the generator along it, times T_s.
+    """
 
     name: str
     width: arb
@@ -40,7 +52,7 @@ class BoxSide(NamedTuple):
 
 
 def state_places(problem: Problem) -> StatePlaces:
-    """Where the states are: e, e', eta, zeta, the sensor's memory, v or q, s."""
+    """Places of the states in z = (e, e', eta, zeta, sensor's memory, v or q, s)."""
     zeta_start = 2 + len(problem["zero_a"])
     order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
     memory = zeta_start + order
@@ -54,7 +66,7 @@ def rate_interval(box: Box) -> Interval:
 
 
 def memory_weights(problem: Problem) -> tuple[arb, arb]:
-    """kappa and lambda: the sensor shows (1 - kappa) y + m, and m+ = lambda m + kappa (1 - lambda) y."""
+    """kappa and lambda of a sensor's lag, which shows (1 - kappa) y + m, where m+ = lambda m + kappa (1 - lambda) y."""
     ratio = arb(problem["sample_time"]) / arb(problem["sensor_lag"])
     return -(-ratio).expm1() / ratio, (-ratio).exp()
 
@@ -71,10 +83,14 @@ def companion_form(problem: Problem) -> CompanionForm:
     return CompanionForm(a, output, direct)
 
 
-def delay_weights(problem: Problem) -> list[arb]:
-    """Weights of the commands of ages 0, 1, ... samples in what acts on the plant."""
-    samples = math.floor(problem["delay"])
-    fraction = arb(problem["delay"]) - samples
+def delay_weights(delay: float) -> list[arb]:
+    """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant.
+
+    Args:
+        delay: Delay of the command, in samples; a fraction divides a sample between two commands.
+    """
+    samples = math.floor(delay)
+    fraction = arb(delay) - samples
     weights = [arb(0)] * samples + [1 - fraction]
     return [*weights, fraction] if fraction > 0 else weights
 
@@ -95,7 +111,7 @@ def held_generator(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
         for i, a in enumerate(problem["zero_a"]):
             f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
     if not problem["denominator"]:
-        f[1][-1], *weights = delay_weights(problem)
+        f[1][-1], *weights = delay_weights(problem["delay"])
         for i, weight in zip(zeta, weights, strict=True):
             f[1][i] = weight
         return arb_mat(f)
@@ -112,12 +128,12 @@ def held_generator(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
 
 
 def generator_over(problem: Problem, box: Box) -> arb_mat:
-    """The generator's enclosure over a box."""
+    """[[F, G], [0, 0]] of the held plant, enclosed over all a_p and 1/mu of a box."""
     return held_generator(problem, interval_ball(*box["a_p"]), interval_ball(*rate_interval(box)))
 
 
 def flows(generator: arb_mat, time: arb, pieces: int) -> Iterator[arb_mat]:
-    """Enclosures of exp(generator s), one for each piece of 0 <= s <= time."""
+    """Enclosures of exp(generator s) over each of ``pieces`` equal pieces of 0 <= s <= time."""
     for piece in range(pieces):
         yield (generator * (time * interval_ball(piece / pieces, (piece + 1) / pieces))).exp()
 
@@ -128,7 +144,7 @@ def held_sample(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
 
 
 def with_memories(problem: Problem, held_matrix: arb_mat) -> arb_mat:
-    """With the rows of the memories of delay and sensor, which rest between the samples and move on at them."""
+    """[[Phi, Gamma], [0, 1]] with the rows of the memories of delay and sensor, which change at the samples only."""
     zeta, memory, n = state_places(problem)
     rows = held_matrix.tolist()
     if not problem["denominator"]:
@@ -214,10 +230,10 @@ def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat
 
 
 def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
-    """The remainder of linear interpolation in a_p and of the Taylor polynomial in 1/mu about the middle.
+    """A ball for what :func:`held_vertices` leaves out of [[Phi, Gamma], [0, 1]] within a box.
 
-    width^2/8 sup |second derivative| of the one, (width/2)^(degree + 1) sup |derivative of that order| over the
-    factorial of the other.
+    Linear interpolation in a_p leaves at most width^2/8 sup |second derivative|. The Taylor polynomial in 1/mu about
+    the middle leaves (width/2)^(degree + 1) sup |derivative of that order|, over the order's factorial.
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()
@@ -231,7 +247,10 @@ def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
 
 
 def held_spread(problem: Problem, box: Box) -> list[list[arb]]:
-    """How far exp is from that of the box's middle: half a width times sup |first derivative|, summed."""
+    """Bounds of how far the entries of [[Phi, Gamma], [0, 1]] are from those at the middle of a box.
+
+    By the mean value theorem that is half the width times the largest |derivative| for each side of the box.
+    """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()
     spread = [[arb(0)] * size for _ in range(size)]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, total
+from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, stack, total
 
 SIDE = 32
 """Root of the number of samples of a block."""
@@ -39,12 +39,15 @@ class ResponseBounds(NamedTuple):
 
 
 def middles(matrix: arb_mat) -> np.ndarray:
-    """The middles of the balls, rounded."""
+    """The middles of a matrix of balls, rounded to float64."""
     return np.array([[float(x.mid()) for x in row] for row in matrix.tolist()])
 
 
 def magnitudes(matrix: arb_mat) -> np.ndarray:
-    """Bounds of the magnitudes, with each ball's radius weighted so that ROUNDED times them covers it, too."""
+    """Bounds of the magnitudes of a matrix of balls, in float64.
+
+    Each radius counts 2^60 times, so that ROUNDED times a bound covers the radius together with the rounding.
+    """
     weight = arb(2) ** 60
     return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
 
@@ -68,27 +71,30 @@ class Block(NamedTuple):
 
 
 def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterator[Block]:
-    """At most ``MOST_BLOCKS`` blocks, from k = 0 on.
+    """Yield the responses row A^k z block by block, from k = 0 on, at most ``MOST_BLOCKS`` blocks.
+
+    After each block the state goes on with exact numbers, the middles of its balls. What the dropped radii can still
+    cause is bounded by V.
 
     Args:
         a: A, (n, n).
         rows: Rows of the signals, (m, n).
         z: Columns of the first states, (n, columns).
-        p: V = z'Pz, which falls.
+        p: P of V = z'Pz, which falls from sample to sample, as the caller has shown.
     """
     n, m = a.nrows(), rows.nrows()
-    short = stack_rows(powers(rows, a))
+    short_rows = stack(powers(rows, a))
     jumps = powers(identity(n), a**SIDE)
-    long = stack_rows(jumps)
+    long_jumps = stack(jumps)
     block_jump = jumps[-1] * a**SIDE
-    short_middles = middles(short)
-    long_middles = middles(long).reshape(SIDE, n, n)
-    long_sizes = np.concatenate(list(magnitudes(long).reshape(SIDE, n, n)), axis=1)
-    error = (ROUNDED * TWICE * magnitudes(short) @ long_sizes).reshape(SIDE, m, SIDE, n)
+    short_middles = middles(short_rows)
+    long_middles = middles(long_jumps).reshape(SIDE, n, n)
+    long_sizes = np.concatenate(list(magnitudes(long_jumps).reshape(SIDE, n, n)), axis=1)
+    error = (ROUNDED * TWICE * magnitudes(short_rows) @ long_sizes).reshape(SIDE, m, SIDE, n)
     error_sum = SUMMED * error.sum(axis=(0, 2))
     error_peak = error.max(axis=(0, 2))
-    shadow = rows * p.inv() * rows.transpose()
-    reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
+    squares = rows * p.inv() * rows.transpose()
+    largest_in_set = np.array([float(abs(squares[i, i]).upper().sqrt().upper()) for i in range(m)])  # of V <= 1
     largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
     count = z.ncols()
     dropped_sizes = [arb(0)] * count
@@ -106,8 +112,8 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
             response=response,
             error=error_peak @ sizes + UNDERFLOW,
             error_sum=error_sum @ sizes + UNDERFLOW,
-            radius_effect=reach[:, None] * np.array([float(size.upper()) for size in dropped_sizes]),
-            tail=reach[:, None] * np.array([float(end) for end in ends]),
+            radius_effect=largest_in_set[:, None] * np.array([float(size.upper()) for size in dropped_sizes]),
+            tail=largest_in_set[:, None] * np.array([float(end) for end in ends]),
         )
 
 
@@ -120,16 +126,16 @@ def response_bounds(
     decay: arb,
     offsets: arb_mat | None = None,
 ) -> ResponseBounds | None:
-    """Bounds of the responses to inputs and to starts; None if they decay too slowly.
+    """Bounds of the responses of z+ = A z to inputs and to starts; None if they decay too slowly.
 
     Args:
         a: A, (n, n).
         rows: Rows of the signals, (m, n).
         inputs: Columns of the inputs, (n, q).
         starts: Columns of the initial states, (n, s).
-        p: V = z'Pz, which falls by at least the share ``decay`` in a sample, as the caller has shown.
-        decay: Its share.
-        offsets: What is added to the responses to the starts, (m, s); absent means zero.
+        p: P of V = z'Pz, (n, n).
+        decay: The share of V that is lost in a sample, at least, as the caller has shown.
+        offsets: Constants that are added to the responses to the starts, (m, s); None: zero.
     """
     m, q = rows.nrows(), inputs.ncols()
     sums = np.zeros((m, q))
@@ -157,11 +163,6 @@ def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
     return result
 
 
-def stack_rows(matrices: list[arb_mat]) -> arb_mat:
-    """Matrices below one another."""
-    return arb_mat([row for matrix in matrices for row in matrix.tolist()])
-
-
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:
-    """Bound of V^(1/2) of a column."""
+    """Upper bound of V^(1/2) = (z'Pz)^(1/2) for column j of z."""
     return abs(quadratic_form(p, column(z, j))).upper().sqrt()

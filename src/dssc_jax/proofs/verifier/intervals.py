@@ -46,22 +46,22 @@ class Intervals:
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def selected(self, mask: np.ndarray) -> "Intervals":
-        """Some of the intervals."""
+        """The intervals that a mask selects."""
         return Intervals(self.low[mask], self.high[mask])
 
     def middle(self) -> "Intervals":
-        """A point of each."""
+        """A point near the middle of each interval, as an interval of that one number."""
         points = 0.5 * (self.low + self.high)
         return Intervals(points, points)
 
     def halves(self) -> tuple["Intervals", "Intervals"]:
-        """Two parts of each, which share a point."""
+        """The two parts into which a point near the middle cuts each interval; both hold the point."""
         points = self.middle().low
         return Intervals(self.low, points), Intervals(points, self.high)
 
 
 def outwards(low: np.ndarray, high: np.ndarray) -> Intervals:
-    """The intervals of rounded ends, widened by what their rounding may have lost."""
+    """Intervals of rounded ends, widened by what the rounding may have lost."""
     return Intervals(low - (UNIT * np.abs(low) + LOST_TO_ZERO), high + (UNIT * np.abs(high) + LOST_TO_ZERO))
 
 
@@ -72,6 +72,6 @@ def exactly(value: float) -> Intervals:
 
 
 def square_root(low: float, high: float) -> tuple[float, float]:
-    """Ends of an interval that holds the square roots of another."""
+    """Ends of an interval that holds the square roots of all numbers from ``low`` to ``high``, both at least 0."""
     root = outwards(np.sqrt(np.float64(low)), np.sqrt(np.float64(high)))
     return max(float(root.low), 0.0), float(root.high)

@@ -1,6 +1,5 @@
 """(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
 
-from functools import reduce
 from itertools import pairwise, product
 
 from flint import arb, arb_mat
@@ -50,15 +49,18 @@ PieceGains = list[tuple[float, Balls]]
 def invariant_bounds(
     problem: Problem, box: Box, stage: InvariantStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
-    """Show that the stage's set is invariant and attracts.
+    """Show that the set of a stage is invariant and attracts, and return bounds within the set.
 
     Args:
-        problem: The certificate's problem.
-        box: Its box.
-        stage: The stage, whose ``multipliers`` are those of the inputs.
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage, with P of the set and the multipliers of the inputs.
         gains: Balls of the gains in the stage's region.
         from_start: Whether the set has to hold every start and keep sliding.
-        label: The stage's place, for messages.
+        label: Place of the stage, for messages.
+
+    Raises:
+        Rejected: a premise cannot be shown.
     """
     p = symmetric_matrix(stage["p"])
     is_integrated = stage["coordinate"] == "phi_1"
@@ -103,7 +105,7 @@ def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece
 
 
 def check_start(problem: Problem, box: Box, p: arb_mat, is_integrated: bool, label: str) -> None:
-    """(P3) Every start lies in the set."""
+    """(P3) Require that every start lies in the set."""
     starts = start_columns(problem, box, enclosed_start_ratio(problem, is_integrated=is_integrated))
     for j in range(starts.ncols()):
         require_premise(quadratic_form(p, column(starts, j)) <= 1, f"P3: a start lies outside of {label}")
@@ -119,11 +121,20 @@ def check_sliding(
     error_change: arb,
     label: str,
 ) -> None:
-    """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
+    """(P5) Require |u_eq| <= rho in the set, where u_eq - d_r - f is a row over z that is affine in its gains.
 
-    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
-    phi_1 changes in a sample at most by its slope in e times ``error_change``, the bound of the change of e; in the
-    coordinate u_av, K_I holds this.
+    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. With e,
+    phi_1 changes in a sample at most by its slope in e times the change of e; in the coordinate u_av, K_I holds this.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage.
+        inverse: Inverse of P.
+        gains: Balls of the gains in the stage's region.
+        pieces: Gains in each piece of |sigma|.
+        error_change: Bound of the change of e in a sample [m].
+        label: Place of the stage, for messages.
     """
     if problem["rho"] is None:
         return
@@ -136,7 +147,7 @@ def check_sliding(
         middle = gains["mean"].mid()
         u_av_row = u_av_row + rows.s * middle
         distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
-        room = room - reduce(maximum, distances)
+        room = room - maximum(*distances)
     if problem["form"] == "conservative":
         if is_integrated:
             room = room - abs(gains["slide_e"]).upper() * error_change
@@ -148,7 +159,18 @@ def check_sliding(
 
 
 def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Corner], label: str) -> None:
-    """(P6) V(z+) <= (1 - T lambda) V(z) + T sum of mu_j w_j^2 at every corner, mu_j >= 0 with a sum <= lambda."""
+    """(P6) Require that V = z'Pz falls at every corner, so that the set {V <= 1} is invariant and attracts.
+
+    With the multipliers mu_j >= 0, whose sum is at most lambda, V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2
+    for all inputs |w_j| <= 1. That is a quadratic form of z and w, whose matrix has to be positive definite.
+
+    Args:
+        t: T_s [s].
+        stage: The stage, with lambda and the multipliers.
+        p: P, (n, n).
+        corners: One sample at every corner of plant and gains.
+        label: Place of the stage, for messages.
+    """
     rate = arb(stage["rate"])
     multipliers = [arb(mu) for mu in stage["multipliers"]]
     require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {label}")
@@ -181,7 +203,16 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
 def largest_between_samples(
     problem: Problem, box: Box, stage: InvariantStage, inverse: arb_mat, gains: Balls, place: int
 ) -> arb:
-    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
+    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set.
+
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage.
+        inverse: Inverse of P.
+        gains: Balls of the gains in the stage's region.
+        place: ``ERROR`` for e or ``SPEED`` for e'.
+    """
     is_integrated = stage["coordinate"] == "phi_1"
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     t = arb(problem["sample_time"])

@@ -19,9 +19,16 @@ ERROR_CELLS = 16
 
 
 def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_change: arb) -> arb:
-    """Ball of the gain of sigma - s in the equivalent control: K_P (1 + tau_av/T_s).
+    """Ball of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control.
 
-    ``gains`` are those of the stage's region; ``change`` and ``error_change`` bound those of sigma and e in a sample.
+    With a constant k_o the product tau_av K_P varies less than its factors, and the smaller ball is taken.
+
+    Args:
+        problem: The certificate's problem.
+        stage: A stage, whose region holds sigma and e.
+        gains: Balls of the gains in this region.
+        change: Bound of the change of sigma in a sample [m/s].
+        error_change: Bound of the change of e in a sample [m].
     """
     kind = problem["functions"]["kind"]
     constants = constants_of(problem)
@@ -38,7 +45,13 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_
 
 
 def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
-    """The largest ratio of slopes within a sample, of functions of sigma alone."""
+    """The largest ratio of the slopes d phi_1/d sigma at two points within one sample, for functions of sigma alone.
+
+    Args:
+        problem: The certificate's problem.
+        sigma: Bound of |sigma| [m/s].
+        change: Bound of the change of sigma in a sample [m/s].
+    """
     ends = (np.sqrt(sigma) * np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
     ends[-1] = sigma
     constants = constants_of(problem)
@@ -58,10 +71,10 @@ def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float
 
     Args:
         problem: The certificate's problem.
-        sigma: Bound of |sigma|.
-        e: Bound of |e|.
-        change: How far sigma moves within a sample, at most.
-        error_change: How far e moves within a sample, at most.
+        sigma: Bound of |sigma| [m/s].
+        e: Bound of |e| [m].
+        change: Bound of the change of sigma in a sample [m/s].
+        error_change: Bound of the change of e in a sample [m].
     """
     size = sigma * (np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
     errors = e * np.arange(ERROR_CELLS + 1) / ERROR_CELLS

@@ -17,10 +17,12 @@ from flint import arb, arb_mat
 from dssc_jax.proofs.verifier.balls import (
     ENTERED,
     Balls,
+    Rejected,
     StageLimits,
     identity,
     matrix_of_columns,
     maximum,
+    minimum_bound,
     positive_definite,
     require_premise,
     side_by_side,
@@ -61,15 +63,17 @@ CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 
 
 class MiddleLoop(NamedTuple):
-    """The loop at the middle of plant and gains.
+    """The linear loop at the middle of plant and gains, around which the small gain is shown.
 
     Args:
         a: A, (n, n).
-        rows: Rows of the signals, (5 + n, n).
-        w: Columns of the inputs, of magnitude at most 1.
-        deviations: Columns b_v, b_u, and, unless plant and lag are one point, the unit columns.
+        rows: Rows of the signals, in the order of ``bounds`` of a stage, (5 + n, n).
+        w: Columns of the inputs of magnitude at most 1, (n, inputs).
+        deviations: Columns b_v and b_u of what the law deviates by; unless a_p and mu are one point, also the unit
+            columns, of what the held plant deviates by.
         share: Half of k_p's width over its middle.
-        half_widths: Half widths of Phi's entries and, last, of k_p Gamma's at fixed k_p; None for one point.
+        half_widths: Half widths of the entries of Phi and, last in each row, of k_p Gamma at a fixed k_p; None if a_p
+            and mu are one point.
     """
 
     a: arb_mat
@@ -81,11 +85,11 @@ class MiddleLoop(NamedTuple):
 
 
 class LawDeviations(NamedTuple):
-    """Bounds of the law's deviations from the middle loop.
+    """Bounds of what the control law deviates by from the law of the middle loop [m/s].
 
     Args:
         integral: Bound of omega_v, the deviation of the increment of v or q.
-        command: Bound of the command's deviation besides, at one k_p.
+        command: Bound of the command's deviation, without that by omega_v and by k_p.
         slide: Bound of the equivalent control's deviation, without that by the changes of sigma and e in a sample.
     """
 
@@ -95,7 +99,14 @@ class LawDeviations(NamedTuple):
 
 
 def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> MiddleLoop:
-    """The loop of a box at its middle and at these gains."""
+    """The linear loop at the middle of a box of plants.
+
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of k_p, a_p and 1/mu.
+        coordinate: What z holds: ``u_av``, or ``phi_1`` for q = v - phi_1(s).
+        centre: Gains of the loop, by their names in :data:`MIDDLE_GAINS`.
+    """
     zeta, _, n = state_places(problem)
     chi = n - 2
     t = arb(problem["sample_time"])
@@ -139,15 +150,18 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
 def implied_bounds(
     problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
-    """Show that the stage's bounds imply themselves.
+    """(P7) Show that the bounds of a stage imply themselves, and return what they bound.
 
     Args:
-        problem: The certificate's problem.
-        box: Its box.
-        stage: The stage, whose ``bounds`` are those of the signals.
-        gains: Balls of the gains in the stage's region; the stage has those of the middle loop.
-        from_start: Whether the bounds hold from the start on; otherwise of every upper limit.
-        label: The stage's place, for messages.
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of k_p, a_p and 1/mu.
+        stage: The stage, with bounds of the signals and gains of the middle loop.
+        gains: Balls of the gains in the stage's region.
+        from_start: Whether the bounds are to hold from the start on; otherwise they are those of the upper limits.
+        label: Place of the stage, for messages.
+
+    Raises:
+        Rejected: a premise cannot be shown.
     """
     t = arb(problem["sample_time"])
     rate = arb(stage["rate"])
@@ -167,8 +181,8 @@ def implied_bounds(
         ratio = enclosed_start_ratio(problem, is_integrated=coordinate == "phi_1")
         starts = start_columns(problem, box, ratio)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
-    require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
-    assert responses is not None
+    if responses is None:
+        raise Rejected(f"P7: the responses decay too slowly in {label}")
     law = law_deviations(problem, stage, gains, centre, bounds)
     command = bounds[COMMAND] + law.integral + law.command
     error_change = arb(0)
@@ -201,13 +215,19 @@ def implied_bounds(
 def law_deviations(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb]
 ) -> LawDeviations:
-    """Bounds of the law's deviations from the middle loop, under the stage's bounds.
+    """Bounds of what the law deviates by from that of the middle loop, under the bounds of a stage.
 
     With the coordinate v the gains K_P, K_I and K_N deviate. With q = v - phi_1 the functions phi_1, phi_2 and n of
     sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
     less. Both are affine in the bounds, so that either may stand in P7. In the implicit form the increment K_P(sigma)
-    (sigma - s) deviates from that of phi_1, too. ``gains`` are those of the stage's region, ``centre`` those of the
-    middle loop.
+    (sigma - s) deviates from that of phi_1, too.
+
+    Args:
+        problem: The certificate's problem.
+        stage: The stage.
+        gains: Balls of the gains in its region.
+        centre: Gains of the middle loop.
+        bounds: Bounds of the signals.
     """
     t = arb(problem["sample_time"])
     change = bounds[CHANGE]
@@ -224,29 +244,32 @@ def law_deviations(
         by_ratio = by_ratio + increment_error(problem, 0.0, change_bound) / arb(change_bound) * change
     distances = function_distances(problem, stage["sigma"], stage["e"], centre, change=change_bound)
     return LawDeviations(
-        minimum(t * distances["phi_2"], by_ratio),
-        minimum(distances["both"], (gain_distances["mean"] + gain_distances["k_n"]) * sigma),
-        slide + minimum(distances["phi_1"], gain_distances["mean"] * sigma),
+        minimum_bound(t * distances["phi_2"], by_ratio),
+        minimum_bound(distances["both"], (gain_distances["mean"] + gain_distances["k_n"]) * sigma),
+        slide + minimum_bound(distances["phi_1"], gain_distances["mean"] * sigma),
     )
 
 
 def slide_deviation(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], error_change: arb
 ) -> arb:
-    """Bound of the equivalent control's deviation, due to the changes of sigma and of e in a sample."""
-    by_e = abs(gains.get("slide_e", arb(0))).upper()
+    """Bound of what the equivalent control deviates by due to the changes of sigma and of e in a sample [m/s]."""
+    slope_in_e = abs(gains.get("slide_e", arb(0))).upper()
     slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], error_change)
-    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * error_change
-
-
-def minimum(a: arb, b: arb) -> arb:
-    """An upper bound of the smaller of two numbers."""
-    a_end, b_end = a.upper(), b.upper()
-    return a_end if a_end <= b_end else b_end
+    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + slope_in_e * error_change
 
 
 def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:
-    """Bounds of omega_v, omega_u and, unless there is one point, of each omega_i; ``command`` bounds the true one."""
+    """Bounds of what the true loop deviates by, in the order of the columns ``loop.deviations``.
+
+    These are omega_v and omega_u of the law and, unless a_p and mu are one point, omega_i of each state.
+
+    Args:
+        loop: The middle loop.
+        law: Bounds of the law's deviations.
+        command: Bound of the true command plus d_r.
+        states: Bounds of the states.
+    """
     sizes = [law.integral, law.command + loop.share * command]
     if loop.half_widths is not None:
         chi = len(loop.half_widths)
@@ -258,7 +281,14 @@ def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: 
 
 
 def bend_between_samples(problem: Problem, box: Box, states: list[arb], command: arb) -> arb:
-    """How far e can deviate from the straight line between two samples: T_s^2/8 sup |e''|."""
+    """Bound of how far e is from the straight line between its values at two samples: T_s^2/8 sup |e''| [m].
+
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of the plant.
+        states: Bounds of the states at the samples.
+        command: Bound of the command plus d_r.
+    """
     chi = state_places(problem).n - 2
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])

@@ -19,10 +19,12 @@ PIECES = 64  # of a sample, on which its inside is enclosed
 
 
 def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb]:
-    """Bounds of what the state adds to |d| and to |d'|.
+    """Bounds of what the state adds to |d| [m/s] and to |d'| [m/s^2].
 
-    The problem has the level and slope of the stage. ``bounds`` are those of the command plus d_r and of the states at
-    the samples.
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of the plant.
+        bounds: Bounds of the command plus d_r, and of each state at the samples.
     """
     k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])
     if not any(problem["by_state"]):
@@ -42,7 +44,13 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple
 
 
 def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb, arb]:
-    """Bounds of |e|, |e'| and |e''| at all times."""
+    """Bounds of |e| [m], |e'| [m/s] and |e''| [m/s^2] at all times, from bounds at the samples.
+
+    Args:
+        problem: The problem, with the level and slope of the stage.
+        box: Intervals of the plant.
+        bounds: Bounds of the command plus d_r, and of each state at the samples.
+    """
     command, *states = bounds
     chi = state_places(problem).n - 2
     t = arb(problem["sample_time"])

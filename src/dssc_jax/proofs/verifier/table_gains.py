@@ -21,7 +21,7 @@ MOST_CELLS = 100_000
 
 
 class Cells(NamedTuple):
-    """Cells of a region.
+    """Cells of a region of sigma and e. The gains are the same at (-sigma, -e), so that the sign of sigma e suffices.
 
     Args:
         root: |sigma|^(1/2).
@@ -34,7 +34,7 @@ class Cells(NamedTuple):
     e: Intervals
 
     def middles(self) -> "Cells":
-        """A point of each cell."""
+        """A point of each cell, for what the gains reach there."""
         return Cells(self.root.middle(), self.sign, self.e.middle())
 
     def quarters_of(self, mask: np.ndarray) -> "Cells":
@@ -45,7 +45,12 @@ class Cells(NamedTuple):
 
 
 def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cells:
-    """The cells with which a region is first cut, from intervals of |sigma|^(1/2) and |e|."""
+    """The cells into which a region is first cut: a grid of ``FIRST_CUTS`` by ``FIRST_CUTS`` for each sign.
+
+    Args:
+        roots: Interval of |sigma|^(1/2).
+        errors: Interval of |e| [m].
+    """
     root_ends = np.linspace(*roots, FIRST_CUTS + 1)
     error_ends = np.linspace(*errors, FIRST_CUTS + 1)
     signs = np.array([-1.0, 1.0])
@@ -56,10 +61,17 @@ def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cell
 
 
 def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_from: float) -> Balls:
-    """Balls of the gains for |sigma| from ``sigma_from`` to a bound, and |e| from ``e_from`` to one.
+    """Balls of the gains of Table 1's functions over a region, by name.
 
-    They are the same at (-sigma, -e). Both signs are taken at e = 0, where sgn e jumps; with sgn 0 = 0 the gains lie
+    They are the same at (-sigma, -e). At e = 0, where sgn e jumps, both signs are taken; with sgn 0 = 0 the gains lie
     between.
+
+    Args:
+        problem: The certificate's problem.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m].
+        sigma_from: Smallest |sigma| [m/s].
+        e_from: Smallest |e| [m].
     """
     cells = first_cells(square_root(sigma_from, sigma), (e_from, e))
     spans: dict[str, tuple[float, float]] = {}
@@ -89,7 +101,7 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
 
 
 def hull_with(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
-    """The smallest interval with all of these; NaN if one has it."""
+    """Extend an interval, or None, to hold some intervals; an end is NaN if one of theirs is."""
     low = float(np.min(intervals.low))
     high = float(np.max(intervals.high))
     if ends is None:
@@ -98,12 +110,12 @@ def hull_with(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[f
 
 
 def concatenate(parts: Sequence[Intervals]) -> Intervals:
-    """The intervals of several arrays, as one."""
+    """Join arrays of intervals."""
     return Intervals(np.concatenate([part.low for part in parts]), np.concatenate([part.high for part in parts]))
 
 
 def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
-    """The gains in cells, with r = |sigma|^(1/2) and e = |e|.
+    """Intervals of the gains of Table 1's functions in cells, by name.
 
     Terms are written so that each r in them acts in the same direction, where they can be. In the conservative form
     K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, ``by_e`` that over |sigma|,

@@ -20,7 +20,6 @@ from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.invariant_sets import invariant_bounds
 from dssc_jax.proofs.verifier.small_gain import implied_bounds
 from dssc_jax.proofs.verifier.well_formed import (
-    INVARIANT_SET,
     SMALL_GAIN,
     require_certificate,
     require_problem,
@@ -32,7 +31,7 @@ AnyStage = SmallGainStage | InvariantStage
 
 
 class ProofVerdict(NamedTuple):
-    """The verifier's answer.
+    """What the verifier says of a certificate, or of one box.
 
     Args:
         proved: Whether every premise holds.
@@ -49,7 +48,7 @@ class ProofVerdict(NamedTuple):
 
 @contextmanager
 def ball_precision() -> Iterator[None]:
-    """Set the working precision of all balls."""
+    """Compute with :data:`PRECISION` bits in all balls within the context."""
     previous = ctx.prec
     ctx.prec = PRECISION
     try:
@@ -59,7 +58,7 @@ def ball_precision() -> Iterator[None]:
 
 
 def verify_certificate(content: object) -> ProofVerdict:
-    """Verify a certificate: its problem, and the proof of every box. The boxes have to cover the problem's intervals.
+    """Verify a certificate: its form, the proof of every box, and that the boxes cover the problem's intervals.
 
     Args:
         content: The content of a certificate's file.
@@ -81,7 +80,12 @@ def verify_certificate(content: object) -> ProofVerdict:
 
 
 def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict:
-    """Verify the proof of one box alone."""
+    """Verify the proof of one box, whether or not other boxes are proved.
+
+    Args:
+        problem_content: The problem of a certificate.
+        proof_content: The proof of a box in it.
+    """
     with ball_precision():
         try:
             problem = require_problem(problem_content)
@@ -100,7 +104,7 @@ def rounded_error(limits: StageLimits) -> float:
 
 
 def refusal(rejected: Rejected) -> ProofVerdict:
-    """The verdict on a premise that could not be shown."""
+    """The verdict "not proved", with the premise that cannot be shown as its reason."""
     return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
 
 
@@ -122,12 +126,16 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
 
 
 def is_within(cell: Box, box: Box) -> bool:
-    """Whether a cell lies in a box."""
+    """Whether every interval of a cell lies within that of a box."""
     return all(box[name][0] <= low and high <= box[name][1] for name, (low, high) in cell.items())
 
 
 def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
-    """Check every stage of a box; return what they show."""
+    """Verify the stages of a box in their order, and return the bounds that each shows.
+
+    The first stage holds from the start on. Each further one begins with what the stage before it leaves: its region
+    has to hold that (P4), and it has to take a disturbance as large as that allows for granted (P8).
+    """
     box = proof["box"]
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
@@ -153,12 +161,18 @@ def limits_of(
     """The bounds that a stage proves, by its method."""
     if stage["method"] == SMALL_GAIN:
         return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, from_start, label)
-    require_premise(stage["method"] == INVARIANT_SET, "P0: the method is unknown")
     return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, from_start, label)
 
 
 def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, subject: str) -> None:
-    """(P8) What was shown allows no larger disturbance, and no steeper one, than a stage takes for granted."""
+    """(P8) Require that bounds of the state allow no larger and no steeper disturbance than a stage assumes.
+
+    Args:
+        problem: The problem, with bounds of the disturbance without the state.
+        limits: What a stage has shown.
+        stage: The stage that assumes ``level`` and ``slope``.
+        subject: What allows the disturbance, for messages.
+    """
     level_holds = arb(problem["level"]) + limits.level <= arb(stage["level"])
     require_premise(level_holds, f"{subject} allows a disturbance of larger level")
     slope_holds = arb(problem["slope"]) + limits.slope <= arb(stage["slope"])
@@ -166,7 +180,14 @@ def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, 
 
 
 def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: str) -> None:
-    """(P4) What was shown lies in the region of a stage."""
+    """(P4) Require that the bounds that a stage has shown lie in the region of a stage.
+
+    Args:
+        limits: What a stage has shown.
+        factor: Factor on these bounds, :data:`ENTERED` if they are upper limits.
+        stage: The stage with the region.
+        subject: What may leave the region, for messages.
+    """
     sigma = stage["sigma"]
     e = stage["e"]
     require_premise(limits.sigma * factor <= arb(sigma), f"{subject} leaves |sigma| <= {sigma}")

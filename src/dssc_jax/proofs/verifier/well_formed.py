@@ -54,12 +54,12 @@ MOST_DEGREE = 8
 
 
 def require_shape(holds: bool, place: str, rule: str) -> None:
-    """Reject a part that breaks a rule."""
+    """Reject, under (P0), the part at a place of the certificate that breaks a rule."""
     require_premise(holds, f"P0: {place} {rule}")
 
 
 def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[str, object]:
-    """A table with exactly these entries; reject anything else."""
+    """Return a table that has exactly the entries of these names; reject anything else."""
     if not isinstance(table, dict):
         raise Rejected(f"P0: {place} is no table")
     missing = sorted(names - table.keys())
@@ -70,7 +70,7 @@ def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[
 
 
 def require_list(values: object, count: int | None, place: str) -> Sequence[object]:
-    """A list of ``count`` items, or of any number if it is None; reject anything else."""
+    """Return a list of ``count`` items, or of any number if that is None; reject anything else."""
     if not isinstance(values, list | tuple):
         raise Rejected(f"P0: {place} is no list")
     require_shape(count in (None, len(values)), place, f"has {len(values)} items in place of {count}")
@@ -78,7 +78,7 @@ def require_list(values: object, count: int | None, place: str) -> Sequence[obje
 
 
 def require_finite(value: object, place: str) -> float:
-    """A finite number of float64; reject anything else, also text and truth values."""
+    """Return a finite number of float64; reject anything else, also text and truth values."""
     if type(value) is not int and type(value) is not float:
         raise Rejected(f"P0: {place} is not a finite number")
     require_shape(abs(value) <= sys.float_info.max and float(value) == value, place, "is not a finite number")
@@ -96,7 +96,7 @@ def require_not_negative(value: object, place: str) -> None:
 
 
 def require_numbers(values: object, count: int | None, place: str) -> list[float]:
-    """A list of ``count`` finite numbers, or of any number of them if it is None; reject anything else."""
+    """Return a list of ``count`` finite numbers, or of any number if that is None; reject anything else."""
     return [require_finite(value, place) for value in require_list(values, count, place)]
 
 
@@ -106,14 +106,14 @@ def require_sizes(values: object, count: int, place: str) -> None:
 
 
 def require_interval(interval: object, place: str) -> Interval:
-    """An interval; reject anything else."""
+    """Return an interval [low, high] of finite numbers; reject anything else."""
     low, high = require_numbers(interval, 2, place)
     require_shape(low <= high, place, "ends before it begins")
     return low, high
 
 
 def require_certificate(content: object) -> Certificate:
-    """A problem, its proofs, and what they claim; reject a content with other parts."""
+    """Return a certificate whose problem and proofs have the right form; reject anything else."""
     certificate = require_entries(content, Certificate.__required_keys__, "the certificate")
     require_shape(type(certificate["complete"]) is bool, "complete", "is not true or false")
     problem = require_problem(certificate["problem"])
@@ -123,7 +123,7 @@ def require_certificate(content: object) -> Certificate:
 
 
 def require_problem(content: object) -> Problem:
-    """A loop of the class; reject anything else."""
+    """Return the problem of a loop of the class; reject anything else."""
     problem: dict[str, Any] = require_entries(content, Problem.__required_keys__, "problem")
     for name in ("sample_time", "l0"):
         require_positive(problem[name], name)
@@ -150,18 +150,23 @@ def require_problem(content: object) -> Problem:
     require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
     if problem["rho"] is not None:
         require_positive(problem["rho"], "rho")
-    if problem["nominal"] is not None:
-        require_list(problem["nominal"], 3, "nominal")
-        a, k, predictor_term = problem["nominal"]
-        require_finite(a, "nominal")
-        require_positive(k, "nominal")
-        require_shape(type(predictor_term) is bool, "nominal", "is not true or false")
+    require_nominal(problem["nominal"], "nominal")
     require_functions(problem["functions"], problem["form"])
     return cast(Problem, content)
 
 
+def require_nominal(content: object, place: str) -> None:
+    """Reject anything but a_n, k_n > 0 and whether the nominal control has its term 1/tau_m, or None."""
+    if content is None:
+        return
+    a, k, has_predictor_term = require_list(content, 3, place)
+    require_finite(a, place)
+    require_positive(k, place)
+    require_shape(type(has_predictor_term) is bool, place, "is not true or false")
+
+
 def require_unmodelled(problem: dict[str, Any]) -> None:
-    """Reject a G(mu s) or a delay that the loop cannot have."""
+    """Reject a G(mu s) that is not proper or has not G(0) = 1, a delay out of range, or both at once."""
     numerator = require_numbers(problem["numerator"], None, "numerator")
     denominator = require_numbers(problem["denominator"], None, "denominator")
     delay = require_finite(problem["delay"], "delay")
@@ -179,7 +184,7 @@ def require_unmodelled(problem: dict[str, Any]) -> None:
 
 
 def require_functions(content: object, form: object) -> None:
-    """Reject functions that are no row of the tables, or that the form does not cover."""
+    """Reject functions that are no row of the tables, have other constants, or are not covered in a sampled form."""
     if not isinstance(content, dict):
         raise Rejected("P0: functions is no table")
     kind = content.get("kind")
@@ -197,7 +202,7 @@ def require_functions(content: object, form: object) -> None:
 
 
 def require_proof(problem: Problem, content: object) -> BoxProof:
-    """A box and stages of the problem's shapes; reject anything else."""
+    """Return the proof of a box whose stages have the problem's shapes; reject anything else."""
     proof = require_entries(content, BoxProof.__required_keys__, "a proof")
     names = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
     for name, interval in require_entries(proof["box"], names, "box").items():
@@ -211,7 +216,7 @@ def require_proof(problem: Problem, content: object) -> BoxProof:
 
 
 def require_stage(problem: Problem, content: object) -> None:
-    """Reject a stage of another shape than the problem's."""
+    """Reject a stage that lacks an entry of its method, or whose P and bounds have not the problem's shapes."""
     order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"])) + 2 * bool(problem["sensor_lag"])
     eta = len(problem["zero_a"])
     n = 4 + eta + order
@@ -220,27 +225,39 @@ def require_stage(problem: Problem, content: object) -> None:
     method = content.get("method")
     if not isinstance(method, str) or method not in STAGE_TYPES:
         raise Rejected("P0: method is unknown")
-    stage = require_entries(content, STAGE_TYPES[method].__required_keys__, "a stage")
+    stage: dict[str, Any] = require_entries(content, STAGE_TYPES[method].__required_keys__, "a stage")
     for name in ("sigma", "e", "rate"):
         require_positive(stage[name], name)
     for name in ("level", "slope"):
         require_not_negative(stage[name], name)
     require_symmetric(stage["p"], n, "p")
-    coordinate = stage["coordinate"]
-    require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
-    is_conservative = problem["form"] == "conservative"
+    require_shape(stage["coordinate"] in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
     if method == SMALL_GAIN:
-        has_known_integral = problem["functions"]["kind"] in KNOWN_INTEGRALS
-        is_allowed = is_conservative or has_known_integral if coordinate == "phi_1" else not is_conservative
-        require_shape(is_allowed, "coordinate", "does not belong to form and functions")
-        require_positive(stage["change"], "change")
-        require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
-        bounds = require_numbers(stage["bounds"], SIGNALS + n, "bounds")
-        require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
-        return
-    require_numbers(stage["multipliers"], 4 + eta, "multipliers")
+        require_small_gain_entries(problem, stage, SIGNALS + n)
+    else:
+        require_set_entries(problem, stage, 4 + eta)
+
+
+def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: int) -> None:
+    """Reject entries that a stage of the method "small gain" cannot have, which bounds ``count`` signals and states."""
+    is_conservative = problem["form"] == "conservative"
+    if stage["coordinate"] == "phi_1":
+        is_allowed = is_conservative or problem["functions"]["kind"] in KNOWN_INTEGRALS
+    else:
+        is_allowed = not is_conservative
+    require_shape(is_allowed, "coordinate", "does not belong to form and functions")
+    require_positive(stage["change"], "change")
+    require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
+    bounds = require_numbers(stage["bounds"], count, "bounds")
+    require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
+
+
+def require_set_entries(problem: Problem, stage: dict[str, Any], inputs: int) -> None:
+    """Reject entries that a stage of the method "invariant set" cannot have, in a loop with so many inputs."""
+    require_numbers(stage["multipliers"], inputs, "multipliers")
     require_not_negative(stage["moved"], "moved")
-    require_shape(coordinate == "u_av" or is_conservative, "coordinate", "does not belong to the form")
+    is_allowed = stage["coordinate"] == "u_av" or problem["form"] == "conservative"
+    require_shape(is_allowed, "coordinate", "does not belong to the form")
     require_count(stage["pieces"], MOST_PIECES, "pieces", "is no number of pieces")
     require_count(stage["degree"], MOST_DEGREE, "degree", "is no degree of a polynomial")
 

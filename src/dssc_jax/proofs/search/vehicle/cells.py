@@ -11,20 +11,21 @@ import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.obstacles import Obstacle
+from dssc_jax.proofs.search.vehicle.attitude import OutOfRange, Signals
 from dssc_jax.proofs.search.vehicle.bounds import (
     VehicleBounds,
-    axes_of,
     best_bounds,
     inflated_bound,
     input_sizes,
     is_stable,
+    linear_channel_proofs,
     linear_channels,
-    middle_of,
     proof_of,
     slides,
     vehicle_totals,
     with_slopes,
 )
+from dssc_jax.proofs.search.vehicle.cell_responses import CellResponses, cell_responses
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY
 from dssc_jax.proofs.search.vehicle.deviations import (
     ChannelDeviations,
@@ -34,8 +35,10 @@ from dssc_jax.proofs.search.vehicle.deviations import (
     points_of,
 )
 from dssc_jax.proofs.search.vehicle.nominal import Nominal, nominal_of
-from dssc_jax.proofs.search.vehicle.remainders import OutOfRange, Rotors, Signals, remainders_of, slopes_of
-from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, ChannelSeries, channel_response, channel_series
+from dssc_jax.proofs.search.vehicle.remainders import remainders_of
+from dssc_jax.proofs.search.vehicle.responses import channel_response, channel_series
+from dssc_jax.proofs.search.vehicle.rotors import Rotors
+from dssc_jax.proofs.search.vehicle.slopes import signal_slopes
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
@@ -59,7 +62,7 @@ SMALLEST_REGION = 1e-7
 
 @dataclass(frozen=True)
 class CellBounds:
-    """Bounds in cells of time.
+    """Bounds of all signals in time cells that imply themselves.
 
     Args:
         final: The bounds of the last cell, which is all the time after the others, with slopes and damping.
@@ -74,32 +77,14 @@ class CellBounds:
     cells: list[Signals]
 
 
-@dataclass(frozen=True)
-class Kernels:
-    """Sums of the effects that inputs of size 1 have on a channel if they act from the beginning of a cell on.
+class DeviationTable:
+    """The deviations of a channel's functions from straight lines by the size of the region, on a grid.
 
-    Args:
-        response: The channel's response without cells.
-        upper: Entry k is the sum up to the last sample of the cell k cells later, (cells, rows, inputs).
-        lower: Entry k is the sum before the first sample of the cell k cells later, (cells, rows, inputs).
-        total_sum: The sum over all later samples, (rows, inputs).
-        constant: Largest response to the constant in each cell and in the last, (cells, rows).
-        starts: Largest responses in each cell: to the start with e and e', and to q_(-1), (cells, rows, 2).
+    They are computed when they are first asked for.
     """
 
-    response: ChannelResponse
-    upper: np.ndarray
-    lower: np.ndarray
-    total_sum: np.ndarray
-    constant: np.ndarray
-    starts: np.ndarray
-
-
-class DeviationTable:
-    """The deviations of a channel's functions by the size of the region, on a grid."""
-
     def __init__(self, problem: VehicleProblem, name: str, slopes: Slopes) -> None:
-        """An empty table."""
+        """An empty table for the channel ``name``."""
         self.problem = problem
         self.name = name
         self.slopes = slopes
@@ -114,9 +99,38 @@ class DeviationTable:
         return self.entries[step]
 
 
-def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | Obstacle:
-    """Bounds in cells of time, or why there are none; ``room`` multiplies the room for the verifier."""
-    settled = settled_bounds(problem, room)
+@dataclass(frozen=True)
+class CellSearch:
+    """The data that the search has in common for all time cells.
+
+    Args:
+        problem: The vehicle.
+        damping: Damping of drag in the plane and along z [1/s].
+        nominal: The nominal flight, from which the bounds count; None: the vehicle hovers.
+        responses: Responses of each channel.
+        tables: Deviations of each channel's functions.
+        room_factor: Factor of the room that is left for the verifier.
+    """
+
+    problem: VehicleProblem
+    damping: tuple[float, float]
+    nominal: Nominal | None
+    responses: dict[str, CellResponses]
+    tables: dict[str, DeviationTable]
+    room_factor: float
+
+
+def cell_bounds(problem: VehicleProblem, room_factor: float = 1.0) -> CellBounds | Obstacle:
+    """Search bounds in time cells, with several cells and slopes until one choice succeeds.
+
+    Args:
+        problem: The vehicle.
+        room_factor: Factor of the room that is left for the verifier.
+
+    Returns:
+        The bounds, or why there are none.
+    """
+    settled = settled_bounds(problem, room_factor)
     if isinstance(settled, Obstacle):
         return settled
     result: CellBounds | Obstacle = Obstacle.GAIN
@@ -125,142 +139,154 @@ def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | Obst
         samples = max(1, round(duration / problem.sample_time))
         for share, widening in MOVING_REGIONS if has_reference else REGIONS:
             slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-            result = march(problem, settled, slopes, samples, round(horizon / duration), room)
+            result = bounds_cell_by_cell(problem, settled, slopes, samples, round(horizon / duration), room_factor)
             if not isinstance(result, Obstacle):
                 return result
     return result
 
 
+def settled_bounds(problem: VehicleProblem, room_factor: float) -> VehicleBounds | Obstacle:
+    """Bounds of the vehicle that starts at rest, or on the nominal flight; or why there are none."""
+    resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
+    return best_bounds(replace(problem, channels=resting), room_factor, from_start=False)
+
+
 def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
-    """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one."""
+    """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one.
+
+    Args:
+        problem: The vehicle.
+        name: The channel.
+        sigma: Bound of |sigma| of the settled vehicle.
+        share: Share of the way from it to the start's, in logarithms.
+        widening: Factor on the region.
+    """
     start_sigma = problem.first_sigma(name)
     region = sigma * (start_sigma / sigma) ** share if start_sigma > sigma else sigma
     return best_slopes(points_of(problem, name, widening * region), joint=problem.reference is not None)
 
 
-def march(
+def bounds_cell_by_cell(
     problem: VehicleProblem,
     settled: VehicleBounds,
     slopes: dict[str, Slopes],
     samples: int,
     count: int,
-    room: float,
+    room_factor: float,
 ) -> CellBounds | Obstacle:
-    """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
-    linear = linear_channels(problem, settled.damping)
-    if not is_stable(problem, linear, slopes):
+    """Search bounds in cell after cell, and in the time after them.
+
+    Args:
+        problem: The vehicle.
+        settled: Bounds of the settled vehicle, whose damping of drag is taken.
+        slopes: Slopes of the straight lines in place of each channel's functions.
+        samples: Number of samples of a cell.
+        count: Number of cells before the last one.
+        room_factor: Factor of the room that is left for the verifier.
+    """
+    search = cell_search(problem, settled.damping, slopes, samples, count, room_factor)
+    if search is None:
         return Obstacle.GAIN
-    nominal = nominal_of(problem, linear, slopes, settled.damping[0])
-    kernels = {}
-    for name in CHANNELS:
-        channel = problem.channels[name]
-        start_offsets = None if nominal is None else nominal.starts[name]
-        response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
-        if response is None:
-            return Obstacle.GAIN
-        length = samples * (count + EXTRA_CELLS)
-        series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
-        kernels[name] = kernels_of(problem, name, response, series, samples, count)
-    tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
     cells: list[Signals] = []
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in CHANNELS}
     rotors: Rotors | None = None
-    y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
+    y: Signals = {name: dict.fromkeys(search.responses[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
-        fixed_point = cell_fixed_point(
-            problem, kernels, tables, inputs, settled.damping, nominal, y, rotors, room, final=len(cells) == count
-        )
+        fixed_point = cell_fixed_point(search, inputs, y, rotors, final=len(cells) == count)
         if fixed_point is None:
             return Obstacle.GAIN
         y, sizes, rotors = fixed_point
         cells.append(y)
         for name in CHANNELS:
             inputs[name].append(sizes[name])
-    if not slides_in_all_cells(problem, tables, cells, settled.damping, nominal):
+    if not slides_in_all_cells(search, cells):
         return Obstacle.SLIDING
     assert rotors is not None
-    totals, _ = vehicle_totals(nominal, cells[-1])
+    totals, _ = vehicle_totals(search.nominal, cells[-1])
     final = VehicleBounds(slopes, settled.damping, cells[-1], rotors, totals)
     return CellBounds(final, settled, samples, cells[:-1])
 
 
+def cell_search(
+    problem: VehicleProblem,
+    damping: tuple[float, float],
+    slopes: dict[str, Slopes],
+    samples: int,
+    count: int,
+    room_factor: float,
+) -> CellSearch | None:
+    """The data of the search; None if a channel is not stable, or its responses last too long."""
+    linear = linear_channels(problem, damping)
+    if not is_stable(problem, linear, slopes):
+        return None
+    nominal = nominal_of(problem, linear, slopes, damping[0])
+    responses = {}
+    for name in CHANNELS:
+        channel = problem.channels[name]
+        start_offsets = None if nominal is None else nominal.starts[name]
+        response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
+        if response is None:
+            return None
+        length = samples * (count + EXTRA_CELLS)
+        series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
+        responses[name] = cell_responses(problem, name, response, series, samples, count)
+    tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
+    return CellSearch(problem, damping, nominal, responses, tables, room_factor)
+
+
 def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
-    """The proof as a certificate holds it."""
-    bounds = {
-        name: {key: [cell[name][key] for cell in result.cells] for key in result.cells[0][name]} for name in CHANNELS
-    }
+    """The proof with time cells, as a certificate holds it."""
+    bounds = {}
+    for name in CHANNELS:
+        bounds[name] = {key: [cell[name][key] for cell in result.cells] for key in result.cells[0][name]}
     cells = {"samples": result.samples, "bounds": bounds}
-    settled = None if problem.reference is not None else middle_of(problem, result.settled)
+    settled = None if problem.reference is not None else linear_channel_proofs(problem, result.settled)
     return proof_of(problem, result.final) | {"cells": cells, "settled": settled}
 
 
-def kernels_of(
-    problem: VehicleProblem, name: str, response: ChannelResponse, series: ChannelSeries, samples: int, count: int
-) -> Kernels:
-    """The kernels of a channel, from its responses sample by sample."""
-    e, speed = problem.channels[name].initial
-    by_error = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
-    starts = np.stack([by_error + series.known, np.abs(series.starts[..., 2])], axis=-1)
-    sums = np.cumsum(series.effects, axis=0)
-    axes = np.tile(axes_of(name, response), response.gains.shape[0])
-    factors = np.ones((axes.size, sums.shape[-1]))
-    factors[:, :2] = axes[:, None]  # the deviations of both axes as one vector
-    by_start = with_last(in_cells(starts, samples), count)
-    by_start[..., 1] *= axes
-    constant = with_last(in_cells(np.abs(series.constant), samples), count)
-    total_sum = response.gains.reshape(axes.size, -1) * factors
-    upper = sums[samples - 1 :: samples] * factors
-    lower = np.concatenate([sums[:1] * factors, upper[:-1]])
-    return Kernels(response=response, upper=upper, lower=lower, total_sum=total_sum, constant=constant, starts=by_start)
-
-
-def in_cells(values: np.ndarray, samples: int) -> np.ndarray:
-    """The largest value in each cell."""
-    return values.reshape(-1, samples, *values.shape[1:]).max(axis=1)
-
-
-def with_last(values: np.ndarray, count: int) -> np.ndarray:
-    """The values of the first cells, and the largest of all later ones."""
-    return np.concatenate([values[:count], values[count:].max(axis=0)[None]])
-
-
 def cell_fixed_point(
-    problem: VehicleProblem,
-    kernels: dict[str, Kernels],
-    tables: dict[str, DeviationTable],
+    search: CellSearch,
     inputs: dict[str, list[np.ndarray]],
-    damping: tuple[float, float],
-    nominal: Nominal | None,
     start: Signals,
     earlier: Rotors | None,
-    room: float,
     *,
     final: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
-    """Bounds of a cell that imply themselves, what they allow, and the rotors; None if there are none.
+    """Bounds of a cell that imply themselves, bounds of the inputs that they allow, and the rotors.
 
     The search for the fixed point begins at the bounds of the cell before: in the last cell, smaller bounds are not
     better ones, since earlier inputs exceed them by more.
+
+    Args:
+        search: The data of the search.
+        inputs: Bounds of each channel's inputs in the cells before.
+        start: Bounds of the signals to begin with.
+        earlier: The rotors in the cells before; None in the first one.
+        final: Whether the cell is the last one.
+
+    Returns:
+        None if there are no such bounds.
     """
-    base = {name: start_effects(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
+    problem = search.problem
+    base = {name: start_effects(search, name, len(inputs[name])) for name in CHANNELS}
     y = start
     for _ in range(ITERATIONS):
-        totals, couplings = vehicle_totals(nominal, y)
+        totals, couplings = vehicle_totals(search.nominal, y)
         try:
-            remainders, rotors = remainders_of(problem, totals, damping, earlier, couplings)
+            remainders, rotors = remainders_of(problem, totals, search.damping, earlier, couplings)
         except OutOfRange:
             return None
-        slopes = slopes_of(problem, y, remainders, damping)
+        slopes = signal_slopes(problem, y, remainders, search.damping)
         sizes = {}
         implied = {}
         for name in CHANNELS:
-            kernel = kernels[name]
+            responses = search.responses[name]
             sigma = totals[name]["sigma"]
-            sizes[name] = input_sizes(kernel.response, tables[name].at(sigma), sigma, remainders[name])
-            rows = base[name] + input_effects(kernel, inputs[name], sizes[name], final=final)
-            point_bounds = rows.reshape(kernel.response.gains.shape[:2])
-            bounds = with_slopes(problem, kernel.response, point_bounds, slopes[name])
-            implied[name] = {key: inflated_bound(key, bound, room) for key, bound in bounds.items()}
+            sizes[name] = input_sizes(responses.response, search.tables[name].at(sigma), sigma, remainders[name])
+            rows = base[name] + input_effects(responses, inputs[name], sizes[name], final=final)
+            point_bounds = rows.reshape(responses.response.gains.shape[:2])
+            bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
+            implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
         changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
         y = implied
         if max(changes) <= SETTLED:
@@ -268,49 +294,48 @@ def cell_fixed_point(
     return None
 
 
-def input_effects(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
-    """Bounds of what the inputs of a cell and of earlier ones cause in the cell, (rows,).
+def input_effects(
+    responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, final: bool
+) -> np.ndarray:
+    """Bounds of what a channel's inputs in a cell and in those before cause in the cell, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
+
+    Args:
+        responses: Responses of the channel.
+        inputs: Bounds of its inputs in the cells before, (inputs,) each.
+        current: Bounds of its inputs in the cell, (inputs,).
+        final: Whether the cell is the last one.
     """
     sizes = np.array([*inputs, current])
     changes = np.diff(sizes, axis=0)
     count = len(changes)
     if final:
-        result = kernel.total_sum @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
+        result = responses.total_sum @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
     else:
-        result = kernel.upper[count] @ sizes[0]
-        result = result + np.einsum("cri,ci->r", kernel.upper[:count][::-1], np.maximum(changes, 0.0))
-    return result - np.einsum("cri,ci->r", kernel.lower[:count][::-1], np.maximum(-changes, 0.0))
+        result = responses.upper[count] @ sizes[0]
+        result = result + np.einsum("cri,ci->r", responses.upper[:count][::-1], np.maximum(changes, 0.0))
+    return result - np.einsum("cri,ci->r", responses.lower[:count][::-1], np.maximum(-changes, 0.0))
 
 
-def start_effects(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
-    """Bounds of the effects in a cell of the start and of the constant, (rows,)."""
+def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
+    """Bounds of what the start and the constant of a channel cause in a cell, (rows,)."""
+    problem = search.problem
+    responses = search.responses[name]
     start_sigma = problem.first_sigma(name)
-    deviation = table.at(start_sigma).of_start(problem.channels[name].start, start_sigma, problem.sample_time)
-    result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]
-    return result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
+    deviations = search.tables[name].at(start_sigma)
+    deviation = deviations.of_start(problem.channels[name].start, start_sigma, problem.sample_time)
+    result = responses.starts[cell, :, 0] + deviation * responses.starts[cell, :, 1]
+    return result + problem.thrust_deviation * GRAVITY * responses.constant[cell]
 
 
-def slides_in_all_cells(
-    problem: VehicleProblem,
-    tables: dict[str, DeviationTable],
-    cells: list[Signals],
-    damping: tuple[float, float],
-    nominal: Nominal | None,
-) -> bool:
-    """Whether the loop slides under the largest bounds of all cells."""
+def slides_in_all_cells(search: CellSearch, cells: list[Signals]) -> bool:
+    """Whether every channel slides under the largest bounds of all cells."""
     largest = {name: {key: max(y[name][key] for y in cells) for key in cells[0][name]} for name in CHANNELS}
-    totals, couplings = vehicle_totals(nominal, largest)
+    totals, couplings = vehicle_totals(search.nominal, largest)
     try:
-        remainders, _ = remainders_of(problem, totals, damping, couplings=couplings)
+        remainders, _ = remainders_of(search.problem, totals, search.damping, couplings=couplings)
     except OutOfRange:
         return False
-    deviations = {name: tables[name].at(totals[name]["sigma"]) for name in CHANNELS}
-    return slides(problem, deviations, totals, remainders)
-
-
-def settled_bounds(problem: VehicleProblem, room: float) -> VehicleBounds | Obstacle:
-    """Bounds of the vehicle that starts at rest, or on the nominal flight, or why there are none."""
-    resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    return best_bounds(replace(problem, channels=resting), room, from_start=False)
+    deviations = {name: search.tables[name].at(totals[name]["sigma"]) for name in CHANNELS}
+    return slides(search.problem, deviations, totals, remainders)

@@ -1,4 +1,4 @@
-"""The linear channel of each controller, sampled, and what its signals are at most, in floating point."""
+"""The linear channel of each controller, and the channel at its samples, in floating point."""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -41,8 +41,8 @@ class SampledChannel:
         acting: Row of the command that acts, (n,).
         direct: Share of this sample's command in it.
         u: Column of omega_u, together with its share in omega_q, (n,).
-        q: Column of the rest of omega_q, (n,).
-        u_av: Row of q_k + k_1 sigma_k.
+        q: Column of what omega_q has besides this share, (n,).
+        u_av: Row of q_k + k_1 sigma_k, (n,).
     """
 
     a: np.ndarray
@@ -53,15 +53,15 @@ class SampledChannel:
     u_av: np.ndarray
 
 
-class ChannelParts:
-    """The parts of a linear channel while it is put together, see :class:`LinearChannel`.
+class ChannelBuilder:
+    """Puts a :class:`LinearChannel` together.
 
-    ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's share
+    ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's factor
     in these, and ``remainders`` the columns of the remainders by name.
     """
 
     def __init__(self, count: int, *, lag: bool) -> None:
-        """Matrices of zeros; with a lag there is one more state, the last one."""
+        """A channel of ``count`` states whose slopes are zero; a lag adds one more state, the last one."""
         m = count + lag
         self.states = np.eye(m)
         self.slopes = np.zeros((m, m))
@@ -70,7 +70,14 @@ class ChannelParts:
         self.signals: dict[str, Signal] = {}
 
     def drive(self, index: int, demand: Signal, lag: float, response: str) -> None:
-        """Let a demand drive the slope of a state, at once or through a lag, whose state is the signal ``response``."""
+        """Let a demand drive the slope of a state, at once or through a lag.
+
+        Args:
+            index: The state.
+            demand: The demand.
+            lag: Time constant of the lag [s]; 0: none.
+            response: Name of the signal that the lag makes of the demand.
+        """
         if not lag:
             self.slopes[index], self.control[index] = demand
             return
@@ -83,7 +90,7 @@ class ChannelParts:
         self.signals |= {response: (state, 0.0), "behind": error}
 
     def channel(self, controller: ChannelProblem) -> LinearChannel:
-        """The channel, with the signals e, e', sigma and the slope of sigma."""
+        """The channel with its signals, to which e, e', sigma and the slope of sigma are added."""
         e, e_dot = self.states[:2]
         errors = {
             "e": (e, 0.0),
@@ -102,16 +109,16 @@ def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     k_v = problem.velocity_gain
     a_0 = problem.stiffness
     a_1 = problem.damping
-    parts = ChannelParts(4, lag=problem.rotor_lag > 0.0)
-    _, e_dot, alpha, alpha_dot = parts.states[:4]
+    builder = ChannelBuilder(4, lag=problem.rotor_lag > 0.0)
+    _, e_dot, alpha, alpha_dot = builder.states[:4]
     demand = (-k_v * e_dot, k_v)
     turn = (a_0 * (demand[0] - alpha) - a_1 * alpha_dot, a_0 * k_v)
-    parts.slopes[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
-    parts.drive(3, turn, problem.rotor_lag, "gamma")
-    parts.remainders |= {"force": e_dot, "torque": alpha_dot}
-    parts.signals |= {"alpha": (alpha, 0.0), "alpha_dot": (alpha_dot, 0.0), "wanted": demand, "turn": turn}
-    parts.signals |= {"speed": (e_dot, 0.0), "acceleration": (parts.slopes[1], 0.0)}
-    return parts.channel(problem.channels["x"])
+    builder.slopes[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
+    builder.drive(3, turn, problem.rotor_lag, "gamma")
+    builder.remainders |= {"force": e_dot, "torque": alpha_dot}
+    builder.signals |= {"alpha": (alpha, 0.0), "alpha_dot": (alpha_dot, 0.0), "wanted": demand, "turn": turn}
+    builder.signals |= {"speed": (e_dot, 0.0), "acceleration": (builder.slopes[1], 0.0)}
+    return builder.channel(problem.channels["x"])
 
 
 def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
@@ -120,33 +127,33 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     ``damping`` is that of drag [1/s].
     """
     k_v = problem.velocity_gain
-    parts = ChannelParts(2, lag=problem.rotor_lag > 0.0)
-    e_dot = parts.states[1]
+    builder = ChannelBuilder(2, lag=problem.rotor_lag > 0.0)
+    e_dot = builder.states[1]
     demand = (-k_v * e_dot, k_v)
-    parts.slopes[0] = e_dot
-    parts.drive(1, demand, problem.rotor_lag, "lift")  # e'' is the demand through the rotors, less the damping of drag
-    parts.slopes[1] -= damping * e_dot
-    parts.remainders["force"] = e_dot
-    parts.signals |= {"wanted": demand, "acceleration": (parts.slopes[1], parts.control[1])}
-    return parts.channel(problem.channels["z"])
+    builder.slopes[0] = e_dot
+    builder.drive(1, demand, problem.rotor_lag, "lift")  # e'' also has the damping of drag
+    builder.slopes[1] -= damping * e_dot
+    builder.remainders["force"] = e_dot
+    builder.signals |= {"wanted": demand, "acceleration": (builder.slopes[1], builder.control[1])}
+    return builder.channel(problem.channels["z"])
 
 
 def yaw_channel(problem: VehicleProblem) -> LinearChannel:
     """The channel of psi: chi = (e, psi', I), or with a lag (e, psi', I, gamma_psi); I is the integral of U - psi'."""
-    parts = ChannelParts(3, lag=problem.rotor_lag > 0.0)
-    _, rate, integral = parts.states[:3]
+    builder = ChannelBuilder(3, lag=problem.rotor_lag > 0.0)
+    _, rate, integral = builder.states[:3]
     follow = (-rate, 1.0)
     demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)
-    parts.slopes[0] = rate
-    parts.drive(1, demand, problem.rotor_lag, "gamma")
-    parts.slopes[2], parts.control[2] = follow
-    parts.remainders["torque"] = rate
-    parts.signals |= {"wanted": demand, "follow": follow}
-    return parts.channel(problem.channels["psi"])
+    builder.slopes[0] = rate
+    builder.drive(1, demand, problem.rotor_lag, "gamma")
+    builder.slopes[2], builder.control[2] = follow
+    builder.remainders["torque"] = rate
+    builder.signals |= {"wanted": demand, "follow": follow}
+    return builder.channel(problem.channels["psi"])
 
 
 def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(F t), and what a command 1 held for this time adds to chi."""
+    """exp(A_c t), (m, m), and what a command 1 that is held for the time t [s] adds to chi, (m,)."""
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
@@ -158,7 +165,14 @@ def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
 def sampled_channel(
     problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
 ) -> SampledChannel:
-    """One sample with slopes k_1, k_2, k_3 of the functions, and the share of omega_u in omega_q."""
+    """A channel at its samples, with straight lines in place of its functions.
+
+    Args:
+        problem: The vehicle.
+        channel: The controller of the channel.
+        linear: Its linear channel.
+        slopes: Slopes k_1, k_2, k_3 of the lines, and the share of omega_u in omega_q.
+    """
     k_1, k_2, k_3, share = slopes
     t = problem.sample_time
     weights = problem.delay_weights
@@ -187,5 +201,7 @@ def sampled_channel(
         for i in range(1, memory):
             a[m + i] = unit[m + i - 1]
     a[n - 1] = q
-    by_sum = t * (u + unit[n - 1])
-    return SampledChannel(a=a, acting=acting, direct=weights[0], u=u + share * by_sum, q=by_sum, u_av=q + k_1 * sigma)
+    sum_column = t * (u + unit[n - 1])
+    return SampledChannel(
+        a=a, acting=acting, direct=weights[0], u=u + share * sum_column, q=sum_column, u_av=q + k_1 * sigma
+    )

@@ -1,4 +1,4 @@
-"""How far the functions of a channel are from straight lines, in floating point."""
+"""Distances of a channel's functions from straight lines, in floating point."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ Slopes = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class ChannelDeviations:
-    """Deviations of the functions from straight lines: largest distances, and their ratios to |sigma|.
+    """Bounds of what a channel's functions deviate by from straight lines over a region of |sigma|.
 
     Args:
-        slopes: k_1, k_2, k_n, and the share of omega_u in omega_q.
+        slopes: Slopes k_1, k_2, k_n of the lines, and the share of omega_u in omega_q.
         distance: Largest distances of phi_1, of phi_2 without its share, and of phi_1 + n.
         ratio: The largest ratios of these distances to |sigma|.
         steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
@@ -38,15 +38,21 @@ class ChannelDeviations:
     steepest: tuple[float, float, float]
 
     def of_command(self, sigma: float) -> float:
-        """Bound of |omega_u| for |sigma| up to a bound."""
+        """Bound of |omega_u|, what the command deviates by, for |sigma| up to a bound."""
         return min(self.distance[2], self.ratio[2] * sigma)
 
     def of_integral(self, sigma: float) -> float:
-        """Bound of what omega_q has besides its share of omega_u."""
+        """Bound of what omega_q has besides its share of omega_u, for |sigma| up to a bound."""
         return min(self.distance[1], self.ratio[1] * sigma)
 
     def of_start(self, start: str, start_sigma: float, sample_time: float) -> float:
-        """Bound of what q_(-1) deviates by, at the first |sigma|; ``midpoint`` takes all of omega_q."""
+        """Bound of what the first sum q deviates by.
+
+        Args:
+            start: Start of the predictor; ``midpoint`` takes half a sample of the integral, with all of omega_q.
+            start_sigma: Bound of |sigma| at t = 0.
+            sample_time: T_s [s].
+        """
         if start == "zero":
             return 0.0
         deviation = min(self.distance[0], self.ratio[0] * start_sigma)
@@ -57,7 +63,10 @@ class ChannelDeviations:
 
 
 def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
-    """One channel's controller in the form in which its functions are evaluated."""
+    """The problem of one axis with a channel's controller, for the functions that evaluate its gains.
+
+    All that does not concern the controller is neutral.
+    """
     return ProofProblem(
         sample_time=problem.sample_time, l0=channel.l0, form="conservative", functions=channel.functions,
         rho=channel.rho, nominal=channel.nominal, k_p=(1.0, 1.0), a_p=(0.0, 0.0), zero_a=(), zero_c=(), numerator=(),
@@ -67,14 +76,18 @@ def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProble
 
 
 def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
-    """The functions of a channel at points of a region."""
+    """The gains of a channel's functions at points with |sigma| up to a bound."""
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
 
 
 def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
-    """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2.
+    """The slopes of the straight lines that are nearest to phi_1 + n and to phi_2.
 
-    With ``joint`` omega_q has the share of omega_u that leaves the smallest rest.
+    That of n is its mean, and phi_1 has what is left of the first.
+
+    Args:
+        points: The gains of the functions at points.
+        joint: Whether omega_q has the share of omega_u with which the remaining part is smallest; else the share is 0.
     """
     sigma_sizes = np.abs(points.sigma)
     columns = points.columns
@@ -83,13 +96,13 @@ def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
     integral_slope = nearest_slope(sigma_sizes, columns["k_i"])
     share = 0.0
     if joint:
-        command_rest = columns["mean"] + columns["k_n"] - command_slope
-        share = nearest_share(sigma_sizes, columns["k_i"] - integral_slope, command_rest)
+        command_ratios = columns["mean"] + columns["k_n"] - command_slope
+        share = nearest_share(sigma_sizes, columns["k_i"] - integral_slope, command_ratios)
     return command_slope - pole, integral_slope, pole, share
 
 
 def nearest_share(sigma_sizes: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
-    """The multiple of one deviation that is nearest to another one, both as ratios to sigma."""
+    """The factor by which the command's deviation is nearest to the integral's, both as ratios to sigma at points."""
     largest = distance_of(sigma_sizes, command, 0.0)
     if largest == 0.0:
         return 0.0
@@ -100,9 +113,11 @@ def nearest_share(sigma_sizes: np.ndarray, integral: np.ndarray, command: np.nda
 
 
 def nearest_slope(sigma_sizes: np.ndarray, ratios: np.ndarray) -> float:
-    """The slope k for which the largest |f - k sigma|, which is convex in k, is smallest.
+    """The slope k of the straight line that is nearest to a function f: the largest |f - k sigma| is convex in k.
 
-    It follows from |sigma| and the ratios f/sigma at points.
+    Args:
+        sigma_sizes: |sigma| at points.
+        ratios: f/sigma there.
     """
     low, high = float(ratios.min()), float(ratios.max())
     if not low < high:
@@ -111,18 +126,18 @@ def nearest_slope(sigma_sizes: np.ndarray, ratios: np.ndarray) -> float:
 
 
 def lowest(height: Callable[[float], float], low: float, high: float) -> float:
-    """The place between two ends at which a function is smallest."""
+    """The number between two ends at which a convex function is smallest."""
     minimum = minimize_scalar(height, bounds=(low, high), method="bounded")
     return float(minimum.x)
 
 
 def distance_of(sigma_sizes: np.ndarray, ratios: np.ndarray, slope: float) -> float:
-    """The largest |f - slope sigma|, from |sigma| and the ratios f/sigma at points, with room."""
+    """The largest |f - slope sigma|, from |sigma| and the ratios f/sigma at points, widened for the verifier."""
     return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * sigma_sizes))
 
 
 def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
-    """Deviations of the functions from straight lines with these slopes."""
+    """Bounds of what functions deviate by from straight lines with these slopes, from their gains at points."""
     sigma_sizes = np.abs(points.sigma)
     columns = points.columns
     scale = columns["mean"] + columns["k_n"]

@@ -1,13 +1,74 @@
-"""Suprema of the drag less its damping, in floating point."""
+"""Bounds of the drag, less the damping of the linear channels, and of its torques, in floating point.
+
+docs/vehicle_proofs.md has the formulas.
+"""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+
+from dssc_jax.proofs.search.vehicle.attitude import Attitude, Signals
+from dssc_jax.proofs.search.vehicle.rotors import Rotors
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 DRAG_POINTS = 65
 """Points of |v| and of |r| at which drag is compared."""
 DRAG_ROOM = 1.004
 """Widening of drag's largest value, for what lies between the points and for the verifier's enclosure."""
+
+
+@dataclass(frozen=True)
+class DragBounds:
+    """Bounds of drag and of its torques.
+
+    Args:
+        plane: Of the drag over mass in the plane, less its damping [m/s^2].
+        vertical: Of the same along z [m/s^2].
+        torque_h: Of the torque across body z over inertia [rad/s^2].
+        torque_z: Of the torque along body z over inertia [rad/s^2].
+    """
+
+    plane: float
+    vertical: float
+    torque_h: float
+    torque_z: float
+
+
+def drag_of(
+    problem: VehicleProblem, bounds: Signals, attitude: Attitude, rotors: Rotors, damping: tuple[float, float]
+) -> DragBounds:
+    """Bounds of the drag of structure and propellers, and of its torque and the rotors' gyroscopic one.
+
+    Args:
+        problem: The vehicle.
+        bounds: Bounds of the signals.
+        attitude: Bounds of the attitude.
+        rotors: Bounds of the rotors.
+        damping: Damping of drag in the linear channels of the plane and of z [1/s].
+    """
+    wind_h, wind_z = problem.wind
+    speed_h, speed_z = bounds["x"]["speed"], bounds["z"]["e_dot"]
+    air_speed_h, air_speed_z = speed_h + wind_h, speed_z + wind_z
+    air_speed = math.hypot(air_speed_h, air_speed_z)
+    lightest = problem.mass[0]
+    k_h, k_z = (k / lightest for k in problem.structure_drag)
+    k_p = problem.propeller_drag
+    linear = k_p * rotors.sum / lightest
+    s = attitude.tilt
+    tilt_drag = abs(k_h - k_z) * air_speed
+    half_spread = 0.5 * problem.rotors * rotors.spread
+    rotation_drag = k_p * problem.arm * half_spread * attitude.rate / lightest
+    plane = drag_in_plane(speed_h, wind_h, (k_h, linear), air_speed_z, damping[0])
+    vertical = drag_along(speed_z, wind_z, (k_z, linear), air_speed_h, damping[1])
+    torque = k_p * problem.arm * (half_spread * air_speed + problem.arm * rotors.sum * attitude.rate)
+    smallest_inertia = min(problem.inertia[0][0], problem.inertia[1][0])
+    return DragBounds(
+        plane=plane + tilt_drag * (s * air_speed_h + air_speed_z) * s + rotation_drag,
+        vertical=vertical + tilt_drag * (s**2 * air_speed_z + s * air_speed_h) + rotation_drag,
+        torque_h=(torque + problem.rotor_inertia * half_spread * attitude.rate_h) / smallest_inertia,
+        torque_z=(torque + problem.rotor_inertia * rotors.spin_up) / problem.inertia[2][0],
+    )
 
 
 def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:

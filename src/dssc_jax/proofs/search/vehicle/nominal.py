@@ -1,17 +1,18 @@
-"""The nominal flight of a moving reference: the steady answer of the linear channels to it, in floating point.
+"""The nominal flight of a moving reference: the steady response of the linear channels to it, in floating point.
 
-The reference and the known parts of the remainders are sums of sines, and so is the answer of a sampled linear channel.
-docs/vehicle_proofs.md has the theorem.
+The reference and the known parts of the remainders are sums of sines, and so is the steady response of a sampled linear
+channel. docs/vehicle_proofs.md has the theorem.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 from scipy.linalg import expm
 
+from dssc_jax.proofs.search.vehicle.attitude import Signals
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY, LinearChannel, sampled_channel
-from dssc_jax.proofs.search.vehicle.remainders import Couplings, Signals
+from dssc_jax.proofs.search.vehicle.remainders import Couplings
 from dssc_jax.proofs.search.vehicle.responses import ONE_AXIS, POINTS, start_share
 from dssc_jax.proofs.search.vehicle.waves import (
     Waves,
@@ -35,15 +36,15 @@ AXES_OF = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
 
 @dataclass(frozen=True)
 class Nominal:
-    """What is known of the nominal flight.
+    """The nominal flight of a vehicle whose reference moves.
 
     Args:
-        bounds: Bounds of its signals, by channel, besides those of some differences: ``alpha_gap`` and ``wanted_gap``
-            of alpha and a_h to alpha_0, ``lift_gap`` of a_z to z_m'', ``yaw_gap`` of psi' to psi_m'. ``rate`` of z and
-            psi is that of the output itself.
-        lift: Bound of |z_m''|.
-        yaw: Bound of |psi_m'|.
-        starts: What the vehicle's z_0 differs by from that of the flight, by channel, (n, axes).
+        bounds: Bounds of its signals, by channel and name, besides those of some differences: ``alpha_gap`` and
+            ``wanted_gap`` of alpha and a_h to alpha_0, ``lift_gap`` of a_z to z_m'', ``yaw_gap`` of psi' to psi_m'.
+            ``rate`` of z and psi is that of the output itself.
+        lift: Bound of |z_m''| [m/s^2].
+        yaw: Bound of |psi_m'| [rad/s].
+        starts: Known difference of the vehicle's z_0 from that of the flight, by channel, (n, axes).
     """
 
     bounds: Signals
@@ -52,7 +53,10 @@ class Nominal:
     starts: dict[str, np.ndarray]
 
     def totals(self, y: Signals) -> Signals:
-        """Bounds of the vehicle's signals from those of its deviation; e_dot of z and psi is the output's rate."""
+        """Bounds of the vehicle's signals, from bounds ``y`` of its deviation from the flight.
+
+        e_dot of z and psi is then the rate of the output in place of the error's.
+        """
         result = {}
         for name in CHANNELS:
             nominal = self.bounds[name]
@@ -62,7 +66,7 @@ class Nominal:
         return result
 
     def couplings(self, y: Signals) -> Couplings:
-        """Bounds of the signals that couple the channels, from the bounds of the deviation."""
+        """Bounds of the signals that couple the channels, from bounds ``y`` of the vehicle's deviation."""
         return Couplings(
             alpha_gap=self.bounds["x"]["alpha_gap"] + y["x"]["alpha"],
             wanted_gap=self.bounds["x"]["wanted_gap"] + y["x"]["wanted"],
@@ -74,31 +78,31 @@ class Nominal:
 
 
 @dataclass(frozen=True)
-class Drive:
-    """Inputs of the loop of an axis: the reference, and the known parts of its remainders.
+class AxisInputs:
+    """Sums of sines that drive the linear loop of an axis, and others with which its signals are compared.
 
     Args:
-        reference: y_m without its constant.
-        inputs: The known parts, by remainder.
-        comparisons: Sums of sines with which a signal is compared: the signal, by the name of the difference.
+        reference: The reference y_m without its constant.
+        known_remainders: The known parts of the remainders, by name.
+        comparisons: By the name of a difference: the signal, and the sum of sines that is subtracted from it.
     """
 
     reference: Waves
-    inputs: dict[str, Waves] = field(default_factory=dict)
-    comparisons: dict[str, tuple[str, Waves]] = field(default_factory=dict)
+    known_remainders: dict[str, Waves]
+    comparisons: dict[str, tuple[str, Waves]]
 
     @property
     def frequencies(self) -> set[Fraction]:
-        """All frequencies."""
-        return {frequency for waves in (self.reference, *self.inputs.values()) for frequency in waves}
+        """The frequencies of all inputs [Hz]."""
+        return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The steady answer of an axis to one frequency: phasors.
+class SteadyResponse:
+    """The steady response of a channel to what drives an axis at one frequency.
 
     Args:
-        state: Phasor of z, (n,).
+        state: Phasor of z at the samples, (n,).
         signals: Phasors of each signal at the points of a sample, (points,).
         slopes: Phasors of each signal's slope within the sample, at some times, (times,).
     """
@@ -111,103 +115,160 @@ class Answer:
 def nominal_of(
     problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, tuple[float, ...]], damping: float
 ) -> Nominal | None:
-    """The nominal flight of channels with given slopes and damping of drag in the plane; None without a reference."""
+    """The nominal flight: the sum of the steady responses to all frequencies. None without a reference.
+
+    Args:
+        problem: The vehicle.
+        linear: The linear channels.
+        slopes: Slopes of the straight lines in place of each channel's functions.
+        damping: Damping of drag in the plane [1/s].
+    """
     if problem.reference is None:
         return None
-    drives = drives_of(problem, damping)
+    axes = axis_inputs_of(problem, damping)
     bounds: Signals = {}
     starts = {}
     for name in CHANNELS:
-        answers = []
-        columns = []
+        axis_responses = []
+        start_columns = []
         for axis in AXES_OF[name]:
-            drive = drives[axis]
-            answers_by_frequency = {
-                f: answer_of(problem, name, linear[name], slopes[name], drive, f) for f in drive.frequencies
+            inputs = axes[axis]
+            responses = {
+                f: steady_response(problem, name, linear[name], slopes[name], inputs, f) for f in inputs.frequencies
             }
-            answers.append(answers_by_frequency)
-            flight_state = np.sum([np.real(answer.state) for answer in answers_by_frequency.values()], axis=0)
-            columns.append(first_state(problem, name, slopes[name], drive, len(flight_state)) - flight_state)
-        bounds[name] = bounds_of(problem, answers)
-        starts[name] = np.stack(columns, axis=-1)
-    lift = size(derivative(derivative(drives["z"].reference)))
-    return Nominal(bounds, ROOM * lift, ROOM * size(derivative(drives["psi"].reference)), starts)
+            axis_responses.append(responses)
+            flight_state = np.sum([np.real(response.state) for response in responses.values()], axis=0)
+            start = first_state(problem, name, slopes[name], inputs, len(flight_state))
+            start_columns.append(start - flight_state)
+        bounds[name] = bounds_of(problem, axis_responses)
+        starts[name] = np.stack(start_columns, axis=-1)
+    lift = size(derivative(derivative(axes["z"].reference)))
+    return Nominal(bounds, ROOM * lift, ROOM * size(derivative(axes["psi"].reference)), starts)
 
 
-def drives_of(problem: VehicleProblem, damping: float) -> dict[str, Drive]:
-    """The inputs of each axis."""
+def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInputs]:
+    """The inputs of each axis, by its name; ``damping`` is that of drag in the plane [1/s]."""
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
-    bends = {axis: derivative(waves) for axis, waves in speeds.items()}
-    alpha_0 = {axis: total(bends[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
+    accelerations = {axis: derivative(waves) for axis, waves in speeds.items()}
+    alpha_0 = {axis: total(accelerations[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
     quarter_turn = {"x": multiple(alpha_0["y"], -1.0), "y": alpha_0["x"]}
-    drives = {"psi": Drive(references["psi"], {}, {"yaw_gap": ("rate", speeds["psi"])})}
-    drives["z"] = Drive(references["z"], {}, {"lift_gap": ("wanted", bends["z"])})
+    axes = {
+        "psi": AxisInputs(references["psi"], {}, {"yaw_gap": ("rate", speeds["psi"])}),
+        "z": AxisInputs(references["z"], {}, {"lift_gap": ("wanted", accelerations["z"])}),
+    }
     for axis in ("x", "y"):
-        lift_force = product(bends["z"], alpha_0[axis], 1.0 / GRAVITY)
+        force = product(accelerations["z"], alpha_0[axis], 1.0 / GRAVITY)
         yaw_torque = product(speeds["psi"], quarter_turn[axis], problem.damping)
-        inputs = {"force": lift_force, "torque": total(yaw_torque, multiple(lift_force, -problem.stiffness))}
+        torque = total(yaw_torque, multiple(force, -problem.stiffness))
         comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
-        drives[axis] = Drive(references[axis], inputs, comparisons)
-    return drives
+        axes[axis] = AxisInputs(references[axis], {"force": force, "torque": torque}, comparisons)
+    return axes
 
 
-def answer_of(
+@dataclass(frozen=True)
+class InputPhasors:
+    """Phasors at one frequency of what drives an axis.
+
+    Args:
+        speed: That of y_m'.
+        acceleration: That of y_m''.
+        known_remainders: Those of the known parts of the remainders, by name.
+    """
+
+    speed: complex
+    acceleration: complex
+    known_remainders: dict[str, complex]
+
+
+def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
+    """The phasors at one frequency [Hz] of an axis's inputs."""
+    i_omega = 1j * rate_of(frequency)
+    speed = i_omega * inputs.reference.get(frequency, 0.0)
+    known_remainders = {key: waves.get(frequency, 0.0) for key, waves in inputs.known_remainders.items()}
+    return InputPhasors(speed, i_omega * speed, known_remainders)
+
+
+def driven_generator(linear: LinearChannel, phasors: InputPhasors, rate: float) -> np.ndarray:
+    """The generator of (chi, U, e^(i rate t)) within a sample: the last entry drives chi, (m + 2, m + 2)."""
+    m = linear.g.size
+    known_forces = sum(phasor * linear.b[key] for key, phasor in phasors.known_remainders.items())
+    generator = np.zeros((m + 2, m + 2), complex)
+    generator[:m, :m] = linear.f
+    generator[:m, m] = linear.g
+    generator[:m, m + 1] = -phasors.speed * np.eye(m)[0] + known_forces
+    generator[m + 1, m + 1] = 1j * rate
+    return generator
+
+
+def signal_rows(
+    linear: LinearChannel, inputs: AxisInputs, phasors: InputPhasors, l0: float, frequency: Fraction
+) -> dict[str, np.ndarray]:
+    """Rows over (chi, U, e^(i rate t)) of the signals without u_av, of the output's rate and of the differences."""
+    rows = {key: np.array([*c, d, 0.0], complex) for key, (c, d) in linear.signals.items()}
+    rows["rate"] = np.array([*linear.signals["e_dot"][0], 0.0, 0.0], complex)
+    rows["e_dot"][-1] = -phasors.speed
+    rows["sigma"][-1] = -phasors.speed
+    rows["bend"][-1] = phasors.known_remainders.get("force", 0.0) - phasors.acceleration - l0 * phasors.speed
+    for gap, (key, waves) in inputs.comparisons.items():
+        rows[gap] = np.array(rows[key])
+        rows[gap][-1] -= waves.get(frequency, 0.0)
+    return rows
+
+
+def steady_response(
     problem: VehicleProblem,
     name: str,
     linear: LinearChannel,
     slopes: tuple[float, ...],
-    drive: Drive,
+    inputs: AxisInputs,
     frequency: Fraction,
-) -> Answer:
-    """The steady answer of a channel to what drives it at one frequency."""
+) -> SteadyResponse:
+    """The steady response of a channel to what drives an axis at one frequency.
+
+    Args:
+        problem: The vehicle.
+        name: The channel.
+        linear: Its linear channel.
+        slopes: Slopes of the straight lines in place of its functions.
+        inputs: The inputs of an axis of the channel.
+        frequency: The frequency [Hz].
+    """
     channel = problem.channels[name]
     step = sampled_channel(problem, channel, linear, slopes)
     k_1, k_2, k_3, _ = slopes
     t = problem.sample_time
-    w = rate_of(frequency)
+    rate = rate_of(frequency)
     m, n = linear.g.size, step.a.shape[0]
-    speed = 1j * w * drive.reference.get(frequency, 0.0)
-    acceleration = 1j * w * speed
-    input_phasors = {key: waves.get(frequency, 0.0) for key, waves in drive.inputs.items()}
-    forces = -speed * np.eye(m)[0] + sum(phasor * linear.b[key] for key, phasor in input_phasors.items())
-    by_sum = -t * k_2 * speed
-    command = (k_1 + k_3) * speed - by_sum
+    drive = input_phasors(inputs, frequency)
+    integral_input = -t * k_2 * drive.speed
+    command_input = (k_1 + k_3) * drive.speed - integral_input
     if channel.nominal:
-        command = command + (channel.l0 * speed + acceleration) / channel.nominal[1]
-    generator = np.zeros((m + 2, m + 2), complex)
-    generator[:m, :m] = linear.f
-    generator[:m, m] = linear.g
-    generator[:m, m + 1] = forces
-    generator[m + 1, m + 1] = 1j * w
+        command_input = command_input + (channel.l0 * drive.speed + drive.acceleration) / channel.nominal[1]
+    generator = driven_generator(linear, drive, rate)
     exponential = expm(generator * t)
     sample_input = np.zeros(n, complex)
-    sample_input[:m] = exponential[:m, m] * step.direct * command + exponential[:m, m + 1]
+    sample_input[:m] = exponential[:m, m] * step.direct * command_input + exponential[:m, m + 1]
     if n > m + 1:
-        sample_input[m] = command
-    sample_input[n - 1] = by_sum
-    state = np.linalg.solve(np.exp(1j * w * t) * np.eye(n) - step.a, sample_input)
-    begin = np.concatenate([state[:m], [step.acting @ state + step.direct * command, 1.0]])
-    rows = {key: np.array([*c, d, 0.0], complex) for key, (c, d) in linear.signals.items()}
-    rows["rate"] = np.array([*linear.signals["e_dot"][0], 0.0, 0.0], complex)
-    rows["e_dot"][-1] = -speed
-    rows["sigma"][-1] = -speed
-    rows["bend"][-1] = input_phasors.get("force", 0.0) - acceleration - channel.l0 * speed
-    for gap, (key, waves) in drive.comparisons.items():
-        rows[gap] = np.array(rows[key])
-        rows[gap][-1] -= waves.get(frequency, 0.0)
+        sample_input[m] = command_input
+    sample_input[n - 1] = integral_input
+    state = np.linalg.solve(np.exp(1j * rate * t) * np.eye(n) - step.a, sample_input)
+    begin = np.concatenate([state[:m], [step.acting @ state + step.direct * command_input, 1.0]])
+    rows = signal_rows(linear, inputs, drive, channel.l0, frequency)
     table = np.stack(list(rows.values()))
     phasors_at_points = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
     slope = np.stack([table @ expm(generator * share * t) @ generator @ begin for share in (0.0, 0.5, 1.0)], axis=-1)
     signals = dict(zip(rows, phasors_at_points, strict=True))
-    signals["u_av"] = np.full(len(POINTS), step.u_av @ state + by_sum - k_1 * speed)
-    return Answer(state, signals, dict(zip(rows, slope, strict=True)))
+    signals["u_av"] = np.full(len(POINTS), step.u_av @ state + integral_input - k_1 * drive.speed)
+    return SteadyResponse(state, signals, dict(zip(rows, slope, strict=True)))
 
 
-def first_state(problem: VehicleProblem, name: str, slopes: tuple[float, ...], drive: Drive, n: int) -> np.ndarray:
-    """The known part of the vehicle's z_0: it moves with the reference, but does not turn."""
+def first_state(
+    problem: VehicleProblem, name: str, slopes: tuple[float, ...], inputs: AxisInputs, n: int
+) -> np.ndarray:
+    """The known part of the vehicle's z_0 on an axis, (n,): it moves with the reference, but does not turn."""
     channel = problem.channels[name]
-    speed = sum(phasor.real for phasor in derivative(drive.reference).values())
+    speed = sum(phasor.real for phasor in derivative(inputs.reference).values())
     result = np.zeros(n)
     if name == "psi":
         result[-1] = start_share(problem, channel, slopes) * speed
@@ -216,30 +277,39 @@ def first_state(problem: VehicleProblem, name: str, slopes: tuple[float, ...], d
     return result
 
 
-def bounds_of(problem: VehicleProblem, answers: list[dict[Fraction, Answer]]) -> dict[str, float]:
-    """Bounds of all signals, from the answers of one axis or of the plane's two axes."""
+def bounds_of(problem: VehicleProblem, axes: list[dict[Fraction, SteadyResponse]]) -> dict[str, float]:
+    """Bounds of all signals of a channel, by name.
+
+    Args:
+        problem: The vehicle.
+        axes: Steady responses of each axis of the channel, by frequency.
+    """
     eighth = problem.sample_time / 8.0
-    frequencies = set().union(*answers)
-    first_answer = next(iter(answers[0].values()))
+    frequencies = set().union(*axes)
+    first_response = next(iter(axes[0].values()))
     result = {}
-    for key in first_answer.signals:
-        largest = np.zeros(len(answers))
+    for key in first_response.signals:
+        largest = np.zeros(len(axes))
         norm = 0.0
         for f in frequencies:
-            axis_answers = [answer.get(f) for answer in answers]
-            phasors = [np.zeros(len(POINTS)) if answer is None else answer.signals[key] for answer in axis_answers]
-            has_slope = key != "u_av"
-            slopes = [
-                answer.slopes[key] if answer is not None and has_slope else np.zeros(1) for answer in axis_answers
-            ]
+            phasors = [responses[f].signals[key] if f in responses else np.zeros(len(POINTS)) for responses in axes]
+            slopes = [slope_phasors(responses.get(f), key) for responses in axes]
             growth = [eighth * SLOPE_ROOM * np.max(np.abs(slope)) for slope in slopes]
             largest += [np.max(np.abs(values)) + increment for values, increment in zip(phasors, growth, strict=True)]
-            if len(answers) == 2:
-                x, y = phasors
-                circles = 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
-                x, y = slopes
-                circle_slopes = 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
-                norm += np.max(circles) + eighth * SLOPE_ROOM * np.max(circle_slopes)
-        along_axes = len(answers) == 1 or key in ONE_AXIS
+            if len(axes) == 2:
+                norm += np.max(vector_norm(*phasors)) + eighth * SLOPE_ROOM * np.max(vector_norm(*slopes))
+        along_axes = len(axes) == 1 or key in ONE_AXIS
         result[key] = ROOM * float(np.max(largest) if along_axes else norm)
     return result
+
+
+def slope_phasors(response: SteadyResponse | None, signal: str) -> np.ndarray:
+    """Phasors of a signal's slope at some times, (times,); zero without a response, and of u_av, which is constant."""
+    if response is None or signal == "u_av":
+        return np.zeros(1)
+    return response.slopes[signal]
+
+
+def vector_norm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The largest norm of the vector of Re(x w) and Re(y w) over |w| = 1, for phasors x and y of the plane's axes."""
+    return 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))

@@ -1,5 +1,6 @@
-"""Largest values of a sampled linear channel's signals for inputs and starts of size 1, in floating point."""
+"""Responses of a sampled linear channel's signals to inputs and starts of size 1, in floating point."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,16 +24,16 @@ CONSTANT_SETTLED = 1e-4
 
 @dataclass(frozen=True)
 class ChannelResponse:
-    """Bounds of a channel's signals for remainders of size 1.
+    """Largest responses of a channel's signals at points of a sample to inputs and starts of size 1.
 
     Args:
-        names: The signals, in order.
+        names: Names of the signals.
         remainders: Names of the remainders.
-        gains: Sums for each point of a sample, signal and input, (points, signals, inputs); the first two inputs are
-            omega_u and omega_q, the others the remainders.
-        constant: Largest response to a constant force 1, (points, signals).
+        gains: Sums of the absolute responses to the inputs, (points, signals, inputs); the first two inputs are omega_u
+            and omega_q, the others the remainders.
+        constant: Peak of the response to a constant force 1, (points, signals).
         starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
-        known: Peaks of the response to the known difference of z_0 from that of the nominal flight, (points, signals).
+        start_offset: Peak of the response to the known difference of z_0 from the nominal flight's, (points, signals).
     """
 
     names: tuple[str, ...]
@@ -40,22 +41,22 @@ class ChannelResponse:
     gains: np.ndarray
     constant: np.ndarray
     starts: np.ndarray
-    known: np.ndarray
+    start_offset: np.ndarray
 
 
 @dataclass(frozen=True)
 class ChannelObservation:
-    """A sampled channel, its signals at the points of a sample, and its inputs.
+    """A sampled channel, its signals at the points of a sample, and the columns of its inputs.
 
     Args:
         step: One sample.
-        names: The signals.
+        names: Names of the signals.
         rows: Row of each point and signal over z, (points * signals, n).
-        direct: What the inputs of the same sample do, (points, signals, inputs).
+        direct: Bounds of what inputs of size 1 do in the same sample, (points, signals, inputs).
         columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
         pieces: Number of these pieces.
         force_column: Column of a constant force, (n,).
-        force_within: What a constant force of the same sample does, (points * signals,).
+        force_within: What a constant force 1 does in the same sample, (points * signals,).
     """
 
     step: SampledChannel
@@ -69,7 +70,7 @@ class ChannelObservation:
 
 
 def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample."""
+    """Number of pieces of a sample in integrals by the trapezoidal rule; a short lag needs more."""
     if not problem.rotor_lag:
         return PIECES
     return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
@@ -78,7 +79,14 @@ def pieces_of(problem: VehicleProblem) -> int:
 def observe_channel(
     problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
 ) -> ChannelObservation:
-    """A channel with slopes k_1, k_2, k_3, at its samples."""
+    """A channel at its samples, with straight lines in place of its functions.
+
+    Args:
+        problem: The vehicle.
+        channel: The controller of the channel.
+        linear: Its linear channel.
+        slopes: Slopes k_1, k_2, k_3 of the lines, and the share of omega_u in omega_q.
+    """
     step = sampled_channel(problem, channel, linear, slopes)
     t = problem.sample_time
     pieces = pieces_of(problem)
@@ -92,12 +100,12 @@ def observe_channel(
     for place, share in enumerate(POINTS):
         phi, gamma = flow(linear, share * t)
         inner = [flow(linear, share * t * fraction)[0] @ forces for fraction in np.linspace(0.0, 1.0, pieces + 1)]
-        force_effect = integral(linear, force, share * t)
+        force_effect = forced_response(linear, force, share * t)
         for row, (c, d) in enumerate(linear.signals.values()):
-            by_command = c @ gamma + d
+            command_effect = c @ gamma + d
             rows[place, row, :m] = c @ phi
-            rows[place, row] += by_command * step.acting
-            direct[place, row, :2] = abs(by_command * step.direct) * np.array([abs(1.0 + t * slopes[3]), t])
+            rows[place, row] += command_effect * step.acting
+            direct[place, row, :2] = abs(command_effect * step.direct) * np.array([abs(1.0 + t * slopes[3]), t])
             direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
             force_within[place, row] = c @ force_effect
         rows[place, -1] = step.u_av
@@ -107,7 +115,7 @@ def observe_channel(
     columns[:, 1] = step.q
     forces_at_pieces = [flow(linear, t * fraction / pieces)[0] @ forces for fraction in range(pieces + 1)]
     columns[:m, 2:] = np.concatenate(forces_at_pieces, axis=1)
-    force_column = np.append(integral(linear, force, t), np.zeros(n - m))
+    force_column = np.append(forced_response(linear, force, t), np.zeros(n - m))
     return ChannelObservation(
         step=step,
         names=names,
@@ -120,8 +128,14 @@ def observe_channel(
     )
 
 
-def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
-    """Effects of omega_u, omega_q and each remainder over a whole sample, from those at its times, (..., inputs)."""
+def integrated_effects(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
+    """Effects of omega_u, omega_q and each remainder, (..., inputs): those of a remainder are integrals over a sample.
+
+    Args:
+        effects: Effects of omega_u, omega_q, and of each remainder at the ends of the pieces, (..., columns).
+        pieces: Number of pieces.
+        sample_time: T_s [s].
+    """
     times = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
     integrals = sample_time * trapezoid([times[..., i, :] for i in range(pieces + 1)])
     return np.concatenate([effects[..., :2], integrals], axis=-1)
@@ -134,10 +148,14 @@ def channel_response(
     slopes: tuple[float, ...],
     start_offsets: np.ndarray | None = None,
 ) -> ChannelResponse | None:
-    """Largest magnitudes of all signals for inputs and starts of size 1.
+    """The largest responses of a channel's signals; None if it is not stable or they last too long.
 
-    None if the sampled channel is not stable or its responses last longer than ``fixed_point.MOST_SAMPLES``.
-    ``start_offsets`` is the known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
+    Args:
+        problem: The vehicle.
+        channel: The controller of the channel.
+        linear: Its linear channel.
+        slopes: Slopes of the straight lines in place of its functions.
+        start_offsets: Known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a, rows = observation.step.a, observation.rows
@@ -148,7 +166,7 @@ def channel_response(
         return None
     shape = (len(POINTS), len(observation.names))
     gains = (
-        over_sample(input_responses.sums, observation.pieces, problem.sample_time).reshape(*shape, -1)
+        integrated_effects(input_responses.sums, observation.pieces, problem.sample_time).reshape(*shape, -1)
         + observation.direct
     )
     force_peaks = np.zeros(rows.shape[0])
@@ -161,39 +179,48 @@ def channel_response(
     offset_peaks = np.zeros(shape)
     if start_offsets is not None:
         columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
-        offset_peaks = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
+        offset_peaks = size_over_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
         names=observation.names,
         remainders=tuple(linear.b),
         gains=gains,
         constant=force_peaks.reshape(shape),
         starts=start_peaks.reshape(*shape, 3),
-        known=offset_peaks,
+        start_offset=offset_peaks,
     )
 
 
-def of_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-    """Bounds of each signal from those along each axis, (..., signals, axes) -> (..., signals)."""
+def size_over_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """Bounds of signals from those on each axis, (..., signals, axes) -> (..., signals).
+
+    Of a signal along an axis it is the larger one, of a vector of the plane the norm.
+    """
     along_axes = np.isin(names, ONE_AXIS)
     return np.where(along_axes, sizes.max(axis=-1), np.sqrt((sizes**2).sum(axis=-1)))
 
 
+def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
+    """The ratio of a vector of two axes' deviations to each, (signals,): 2^(1/2) in vectors of the plane, else 1."""
+    in_plane = [name == "x" and key not in ONE_AXIS for key in response.names]
+    return np.where(in_plane, math.sqrt(2.0), 1.0)
+
+
 @dataclass(frozen=True)
 class ChannelSeries:
-    """Responses of a channel sample by sample; rows are points of a sample and signals.
+    """Responses of a channel's signals sample by sample; each row is a point of a sample and a signal.
 
     Args:
-        effects: Entry k: sizes of what inputs of size 1 in a sample cause k samples later, (samples, rows, inputs).
+        effects: Magnitudes of what inputs of size 1 in a sample cause k samples later, (samples, rows, inputs).
         constant: Response to a constant force 1 from t = 0 on, (samples, rows).
         starts: Responses to e, e' and q_(-1), (samples, rows, 3).
-        known: Magnitudes of the response to the known difference of z_0 from that of the nominal flight, (samples,
+        start_offset: Magnitudes of the response to the known difference of z_0 from the nominal flight's, (samples,
             rows).
     """
 
     effects: np.ndarray
     constant: np.ndarray
     starts: np.ndarray
-    known: np.ndarray
+    start_offset: np.ndarray
 
 
 def channel_series(
@@ -204,18 +231,15 @@ def channel_series(
     length: int,
     start_offsets: np.ndarray | None = None,
 ) -> ChannelSeries:
-    """The responses of a channel, sample by sample. Only the channel of z has a constant force.
-
-    All columns (inputs, the deviation from the equilibrium, starts, the known differences of z_0) go through the
-    sampled channel together.
+    """The responses of a channel's signals, sample by sample. Only the channel of z has a constant force.
 
     Args:
         problem: The vehicle.
-        channel: The channel.
-        linear: Its linear plant.
-        slopes: The slopes of its functions.
+        channel: The controller of the channel.
+        linear: Its linear channel.
+        slopes: Slopes of the straight lines in place of its functions.
         length: Number of samples.
-        start_offsets: The known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
+        start_offsets: Known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a = observation.step.a
@@ -226,23 +250,23 @@ def channel_series(
     z_offsets = np.zeros((n, 1)) if start_offsets is None else start_offsets
 
     columns = np.column_stack([observation.columns, -equilibrium, *starts, z_offsets])
-    answers = np.zeros((length, rows, columns.shape[1]))
+    responses_by_sample = np.zeros((length, rows, columns.shape[1]))
     for k in range(length):
-        answers[k] = observation.rows @ columns
+        responses_by_sample[k] = observation.rows @ columns
         columns = a @ columns
     inputs = observation.columns.shape[1]
     of_inputs, of_constant, of_starts, of_offsets = np.split(
-        answers, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
+        responses_by_sample, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
     )
 
     effects = np.zeros((length, rows, 2 + len(linear.b)))
     effects[0] = observation.direct.reshape(rows, -1)
-    effects[1:] = over_sample(np.abs(of_inputs[:-1]), observation.pieces, problem.sample_time)
+    effects[1:] = integrated_effects(np.abs(of_inputs[:-1]), observation.pieces, problem.sample_time)
     constant = np.zeros((length, rows))
     if channel is problem.channels["z"]:
         constant = of_constant[..., 0] + observation.rows @ equilibrium + observation.force_within
     along_axes = np.abs(of_offsets).reshape(length, len(POINTS), len(observation.names), -1)
-    offset_effects = of_axes(along_axes, observation.names).reshape(length, -1)
+    offset_effects = size_over_axes(along_axes, observation.names).reshape(length, -1)
     return ChannelSeries(effects, constant, of_starts, offset_effects)
 
 
@@ -251,28 +275,28 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
     return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
 
 
-def integral(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
-    """The change of chi that an input 1 through a column causes within a time."""
+def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
+    """The change of chi that a constant input 1 through a column causes within a time [s], (m,)."""
     return flow(LinearChannel(linear.f, column, linear.b, linear.signals), time)[1]
 
 
 def start_columns(
     problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
 ) -> list[np.ndarray]:
-    """z_0 for e = 1, for e' = 1 and for q_(-1) = 1."""
+    """z_0 for a start with e = 1, with e' = 1 and with q_(-1) = 1, (n,) each."""
     share = start_share(problem, channel, slopes)
     unit = np.eye(n)
     return [unit[0] - share * channel.l0 * unit[n - 1], unit[1] - share * unit[n - 1], unit[n - 1]]
 
 
 def start_share(problem: VehicleProblem, channel: ChannelProblem, slopes: tuple[float, ...]) -> float:
-    """-q_(-1)/sigma_0 of the straight lines."""
+    """-q_(-1)/sigma_0, what the first sum q takes from sigma_0, where straight lines replace the functions."""
     k_1, k_2 = slopes[:2]
     return {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
 
 
 def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The largest |offset + row A^k z| of each row."""
+    """The largest |offset + row A^k z| over k for each row, (rows,)."""
     peaks = np.abs(offset + rows @ z)
     initial_size = np.max(np.abs(z), initial=1e-300)
     for _ in range(MOST_CONSTANT_SAMPLES):
@@ -286,6 +310,6 @@ def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.nd
 def constant_response(
     a: np.ndarray, rows: np.ndarray, force_column: np.ndarray, force_within: np.ndarray
 ) -> np.ndarray:
-    """The largest response to a constant 1 from t = 0 on, of each row."""
+    """The largest response of each row to a constant force 1 from t = 0 on, (rows,)."""
     equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, force_column)
     return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + force_within)

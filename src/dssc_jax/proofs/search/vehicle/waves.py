@@ -10,7 +10,7 @@ Waves = dict[Fraction, complex]
 
 
 def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
-    """Add a sine to a sum."""
+    """Add a sine to a sum, in place; its frequency may be negative."""
     if frequency < 0:
         frequency = -frequency
         phasor = phasor.conjugate()
@@ -20,7 +20,7 @@ def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
 
 
 def product(left: Waves, right: Waves, factor: float) -> Waves:
-    """The product of two sums and a number."""
+    """The product of two sums of sines and a factor."""
     result: Waves = {}
     for f, a in left.items():
         for h, b in right.items():
@@ -30,7 +30,7 @@ def product(left: Waves, right: Waves, factor: float) -> Waves:
 
 
 def total(*sums: Waves) -> Waves:
-    """The sum of sums."""
+    """The sum of several sums of sines."""
     result: Waves = {}
     for waves in sums:
         for frequency, phasor in waves.items():
@@ -39,27 +39,27 @@ def total(*sums: Waves) -> Waves:
 
 
 def rate_of(frequency: Fraction) -> float:
-    """The angular frequency [rad/s]."""
+    """The angular frequency [rad/s] of a frequency [Hz]."""
     return 2.0 * math.pi * float(frequency)
 
 
 def derivative(waves: Waves) -> Waves:
-    """The derivative in time."""
+    """The derivative of a sum of sines in time."""
     return {frequency: 1j * rate_of(frequency) * phasor for frequency, phasor in waves.items()}
 
 
 def multiple(waves: Waves, factor: float) -> Waves:
-    """A multiple."""
+    """A sum of sines times a factor."""
     return {frequency: factor * phasor for frequency, phasor in waves.items()}
 
 
 def size(waves: Waves) -> float:
-    """A bound of the magnitude at all times."""
+    """A bound of the magnitude of a sum of sines at all times."""
     return sum(abs(phasor) for phasor in waves.values())
 
 
 def reference_waves(problem: VehicleProblem) -> dict[str, Waves]:
-    """The sine that each axis follows."""
+    """The sine that each axis follows, by axis; the problem must have a reference."""
     assert problem.reference is not None
     result = {}
     for axis, (amplitude, period, phase) in problem.reference.items():

@@ -22,7 +22,7 @@ from dssc_jax.proofs.verifier.impulse_responses import (
 from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES
 from dssc_jax.proofs.verifier.vehicle.deviations import float_above
-from dssc_jax.proofs.verifier.vehicle.responses import KNOWN, ChannelObservation, integral_within
+from dssc_jax.proofs.verifier.vehicle.responses import FIRST_OFFSET, ChannelObservation, integral_within
 
 OMEGAS = 2
 """The inputs omega_u and omega_r, before the remainders."""
@@ -31,16 +31,16 @@ SMALL = 1e-6
 
 
 class CellResponses(NamedTuple):
-    """Upper bounds for J cells and the last one. The inputs are omega_u, omega_r and the remainders.
+    """Bounds of a channel's responses in J time cells and the last one; inputs: omega_u, omega_r and the remainders.
 
     Args:
-        signals: The signal of each row.
+        signals: Name of the signal of each row.
         remainders: The names of the inputs after omega_u and omega_r.
         upper: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
         lower: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
         total_sum: Bound of the limit of G, (rows, inputs).
-        starts: E_0 |response to e = 1| + V_0 |response to e' = 1| + the size of that to what is known of the start, the
-            largest in each cell, (J + 1, rows).
+        starts: E_0 |response to e = 1| + V_0 |response to e' = 1| + the size of that to the known offset of the start,
+            the largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
         constants: The largest response to a constant 1 from t = 0 on, (J + 1, rows).
     """
@@ -58,18 +58,21 @@ class CellResponses(NamedTuple):
 def cell_responses(
     problem: VehicleProblem, name: str, observation: ChannelObservation, samples: int, count: int
 ) -> CellResponses:
-    """(V1) The responses of a channel in cells.
+    """(V1) The responses of a channel in time cells.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
         observation: Its signals and inputs at the samples.
-        samples: Samples c of a cell.
+        samples: Number c of samples of a cell.
         count: Number J of cells before the last one, at least 1.
+
+    Raises:
+        Rejected: the responses decay too slowly.
     """
     t = arb(problem["sample_time"])
     initial = np.array([float(value) for value in problem["channels"][name]["initial"]])
-    along = np.array([sight.signal in ALONG_AXES for sight in observation.sights])
+    along = np.array([phase_signal.name in ALONG_AXES for phase_signal in observation.phase_signals])
     weights = input_weights(observation, t)
     q = observation.inputs.ncols()
     offset_middles = middles(observation.offsets)
@@ -79,7 +82,7 @@ def cell_responses(
     # sums of eps_l over l from c m to c m + c - 1, and over all l behind
     effect_sums = np.zeros((count + 1, *direct.shape))
     effect_sums[0] = direct
-    peaks = np.zeros((count + 1, len(observation.sights), 3))
+    peaks = np.zeros((count + 1, len(observation.phase_signals), 3))
     sample_count = 0
     columns = side_by_side(observation.inputs, observation.starts)
     for block in response_blocks(observation.sampled.a, observation.rows, columns, observation.p):
@@ -106,7 +109,7 @@ def cell_responses(
             total_sum = SUMMED * (sums[-1] + effect_sums[-1] + tail)
             starts, deviations, constants = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
             return CellResponses(
-                signals=[sight.signal for sight in observation.sights],
+                signals=[phase_signal.name for phase_signal in observation.phase_signals],
                 remainders=list(observation.curves),
                 upper=SUMMED * sums[1:],
                 lower=sums[:-1] / SUMMED,
@@ -119,26 +122,38 @@ def cell_responses(
 
 
 def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Responses to the start, to the first sum q's deviation and to the constant, from sizes (..., rows, 4 + axes).
+    """Responses to the start, to a deviation of the first sum q and to the constant, (..., rows, 3).
 
-    What is known of the start counts with its larger axis in signals ``along`` one, else with the norm.
+    Args:
+        sizes: Responses to each column of the starts, (..., rows, 4 + axes).
+        initial: Bounds of |e| and |e'| at t = 0.
+        along: Whether a signal counts along an axis, (rows,): then the larger of its known offsets counts, else the
+            norm.
     """
-    axes = sizes[..., KNOWN:]
+    axes = sizes[..., FIRST_OFFSET:]
     known_sizes = np.where(along, axes.max(axis=-1, initial=0.0), np.sqrt((axes**2).sum(axis=-1)))
     return np.stack([sizes[..., :2] @ initial + known_sizes, sizes[..., 2], sizes[..., 3]], axis=-1)
 
 
 def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells of successive samples after ``earlier_count`` others, and the place of the first sample of each."""
+    """The cells in which successive samples lie, and the place of each cell's first sample among them.
+
+    Args:
+        earlier_count: Number of samples before these.
+        length: Number of the samples.
+        samples: Number of samples of a cell.
+        count: Number of cells before the last one, which has all later samples.
+    """
     cells = np.minimum((earlier_count + np.arange(length)) // samples, count)
     places = np.flatnonzero(np.diff(cells, prepend=-1))
     return cells[places], places
 
 
 def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
-    """Weights of the columns of ``observation.inputs`` in the bounds of eps, rounded up, (columns, inputs).
+    """Weights with which the columns of ``observation.inputs`` make up the inputs, rounded up, (columns, inputs).
 
-    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines plus that of the bend.
+    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines between the points plus that of
+    the bend. ``t`` is T_s.
     """
     pieces = next(iter(observation.curves.values())).pieces
     columns = pieces + 2
@@ -159,8 +174,8 @@ def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
 def direct_effects(observation: ChannelObservation, t: arb) -> np.ndarray:
     """eps_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
     rows = []
-    for sight in observation.sights:
-        within = [integral_within(observation.channel, sight, curve) for curve in observation.curves.values()]
-        effects = [sight.direct, sight.direct_integral, *within]
+    for phase_signal in observation.phase_signals:
+        within = [integral_within(observation.channel, phase_signal, curve) for curve in observation.curves.values()]
+        effects = [phase_signal.command_effect, phase_signal.integral_effect, *within]
         rows.append([float_above(effect.upper()) for effect in effects])
     return np.array(rows)

@@ -12,7 +12,10 @@ Bounds = Mapping[str, Mapping[str, float]]
 
 
 class ChannelProblem(TypedDict):
-    """The sampled controller of a channel, and its start."""
+    """The controller and the start of a channel.
+
+    :class:`dssc_jax.proofs.vehicle_problem.ChannelProblem` documents the entries.
+    """
 
     l0: float
     functions: Mapping[str, float | str]
@@ -23,9 +26,9 @@ class ChannelProblem(TypedDict):
 
 
 class VehicleProblem(TypedDict):
-    """The vehicle, its inner loops and its wind; in SI units and radians.
+    """The vehicle, its inner loops and its wind, in SI units and radians.
 
-    ``reference`` has amplitude, period and phase of the sine that each axis follows; null where it is at rest.
+    :class:`dssc_jax.proofs.vehicle_problem.VehicleProblem` documents the entries.
     """
 
     sample_time: float
@@ -56,7 +59,11 @@ class VehicleProblem(TypedDict):
 
 
 class MiddleProof(TypedDict):
-    """The linear channel: slopes k_1, k_2, k_3 of the functions, the share of omega_u in omega_q, c, lambda and P."""
+    """The linear channel of a proof.
+
+    ``slopes`` are k_1, k_2 and k_3 of the lines in place of the functions, ``share`` is that of omega_u in omega_q,
+    ``drag_damping`` is c [1/s], ``rate`` is lambda [1/s], and ``p`` is P of V = z'Pz.
+    """
 
     slopes: Sequence[float]
     share: float
@@ -66,22 +73,23 @@ class MiddleProof(TypedDict):
 
 
 class ChannelProof(MiddleProof):
-    """The linear channel, and the bounds of the signals."""
+    """The linear channel of a proof, and bounds of its signals by name."""
 
     bounds: Mapping[str, float]
 
 
 class CellsProof(TypedDict):
-    """The samples c of a time cell, and the bounds of the signals in each of the J first cells."""
+    """The time cells of a proof: ``samples`` of a cell, and bounds of the signals in each of the J first cells."""
 
     samples: int
     bounds: Mapping[str, Mapping[str, Sequence[float]]]
 
 
 class VehicleProof(TypedDict):
-    """The proofs of the channels, whose bounds are those of the last cell; the time cells before it; other channels.
+    """The proof of a vehicle.
 
-    ``settled`` has the linear channels for the upper limits; null means those of ``channels``.
+    The bounds of ``channels`` are those at all times or, with ``cells``, those of the last cell. ``settled`` has other
+    linear channels for the upper limits as time grows; null: those of ``channels``.
     """
 
     channels: Mapping[str, ChannelProof]
@@ -90,7 +98,7 @@ class VehicleProof(TypedDict):
 
 
 class VehicleCertificate(TypedDict):
-    """A problem and its proof."""
+    """The content of a certificate's file: a vehicle's problem and its proof."""
 
     version: int
     kind: str

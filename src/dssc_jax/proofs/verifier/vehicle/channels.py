@@ -5,30 +5,33 @@ have z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import identity
+from dssc_jax.proofs.verifier.balls import identity, stack, unit_rows
+from dssc_jax.proofs.verifier.held_plant import delay_weights
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 
 EQUIVALENT = "u_av"
 """The signal that exists at the samples only."""
 ALONG_AXES = {"e", "e_dot", "sigma", "bend", EQUIVALENT}
 """The signals of the plane that are bounded along each axis; the others are norms of vectors."""
+SignalBalls = Mapping[str, Mapping[str, arb]]
+"""Bounds of the signals, by channel and name."""
 Rows = dict[str, arb_mat]
 """Rows by the name of their signal."""
 
 
 class Channel(NamedTuple):
-    """A linear channel.
+    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
         generator: [A_c, B_c], (n, n + 1).
-        inputs: The columns b_j of the remainders, (n, 1) each.
-        signals: The rows [C, d] of the signals without u_av, (1, n + 1) each.
-        constant: The column b of the constant o, where it acts.
+        inputs: Columns b_j of the remainders, by name, (n, 1) each.
+        signals: Rows [C, d] of the signals without u_av, by name, (1, n + 1) each.
+        constant: Column of the constant force o, (n, 1); None: the channel has none.
     """
 
     generator: arb_mat
@@ -41,16 +44,23 @@ class Channel(NamedTuple):
         """Number n of the states chi."""
         return self.generator.nrows()
 
+    @property
+    def dynamics(self) -> arb_mat:
+        """A_c, (n, n)."""
+        return first_columns(self.generator, self.order)
+
 
 class SampledChannel(NamedTuple):
-    """A channel at its samples.
+    """A channel at its samples, z+ = A z + b_u omega_u + b_q omega_r.
+
+    omega_u and omega_r are what the functions deviate by from straight lines: in the command, and in the sum q.
 
     Args:
         a: A, (m, m).
         by_command: b_u, the column of omega_u with its share of omega_q, (m, 1).
         by_integral: b_q, the column of omega_r, (m, 1).
-        acting: Row of U, (1, m), without the omegas of the same sample.
-        fresh: The share of u_k in U.
+        acting: Row of the acting command U, (1, m), without the omegas of the same sample.
+        fresh: Share of this sample's command u_k in U; less than 1 with a delay.
         equivalent: Row of u_av, (1, m), without omega_q of the same sample.
         sigma: Row of sigma, (1, m).
     """
@@ -65,7 +75,7 @@ class SampledChannel(NamedTuple):
 
 
 def signal_names(name: str, *, lagging: bool) -> set[str]:
-    """The signals of a channel, with or without a rotor lag."""
+    """Names of the signals of a channel; ``lagging`` tells whether the rotors have a lag."""
     names = {"e", "e_dot", "sigma", "wanted", "bend", EQUIVALENT}
     match name:
         case "x":
@@ -81,7 +91,7 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
-    """A channel, with the damping c."""
+    """The linear channel of this name, with the damping of drag c [1/s]."""
     l0 = arb(problem["channels"][name]["l0"])
     match name:
         case "x":
@@ -93,7 +103,7 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
 
 
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
-    """The channel of x and y."""
+    """The linear channel of x and y: chi = (e, e', alpha, alpha'), with a rotor lag also gamma."""
     lag = rotor_rate(problem)
     e, e_dot, alpha, alpha_dot, *lag_states, command = unit_rows(5 if lag is None else 6)
     demand = (command - e_dot) * arb(problem["velocity_gain"])
@@ -110,7 +120,7 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 
 
 def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
-    """The channel of z; the constant o enters where the force does."""
+    """The linear channel of z: chi = (e, e'), with a rotor lag also the lift; the constant o acts like a force."""
     lag = rotor_rate(problem)
     e, e_dot, *lag_states, command = unit_rows(3 if lag is None else 4)
     demand = (command - e_dot) * arb(problem["velocity_gain"])
@@ -127,7 +137,7 @@ def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 
 
 def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
-    """The channel of psi."""
+    """The linear channel of psi: chi = (e, psi', integral of U - psi'), with a rotor lag also gamma."""
     lag = rotor_rate(problem)
     e, e_dot, integral, *lag_states, command = unit_rows(4 if lag is None else 5)
     follow = command - e_dot
@@ -142,33 +152,23 @@ def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
 
 
 def rotor_rate(problem: VehicleProblem) -> arb | None:
-    """1/tau; None without a rotor lag."""
+    """1/tau, the inverse of the rotors' time constant [1/s]; None without a lag."""
     return 1 / arb(problem["rotor_lag"]) if problem["rotor_lag"] > 0 else None
 
 
-def unit_rows(count: int) -> list[arb_mat]:
-    """The unit rows."""
-    return [arb_mat([row]) for row in identity(count).tolist()]
-
-
 def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
-    """The rows of the signals that the controller measures."""
+    """The rows of e, e' and sigma, which the controller measures."""
     return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
 
 
 def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
-    """The unit columns of the remainders, by the states whose slopes they join."""
+    """The unit columns of the remainders, (order, 1) each; ``places`` names the state in whose slope each acts."""
     units = identity(order).tolist()
     return {name: arb_mat([units[place]]).transpose() for name, place in places.items()}
 
 
-def stack(rows: Sequence[arb_mat]) -> arb_mat:
-    """Rows below one another."""
-    return arb_mat([row for matrix in rows for row in matrix.tolist()])
-
-
 def flow(channel: Channel, time: arb) -> arb_mat:
-    """exp of [[A_c, B_c], [0, 0]] over a time, (n + 1, n + 1)."""
+    """exp([[A_c, B_c], [0, 0]] time): what state and held command become within a time [s], (n + 1, n + 1)."""
     n = channel.order
     return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
 
@@ -187,12 +187,12 @@ def forced_response(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
 def sampled_channel(
     channel: Channel, controller: ChannelProblem, proof: MiddleProof, sample_time: float, delay: float
 ) -> SampledChannel:
-    """A channel at its samples.
+    """A channel at its samples, with straight lines in place of the controller's functions.
 
     Args:
-        channel: The channel.
-        controller: Its l_0 and its nominal control.
-        proof: The slopes of its functions.
+        channel: The linear channel.
+        controller: Its controller, of which l_0 and the nominal control matter.
+        proof: Its proof, with the slopes of the lines.
         sample_time: T_s [s].
         delay: Delay of the commands [samples], a real number.
     """
@@ -212,7 +212,7 @@ def sampled_channel(
         l0 = arb(controller["l0"])
         lead = arb(a_n) - l0
         command = command - (e * (lead * l0) - sigma * lead) * (1 / arb(k_n))
-    fresh, weights = delay_weights(delay)
+    fresh, *weights = delay_weights(delay)
     acting = command * fresh
     for unit, weight in zip(units[n:], weights, strict=True):
         acting = acting + unit * weight
@@ -237,29 +237,23 @@ def sampled_channel(
     )
 
 
-def delay_weights(delay: float) -> tuple[arb, list[arb]]:
-    """The weights of u_k, and of u_(k-1), ..., u_(k-D), in the command that acts."""
-    integer = math.floor(delay)
-    fraction = arb(delay) - integer
-    weights = [arb(0)] * (math.ceil(delay) + 1)
-    weights[integer] = 1 - fraction
-    if fraction > 0:
-        weights[integer + 1] = fraction
-    return weights[0], weights[1:]
+def first_columns(matrix: arb_mat, count: int) -> arb_mat:
+    """The first columns of a matrix."""
+    return arb_mat([row[:count] for row in matrix.tolist()])
 
 
 def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
-    """A row over chi as one over z, (1, m)."""
+    """The first n entries of a row, those of chi, extended by zeros to a row over z, (1, m)."""
     return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
 
 
 def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: arb_mat) -> tuple[arb_mat, arb]:
-    """A signal within a sample: its row over z_k, and its direct effect of u_k.
+    """A signal within a sample: its row over z_k, (1, m), and its factor of the same sample's command deviation.
 
     Args:
-        channel: The channel.
+        channel: The linear channel.
         sampled: The channel at its samples.
-        signal: The signal's name, not u_av.
+        signal: Name of the signal, not u_av.
         transition: :func:`flow` over the time since the sample.
     """
     n = channel.order

@@ -1,4 +1,4 @@
-"""The functions of a channel within a region: how far they are from straight lines, and their largest gains."""
+"""The functions of a channel within a region: their distances from straight lines, and their largest gains."""
 
 import math
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from typing import NamedTuple, cast
 
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, minimum_bound
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.function_distances import function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
@@ -18,15 +18,15 @@ DISTANCE_ROOM = 1e-3
 
 
 class Deviations(NamedTuple):
-    """Upper bounds over a region of |sigma|, mostly up to Y[sigma], along one axis.
+    """Upper bounds of what a channel's functions deviate by from straight lines over a region of |sigma|, on one axis.
 
     Args:
         d_1: D_1, of |phi_1 - k_1 sigma|.
         d_2: D_2, of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|.
         d_b: D_b, of |phi_1 + phi_3 - (k_1 + k_3) sigma|.
-        share_1: d_1, the first over |sigma|.
-        share_2: d_2, the second over |sigma|.
-        share_b: d_b, the third over |sigma|.
+        share_1: Of the first difference over |sigma|.
+        share_2: Of the second difference over |sigma|.
+        share_b: Of the third difference over |sigma|.
         k_p: Largest K_P.
         k_i: Largest K_I.
         tau_av: Largest tau_av.
@@ -43,36 +43,43 @@ class Deviations(NamedTuple):
     tau_av: arb
 
     def of_command(self, sigma: arb) -> arb:
-        """Bound of |omega_u|."""
-        return least(self.d_b, self.share_b * sigma)
+        """Bound of |omega_u|, what the command deviates by, for |sigma| up to a bound."""
+        return minimum_bound(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
-        """Bound of |omega_r|."""
-        return least(self.d_2, self.share_2 * sigma)
+        """Bound of |omega_r|, what the sum q deviates by besides its share of omega_u, for |sigma| up to a bound."""
+        return minimum_bound(self.d_2, self.share_2 * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
-        """Bound of the deviation of the first sum q, at the first |sigma|; ``midpoint`` takes all of omega_q."""
+        """Bound of what the first sum q deviates by.
+
+        Args:
+            start: Start of the predictor; ``midpoint`` takes half a sample of the integral, with all of omega_q.
+            sigma: Bound of |sigma| at t = 0.
+            sample_time: T_s [s].
+            share: Share of omega_u in omega_q.
+        """
         if start == "zero":
             return arb(0)
-        result = least(self.d_1, self.share_1 * sigma)
+        result = minimum_bound(self.d_1, self.share_1 * sigma)
         if start == "midpoint":
             integral = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
             result = result + sample_time / 2 * integral
         return result.upper()
 
 
-def least(a: arb, b: arb) -> arb:
-    """An upper bound of the smaller of two numbers."""
-    a_end, b_end = a.upper(), b.upper()
-    return a_end if a_end <= b_end else b_end
-
-
 def deviations_in_regions(
     problem: VehicleProblem, name: str, proof: MiddleProof, sigmas: Sequence[arb]
 ) -> list[Deviations]:
-    """(V2) The functions of a channel within several regions, each |sigma| up to a bound.
+    """(V2) The deviations of a channel's functions for |sigma| up to each of several bounds.
 
-    The pieces between one bound and the next are enclosed one by one. Those up to a bound make its region.
+    The pieces between one bound and the next are enclosed one by one, so that no region is enclosed twice.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        proof: Its proof, with the slopes of the lines.
+        sigmas: Bounds of |sigma|.
     """
     regions: dict[float, Deviations] = {}
     largest = None
@@ -88,14 +95,17 @@ def deviations_in_regions(
 def deviations_of(
     problem: VehicleProblem, name: str, proof: MiddleProof, sigma: float, sigma_from: float = 0.0
 ) -> Deviations:
-    """(V2) The functions of a channel within a region.
+    """(V2) The deviations of a channel's functions from straight lines within a region.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
-        proof: Its proof, with the slopes k_1, k_2 and k_3.
+        proof: Its proof, with the slopes k_1, k_2 and k_3 of the lines.
         sigma: Largest |sigma|.
         sigma_from: Smallest |sigma|.
+
+    Raises:
+        Rejected: the functions cannot be enclosed.
     """
     controller = problem["channels"][name]
     slopes = Balls(zip(("mean", "k_i", "k_n"), map(arb, proof["slopes"]), strict=True))
@@ -130,5 +140,5 @@ def deviations_of(
 
 
 def float_above(value: arb) -> float:
-    """A number of float64 above an exact one."""
+    """The number of float64 above an exact number: the latter is rounded, and one more step covers the rounding."""
     return math.nextafter(float(value), math.inf)

@@ -1,22 +1,29 @@
-"""Suprema of the drag less its damping, |-x r + c v| with r = v - w, under bounds of v and of the wind w.
+"""Bounds of the drag, less the damping of the linear channels, and of its torques.
 
-x is between k |r|/M_+ and X(|r|) = k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
+The supremum of |-x r + c v| with r = v - w is taken under bounds of the velocity v and of the wind w. The factor x is
+between k |r|/M_+ and X(|r|) = k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import maximum, require_premise
+from dssc_jax.proofs.verifier.balls import maximum, minimum, require_premise
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, outwards
+from dssc_jax.proofs.verifier.vehicle.attitude import Attitude
+from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
+from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
+from dssc_jax.proofs.verifier.vehicle.rotors import RotorLag, Rotors
 
 CELLS = 4096
 """Cells of |r| in the plane. The enclosure of a cell exceeds what is reached in it by about its share of the whole."""
 
 
 class DragRegion(NamedTuple):
-    """Bounds of the motion, and the drag.
+    """Bounds of the velocity along an axis or in the plane, and the coefficients of drag there.
 
     Args:
         speed: Bound a_max of |v| [m/s].
@@ -39,13 +46,98 @@ class DragRegion(NamedTuple):
     by_rotors: arb
 
 
+class DragBounds(NamedTuple):
+    """Bounds of drag over mass and of torques over inertia, with their symbols in docs/vehicle_proofs.md.
+
+    Args:
+        drag_h: D_h, of the drag of a level vehicle less its damping, in the plane [m/s^2].
+        drag_z: D_z, of the same along z [m/s^2].
+        tilted_h: x_h, of what tilt and unequal rotors add to the drag in the plane [m/s^2].
+        tilted_z: x_z, of what they add to the drag along z [m/s^2].
+        torque_h: tau_h, of the torque across body z over inertia [rad/s^2].
+        torque_z: tau_z, of the torque along body z over inertia [rad/s^2].
+    """
+
+    drag_h: arb
+    drag_z: arb
+    tilted_h: arb
+    tilted_z: arb
+    torque_h: arb
+    torque_z: arb
+
+
+def drag_of(
+    problem: VehicleProblem,
+    ranges: Ranges,
+    bounds: SignalBalls,
+    dampings: Mapping[str, float],
+    attitude: Attitude,
+    rotors: Rotors,
+    lag: RotorLag,
+) -> DragBounds:
+    """Bounds of the drag of structure and propellers, and of its torque and the rotors' gyroscopic one.
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Numbers that follow from its intervals.
+        bounds: Bounds of the signals.
+        dampings: Damping of drag c in the linear channels of x and z [1/s].
+        attitude: Bounds of the attitude.
+        rotors: Bounds of the rotors.
+        lag: Bounds of how far they are behind their commands.
+    """
+    n = arb(problem["rotors"])
+    k_h, k_z = map(arb, problem["structure_drag"])
+    k_p = arb(problem["propeller_drag"])
+    wind_h, wind_z = map(arb, problem["wind"])
+    arm = arb(problem["arm"])
+    rotor_inertia = arb(problem["rotor_inertia"])
+    air_speed_h = (bounds["x"]["speed"] + wind_h).upper()
+    air_speed_z = (bounds["z"]["e_dot"] + wind_z).upper()
+    air_speed = (air_speed_h * air_speed_h + air_speed_z * air_speed_z).sqrt().upper()
+    by_rotors = (k_p * rotors.sum / ranges.mass_low).upper()
+    region_h = DragRegion(
+        speed=bounds["x"]["speed"],
+        wind=wind_h,
+        damping=arb(dampings["x"]),
+        drag=k_h,
+        mass_low=ranges.mass_low,
+        mass_high=ranges.mass_high,
+        across=air_speed_z,
+        by_rotors=by_rotors,
+    )
+    region_z = DragRegion(
+        speed=bounds["z"]["e_dot"],
+        wind=wind_z,
+        damping=arb(dampings["z"]),
+        drag=k_z,
+        mass_low=ranges.mass_low,
+        mass_high=ranges.mass_high,
+        across=air_speed_h,
+        by_rotors=by_rotors,
+    )
+    s = attitude.tilt
+    tilt_drag = abs(k_h - k_z) * air_speed / ranges.mass_low
+    rotation_drag = k_p * arm * n * rotors.difference * attitude.rate / (2 * ranges.mass_low)
+    propeller_torque = k_p * arm * (n * rotors.difference * air_speed / 2 + arm * rotors.sum * attitude.rate)
+    gyroscopic_torque = rotor_inertia * n * rotors.difference * attitude.rate_h / 2
+    return DragBounds(
+        drag_h=plane_drag(region_h),
+        drag_z=vertical_drag(region_z),
+        tilted_h=(tilt_drag * (s * air_speed_h + air_speed_z) * s + rotation_drag).upper(),
+        tilted_z=(tilt_drag * (s * s * air_speed_z + s * air_speed_h) + rotation_drag).upper(),
+        torque_h=((propeller_torque + gyroscopic_torque) / ranges.inertia_h).upper(),
+        torque_z=((propeller_torque + rotor_inertia * lag.spin_up) / ranges.inertia_z).upper(),
+    )
+
+
 def steepest(region: DragRegion, b: arb) -> arb:
-    """X(b)."""
+    """X(b), the largest factor x of the air's velocity at the air speed b [1/s]."""
     return region.drag * (b * b + region.across * region.across).sqrt() / region.mass_low + region.by_rotors
 
 
 def vertical_drag(region: DragRegion) -> arb:
-    """The supremum over numbers v and w, in closed form.
+    """The supremum of |-x r + c v| over numbers v and w along z, in closed form [m/s^2].
 
     By symmetry v = a >= 0, so r is between a - W and a + W.
 
@@ -57,7 +149,7 @@ def vertical_drag(region: DragRegion) -> arb:
     """
     speed, wind, damping = region.speed, region.wind, region.damping
     sum_of_speeds = speed + wind
-    against = smaller(speed, wind)
+    against = minimum(speed, wind)
     remaining = wind - against
     candidates = [
         steepest(region, wind) * wind,
@@ -80,7 +172,7 @@ def vertical_drag(region: DragRegion) -> arb:
 
 @np.errstate(invalid="ignore", over="ignore")  # what is not finite is refused
 def plane_drag(region: DragRegion) -> arb:
-    """The supremum over vectors v and w of the plane; at most about CELLS^-1 above.
+    """An upper bound of |-x r + c v| over vectors v and w of the plane, about CELLS^-1 above the supremum [m/s^2].
 
     Let a = |v| and b = |r|. Then |-x r + c v|^2 = x^2 b^2 + c^2 a^2 - 2 x c r.v is convex in x, so that both ends of x
     count. As w = v - r, |w|^2 = a^2 + b^2 - 2 r.v is at most W^2 if and only if r.v >= (a^2 + b^2 - W^2)/2; and r.v >=
@@ -119,22 +211,17 @@ def plane_drag(region: DragRegion) -> arb:
 
 
 def at_most(values: Intervals, limit: Intervals) -> Intervals:
-    """The smaller of values and a limit."""
+    """Intervals of min(x, limit) for x in intervals."""
     return Intervals(np.minimum(values.low, limit.low), np.minimum(values.high, limit.high))
 
 
 def square_roots(values: Intervals) -> Intervals:
-    """Square roots of numbers of at least 0."""
+    """Intervals of the square roots of numbers that are at least 0."""
     return outwards(np.sqrt(np.maximum(values.low, 0.0)), np.sqrt(values.high))
 
 
 def enclosing_interval(value: arb) -> Intervals:
-    """An interval of float64 around a number."""
+    """An interval of float64 that holds a ball."""
     middle = np.asarray(np.float64(float(value.mid())))
     radius = np.asarray(np.float64(float(value.rad())))
     return outwards(middle - radius, middle + radius)
-
-
-def smaller(a: arb, b: arb) -> arb:
-    """The smaller of two exact numbers."""
-    return a if a <= b else b

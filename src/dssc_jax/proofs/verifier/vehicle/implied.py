@@ -1,4 +1,7 @@
-"""The map F: the bounds of all signals that bounds of all signals imply, from the start on or as time grows."""
+"""The map F from bounds of all signals to the bounds that follow from them, from the start on or as time grows.
+
+Bounds that exceed what F gives imply themselves, and so hold; docs/vehicle_proofs.md has the theorem.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,18 +10,18 @@ from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise, total
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem
-from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT
+from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT, SignalBalls
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of, float_above
-from dssc_jax.proofs.verifier.vehicle.nominal import (
+from dssc_jax.proofs.verifier.vehicle.flight import (
     Flight,
     body_bounds,
     coupling_under,
     flight_of,
+    initial_yaw_rate,
     total_bounds,
-    unknown_turn,
 )
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
-from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
+from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import (
     PHASES,
     ChannelObservation,
@@ -35,15 +38,15 @@ REACH = 2 * len(PHASES)
 
 
 class Vehicle(NamedTuple):
-    """Data of the map F that do not depend on the bounds.
+    """The data of the map F that do not depend on the bounds.
 
     Args:
         problem: The certificate's problem.
-        middles: The linear channels of its proof.
-        ranges: What the problem's intervals come to.
-        dampings: c of each channel.
+        middles: Slopes, damping, lambda and P of each linear channel.
+        ranges: Numbers that follow from the problem's intervals.
+        dampings: Damping of drag c of each linear channel [1/s].
         observations: The channels at their samples.
-        responses: Responses of the channels.
+        responses: Responses of the signals, by channel and name, one for each phase.
         flight: The nominal flight; None without a reference.
     """
 
@@ -57,7 +60,13 @@ class Vehicle(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """What follows from bounds of the signals: remainders, deviations of the functions, and |sigma|, by channel."""
+    """Bounds of the inputs of the linear channels that bounds of the signals allow.
+
+    Args:
+        remainders: Bounds of the remainders.
+        deviations: Bounds of what the functions deviate by from straight lines, by channel.
+        sigma: Bounds of |sigma| of the vehicle, by channel.
+    """
 
     remainders: Remainders
     deviations: Mapping[str, Deviations]
@@ -65,7 +74,15 @@ class Inputs(NamedTuple):
 
 
 def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> Vehicle:
-    """(V1) The linear channels, their responses, and the nominal flight."""
+    """(V1) The linear channels of a proof, their responses, and the nominal flight.
+
+    Args:
+        problem: The certificate's problem.
+        middles: Slopes, damping, lambda and P of each channel.
+
+    Raises:
+        Rejected: a channel is not shown to be stable, or its responses decay too slowly.
+    """
     observations = {name: observe_channel(problem, name, middles[name]) for name in CHANNELS}
     return Vehicle(
         problem=problem,
@@ -79,13 +96,13 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
 
 
 def sigmas_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, arb]:
-    """Bounds of the vehicle's |sigma|."""
+    """Bounds of the vehicle's |sigma|, by channel, from bounds of the signals."""
     totals = total_bounds(vehicle.flight, bounds)
     return {name: totals[name]["sigma"] for name in CHANNELS}
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
-    """(V2) The deviations of the functions under bounds of the signals."""
+    """(V2) What the functions deviate by from straight lines under bounds of the signals, by channel."""
     regions = {name: float_above(sigma) for name, sigma in sigmas_under(vehicle, bounds).items()}
     return {name: deviations_of(vehicle.problem, name, vehicle.middles[name], regions[name]) for name in CHANNELS}
 
@@ -93,22 +110,32 @@ def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviati
 def inputs_under(
     vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], earlier: Inputs | None = None
 ) -> Inputs:
-    """(V3) What bounds of the signals allow, after the inputs of the time cell before."""
-    history = earlier.remainders if earlier is not None else None
+    """(V3) Bounds of the inputs under bounds of the signals.
+
+    Args:
+        vehicle: The data of F.
+        bounds: Bounds of the signals.
+        deviations: What the functions deviate by, by channel.
+        earlier: The inputs in the time cell before; None in the first one.
+    """
+    earlier_remainders = earlier.remainders if earlier is not None else None
     totals = body_bounds(vehicle.flight, bounds)
     coupling = coupling_under(vehicle.flight, bounds)
-    remainders = remainders_of(vehicle.problem, vehicle.ranges, totals, vehicle.dampings, history, coupling)
+    remainders = remainders_of(vehicle.problem, vehicle.ranges, totals, vehicle.dampings, earlier_remainders, coupling)
     return Inputs(remainders, deviations, sigmas_under(vehicle, bounds))
 
 
 def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, from_start: bool) -> dict[str, Balls]:
-    """F of bounds of the signals.
+    """F of bounds of the signals: the bounds that follow from them, by channel and signal.
 
     Args:
-        vehicle: The channels.
+        vehicle: The data of F.
         bounds: Bounds of the signals.
-        inputs: What they allow.
-        from_start: Whether from the start on; otherwise of the upper limits.
+        inputs: Bounds of the inputs that they allow.
+        from_start: Whether the bounds hold from the start on; otherwise they are those of the upper limits.
+
+    Raises:
+        Rejected: a bound is not finite.
     """
     t = arb(vehicle.problem["sample_time"])
     result = {}
@@ -134,7 +161,15 @@ def signal_bound(
     starts: list[arb] | None,
     share: arb,
 ) -> arb:
-    """The bound of a signal at one phase; ``share`` is h."""
+    """The bound of a signal at one phase.
+
+    Args:
+        name: The channel.
+        inputs: Bounds of the inputs.
+        response: Response of the signal at the phase.
+        starts: Bounds of |e|, |e'| and the first sum's deviation at t = 0; None for the upper limits.
+        share: h, by :func:`vector_share`.
+    """
     deviations = inputs.deviations[name]
     sigma = inputs.sigma[name]
     remainder_bounds = inputs.remainders.channels[name]
@@ -146,18 +181,19 @@ def signal_bound(
     terms += [remainder_bounds[remainder] * size for remainder, size in response.remainders.items()]
     if starts:
         e, e_dot, deviation = starts
-        by_e, by_e_dot, by_deviation = response.starts
-        terms += [e * by_e, e_dot * by_e_dot, share * deviation * by_deviation, response.known]
+        e_response, e_dot_response, deviation_response = response.starts
+        terms += [e * e_response, e_dot * e_dot_response]
+        terms += [share * deviation * deviation_response, response.start_offset]
     return total(terms)
 
 
 def vector_share(name: str, signal: str) -> arb:
-    """h, by which the vector of two axes' deviations is longer than each."""
+    """h, the ratio of a vector of two axes' deviations to each of them: 2^(1/2) in vectors of the plane, else 1."""
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
 def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
-    """E_0, V_0 and what the first sum q deviates by, where |sigma| is at most Sigma_0."""
+    """Bounds at t = 0 in a channel: E_0 of |e|, V_0 of |e'|, and of what the first sum q deviates by."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
     start_sigma = first_sigma(vehicle.problem, name).upper()
@@ -170,7 +206,7 @@ def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:
-    """Sigma_0."""
+    """Sigma_0, the bound of |sigma| of a channel at t = 0."""
     controller = problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
-    return e_dot + unknown_turn(problem, name) + arb(controller["l0"]) * e
+    return e_dot + initial_yaw_rate(problem, name) + arb(controller["l0"]) * e

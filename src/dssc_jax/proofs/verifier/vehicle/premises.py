@@ -4,6 +4,6 @@ from dssc_jax.proofs.verifier.balls import Rejected
 
 
 def with_premise(rejected: Rejected, premise: str, place: str = "") -> Rejected:
-    """The reason of a rejection under another premise, and with its place."""
+    """The same rejection with the name of another premise, and the words for its place at the end."""
     reason = str(rejected)
     return Rejected(f"{premise}:{reason[reason.index(':') + 1 :]}{place}")

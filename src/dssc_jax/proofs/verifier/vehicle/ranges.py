@@ -14,47 +14,47 @@ GRAVITY = 9.81
 
 
 class Ranges(NamedTuple):
-    """Numbers of the page that no signal changes.
+    """Extremes over a vehicle's intervals of mass, thrust and inertia, with their symbols in docs/vehicle_proofs.md.
 
     Args:
-        gravity: g.
-        k: max |kappa - 1|.
-        delta: max |nu_i - 1|.
-        mass_low: M_-.
-        mass_high: M_+.
-        j_h: j_h of J_n.
-        j_z: j_z of J_n.
-        i_h: The number j_h, taken over J's intervals.
-        i_z: The number j_z, taken over J's intervals.
-        l_h: l_h.
-        l_z: l_z.
-        inertia_h: J_h, the smallest of J_x and J_y.
-        inertia_z: The smallest J_z.
-        believed_h: J_nh, the larger of J_n,x and J_n,y.
-        believed_l: J_nl, the smaller one.
-        believed_z: J_n,z.
+        gravity: g [m/s^2].
+        thrust_deviation: k, the largest |kappa - 1|.
+        turn_deviation: delta, the largest |nu_i - 1|.
+        mass_low: M_-, the smallest mass [kg].
+        mass_high: M_+, the largest mass [kg].
+        believed_ratio_h: j_h, the largest |J_z - J_y|/J_x and |J_z - J_x|/J_y of the believed inertia J_n.
+        believed_ratio_z: j_z, the largest |J_x - J_y|/J_z of the believed inertia.
+        ratio_h: i_h, the same as j_h over the intervals of the inertia J.
+        ratio_z: i_z, the same as j_z over these intervals.
+        sum_ratio_h: l_h, the largest (J_z + J_y)/J_x and (J_z + J_x)/J_y over these intervals.
+        sum_ratio_z: l_z, the largest (J_x + J_y)/J_z over these intervals.
+        inertia_h: J_h, the smallest of J_x and J_y [kg m^2].
+        inertia_z: The smallest J_z [kg m^2].
+        believed_h: J_nh, the larger of J_n,x and J_n,y [kg m^2].
+        believed_least: J_nl, the smaller of these [kg m^2].
+        believed_z: J_n,z [kg m^2].
     """
 
     gravity: arb
-    k: arb
-    delta: arb
+    thrust_deviation: arb
+    turn_deviation: arb
     mass_low: arb
     mass_high: arb
-    j_h: arb
-    j_z: arb
-    i_h: arb
-    i_z: arb
-    l_h: arb
-    l_z: arb
+    believed_ratio_h: arb
+    believed_ratio_z: arb
+    ratio_h: arb
+    ratio_z: arb
+    sum_ratio_h: arb
+    sum_ratio_z: arb
     inertia_h: arb
     inertia_z: arb
     believed_h: arb
-    believed_l: arb
+    believed_least: arb
     believed_z: arb
 
 
 def ranges_of(problem: VehicleProblem) -> Ranges:
-    """The largest deviations and ratios that the intervals of a problem allow."""
+    """The extremes over the intervals of a problem."""
     inertia = problem["inertia"]
     believed = [(value, value) for value in problem["believed_inertia"]]
     believed_x, believed_y, believed_z = problem["believed_inertia"]
@@ -62,20 +62,20 @@ def ranges_of(problem: VehicleProblem) -> Ranges:
     (x_low, _), (y_low, _), (z_low, _) = inertia
     return Ranges(
         gravity=arb(GRAVITY),
-        k=distance_from_one(problem["thrust"]),
-        delta=distance_from_one(problem["turn"]),
+        thrust_deviation=distance_from_one(problem["thrust"]),
+        turn_deviation=distance_from_one(problem["turn"]),
         mass_low=arb(mass_low),
         mass_high=arb(mass_high),
-        j_h=horizontal_ratio(believed, largest_difference),
-        j_z=(largest_difference(believed[0], believed[1]) / arb(believed_z)).upper(),
-        i_h=horizontal_ratio(inertia, largest_difference),
-        i_z=(largest_difference(inertia[0], inertia[1]) / arb(z_low)).upper(),
-        l_h=horizontal_ratio(inertia, largest_sum),
-        l_z=(largest_sum(inertia[0], inertia[1]) / arb(z_low)).upper(),
+        believed_ratio_h=horizontal_ratio(believed, largest_difference),
+        believed_ratio_z=(largest_difference(believed[0], believed[1]) / arb(believed_z)).upper(),
+        ratio_h=horizontal_ratio(inertia, largest_difference),
+        ratio_z=(largest_difference(inertia[0], inertia[1]) / arb(z_low)).upper(),
+        sum_ratio_h=horizontal_ratio(inertia, largest_sum),
+        sum_ratio_z=(largest_sum(inertia[0], inertia[1]) / arb(z_low)).upper(),
         inertia_h=arb(min(x_low, y_low)),
         inertia_z=arb(z_low),
         believed_h=arb(max(believed_x, believed_y)),
-        believed_l=arb(min(believed_x, believed_y)),
+        believed_least=arb(min(believed_x, believed_y)),
         believed_z=arb(believed_z),
     )
 
@@ -97,6 +97,11 @@ def largest_sum(first: Interval, second: Interval) -> arb:
 
 
 def horizontal_ratio(inertia: Sequence[Interval], size: Callable[[Interval, Interval], arb]) -> arb:
-    """The larger of the size of (J_z, J_y) over J_x and of (J_z, J_x) over J_y."""
+    """The larger of size(J_z, J_y)/J_x and size(J_z, J_x)/J_y over intervals of the inertia.
+
+    Args:
+        inertia: Intervals of J_x, J_y and J_z [kg m^2].
+        size: The largest sum or difference of two numbers in intervals.
+    """
     x, y, z = inertia
     return maximum((size(z, y) / arb(x[0])).upper(), (size(z, x) / arb(y[0])).upper())

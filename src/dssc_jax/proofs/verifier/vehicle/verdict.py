@@ -21,7 +21,9 @@ from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
     responses_in_cells,
 )
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem, VehicleProof
+from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
+from dssc_jax.proofs.verifier.vehicle.flight import total_bounds
 from dssc_jax.proofs.verifier.vehicle.implied import (
     Inputs,
     Vehicle,
@@ -31,8 +33,6 @@ from dssc_jax.proofs.verifier.vehicle.implied import (
     inputs_under,
     vehicle_of,
 )
-from dssc_jax.proofs.verifier.vehicle.nominal import total_bounds
-from dssc_jax.proofs.verifier.vehicle.remainders import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
 from dssc_jax.proofs.verifier.verdict import ball_precision
 
@@ -49,17 +49,17 @@ Envelope = Mapping[str, Mapping[str, list[float]]]
 
 
 class VehicleVerdict(NamedTuple):
-    """The verifier's answer.
+    """What the verifier says of a vehicle's certificate.
 
     Args:
         proved: Whether every premise holds.
         reason: The first premise that could not be shown, and its signal; empty if proved.
         bounds: Bounds of the signals at all times, by channel and name; SI units. Empty if not proved.
-        settled: Bounds of their upper limits as time grows.
+        settled: Bounds of the signals' upper limits as time grows. Empty if not proved.
         tilt: Bound of the tilt [rad]; infinite if not proved.
         settled_tilt: Bound of its upper limit [rad].
         rotor_min: Lower bound of the rotors' commanded thrusts [N].
-        rotor_max: Upper bound of them [N].
+        rotor_max: Upper bound of the rotors' commanded thrusts [N].
         slopes: Bounds of abs(sigma') between the samples, by channel. Empty if not proved.
         cell: Duration of a time cell [s]; 0 without cells.
         envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
@@ -106,26 +106,25 @@ def verify_vehicle(content: object) -> VehicleVerdict:
 
 
 def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
-    """(V1) to (V5), and what follows from them."""
+    """The verdict on a well-formed certificate, by (V1) to (V5).
+
+    Raises:
+        Rejected: a premise cannot be shown.
+    """
     vehicle = vehicle_of(problem, proof["channels"])
     cells_proof = proof["cells"]
     cells = bounds_in_cells(proof)
     inputs = inputs_in_cells(vehicle, cells)
     implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, cells_proof))
-    for j, bounds in enumerate(cells):
-        for name in CHANNELS:
-            for signal, bound in bounds[name].items():
-                holds = bool(implied[j][name][signal] < bound)
-                place = cell_place(j, len(cells))
-                require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
+    require_implied(cells, implied)
     largest = total_bounds(vehicle.flight, largest_bounds(cells))
     extremes = largest_inputs(inputs)
     for name in CHANNELS:
         require_sliding(problem, name, largest, extremes)
     settled = settled_bounds(vehicle, cells[-1])
     if proof["settled"] is not None:
-        other_bounds = bounds_for_channels(proof["channels"], proof["settled"], settled)
-        settled = settled_bounds(vehicle_of(problem, proof["settled"]), other_bounds)
+        converted_bounds = bounds_for_channels(proof["channels"], proof["settled"], settled)
+        settled = settled_bounds(vehicle_of(problem, proof["settled"]), converted_bounds)
     settled = total_bounds(vehicle.flight, settled)
     gravity = vehicle.ranges.gravity
     rotors = extremes.remainders.rotors
@@ -148,38 +147,67 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     )
 
 
+def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]) -> None:
+    """(V4) Require that every bound, in each time cell, exceeds the one that follows from the bounds: ``implied``."""
+    for j, bounds in enumerate(cells):
+        for name in CHANNELS:
+            for signal, bound in bounds[name].items():
+                holds = bool(implied[j][name][signal] < bound)
+                place = cell_place(j, len(cells))
+                require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
+
+
 def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
-    """A bound of abs(sigma') of a channel."""
+    """A bound of |sigma'| of a channel between the samples [m/s^2; rad/s^2 of psi]."""
     slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
     return slope + inputs.remainders.constant if name == "z" else slope
 
 
 def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inputs: Inputs) -> None:
-    """(V5) The equivalent control of a channel is at most rho."""
+    """(V5) Require that the equivalent control of a channel is at most rho.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        bounds: Bounds of the vehicle's signals at all times.
+        inputs: Bounds of the inputs at all times.
+    """
     t = arb(problem["sample_time"])
     controller = problem["channels"][name]
     rho = arb(controller["rho"])
     y = bounds[name]
-    law = inputs.deviations[name]
+    functions = inputs.deviations[name]
     slope = sigma_slope(name, bounds, inputs)
-    level = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
-    equivalent = level + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
+    integral_rate = functions.k_i * y["sigma"]
+    level = maximum((y["u_av"] + functions.d_1).upper(), (t / 2 * functions.k_i * y["sigma"]).upper())
+    equivalent = level + (t + functions.tau_av) * (functions.k_p * slope + integral_rate)
     require_premise(bool(equivalent <= rho), f"V5: the equivalent control of {name} may exceed rho")
     if controller["start"] == "zero":
-        first_control = first_equivalent(problem, name, law)
+        first_control = first_equivalent(problem, name, functions)
         require_premise(bool(first_control <= rho), f"V5: the first equivalent control of {name} may exceed rho")
 
 
-def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb:
-    """The equivalent control of the first sample, with the start ``zero``."""
+def first_equivalent(problem: VehicleProblem, name: str, functions: Deviations) -> arb:
+    """A bound of the equivalent control at the first sample, where the predictor starts at ``zero``.
+
+    There sigma has changed from 0 to sigma_0 since the sample before.
+    """
     t = arb(problem["sample_time"])
-    return (1 + law.tau_av / t) * (law.k_p + t * law.k_i) * first_sigma(problem, name)
+    return (1 + functions.tau_av / t) * (functions.k_p + t * functions.k_i) * first_sigma(problem, name)
 
 
 def bounds_for_channels(
     middles: Mapping[str, MiddleProof], settled_middles: Mapping[str, MiddleProof], bounds: SignalBalls
 ) -> SignalBalls:
-    """Bounds of the signals of other linear channels, in which c and k_1 differ."""
+    """Bounds of the signals of other linear channels, which differ in the damping c and the slope k_1.
+
+    Only ``bend``, ``u_av`` and ``acceleration`` depend on these.
+
+    Args:
+        middles: The linear channels of the bounds.
+        settled_middles: The other linear channels.
+        bounds: Bounds of the signals, by channel and name.
+    """
     result = {name: dict(signals) for name, signals in bounds.items()}
     for name, signals in result.items():
         damping = abs(arb(middles[name]["drag_damping"]) - arb(settled_middles[name]["drag_damping"]))
@@ -193,14 +221,21 @@ def bounds_for_channels(
 
 
 def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
-    """Bounds of the upper limits: F_s again and again, of which the smallest of each signal counts."""
+    """Bounds of the signals' upper limits as time grows.
+
+    The map F_s for upper limits is applied again and again, and the smallest bound of each signal counts.
+
+    Args:
+        vehicle: The data of the map.
+        bounds: Bounds of the signals at all times.
+    """
     enter_factor = arb(ENTERED)
     for _ in range(MOST_ITERATIONS):
         wider = {name: {signal: (y * enter_factor).upper() for signal, y in bounds[name].items()} for name in CHANNELS}
         try:
             inputs = inputs_under(vehicle, wider, deviations_under(vehicle, wider))
             implied = implied_bounds(vehicle, wider, inputs, from_start=False)
-        except Rejected:  # 1.0001 times the bounds need not satisfy what they do
+        except Rejected:  # the bounds satisfy the premises, but 1.0001 times them need not
             return bounds
         lower = {}
         falls = False
@@ -217,12 +252,12 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
 
 
 def rounded_up(bounds: SignalBalls) -> FloatBounds:
-    """Bounds in float64, rounded up."""
+    """Bounds of the signals in float64, rounded up, by channel and name."""
     return {name: {signal: float_above(y) for signal, y in bounds[name].items()} for name in CHANNELS}
 
 
 def envelope_of(cells: Sequence[SignalBalls]) -> Envelope:
-    """The bounds of each cell in float64, rounded up."""
+    """The bounds of each signal in all time cells, in float64, rounded up, by channel and name."""
     return {
         name: {signal: [float_above(y[name][signal]) for y in cells] for signal in cells[0][name]} for name in CHANNELS
     }

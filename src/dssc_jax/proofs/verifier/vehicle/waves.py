@@ -15,7 +15,7 @@ Waves = Mapping[Fraction, acb]
 
 
 def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
-    """The sum of single sines, whose frequencies may be negative."""
+    """The sum of single sines, each given by its frequency, which may be negative, and its phasor."""
     result: dict[Fraction, acb] = {}
     for frequency, phasor in parts:
         if frequency < 0:
@@ -27,33 +27,33 @@ def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
 
 
 def sine_wave(sine: Sequence[float]) -> Waves:
-    """The sine of a certificate: amplitude, period and phase."""
+    """The sine with the amplitude, the period [s] and the phase [rad] of a certificate's reference."""
     amplitude, phase = arb(sine[0]), arb(sine[2])
     return {1 / Fraction(sine[1]): acb(amplitude * phase.sin(), -amplitude * phase.cos())}
 
 
 def angular(frequency: Fraction) -> arb:
-    """The angular frequency [rad/s]."""
+    """The angular frequency [rad/s] of a frequency [Hz]."""
     return 2 * arb.pi() * arb(fmpq(frequency.numerator, frequency.denominator))
 
 
 def rate(waves: Waves) -> Waves:
-    """The derivative in time."""
+    """The derivative of a sum of sines in time."""
     return {frequency: phasor * acb(0, angular(frequency)) for frequency, phasor in waves.items()}
 
 
 def multiple(waves: Waves, factor: arb) -> Waves:
-    """A sum times a number."""
+    """A sum of sines times a number."""
     return {frequency: phasor * factor for frequency, phasor in waves.items()}
 
 
 def sum_of(*sums: Waves) -> Waves:
-    """The sum of sums."""
+    """The sum of several sums of sines."""
     return sum_of_sines([part for waves in sums for part in waves.items()])
 
 
 def times(left: Waves, right: Waves) -> Waves:
-    """The product: cosines of the sums and of the differences of the angles, with half the amplitudes."""
+    """The product of two sums of sines: half the cosines of the sums and of the differences of the angles."""
     parts = []
     for f, a in left.items():
         for h, b in right.items():
@@ -63,10 +63,10 @@ def times(left: Waves, right: Waves) -> Waves:
 
 
 def largest(waves: Waves) -> arb:
-    """A bound of the magnitude at all times."""
+    """A bound of the magnitude of a sum of sines at all times."""
     return total([abs(phasor).upper() for phasor in waves.values()]).upper()
 
 
 def at_start(waves: Waves) -> arb:
-    """The value at t = 0."""
+    """The value of a sum of sines at t = 0."""
     return total([phasor.real for phasor in waves.values()])

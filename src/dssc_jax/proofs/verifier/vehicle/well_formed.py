@@ -16,7 +16,7 @@ from dssc_jax.proofs.verifier.vehicle.certificate import (
 )
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
 from dssc_jax.proofs.verifier.vehicle.premises import with_premise
-from dssc_jax.proofs.verifier.vehicle.remainders import LEAST_ROTORS
+from dssc_jax.proofs.verifier.vehicle.rotors import LEAST_ROTORS
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
     STARTS,
@@ -26,6 +26,7 @@ from dssc_jax.proofs.verifier.well_formed import (
     require_functions,
     require_interval,
     require_list,
+    require_nominal,
     require_not_negative,
     require_numbers,
     require_positive,
@@ -58,7 +59,7 @@ NOT_COVERED = ("vgsta", "sta")
 
 
 def require_certificate(content: object) -> VehicleCertificate:
-    """A problem and its proof; reject a content with other parts."""
+    """Return a certificate whose problem and proof have the right form; reject anything else."""
     try:
         certificate = require_entries(content, VehicleCertificate.__required_keys__, "the certificate")
         version = certificate["version"]
@@ -72,7 +73,7 @@ def require_certificate(content: object) -> VehicleCertificate:
 
 
 def require_problem(content: object) -> VehicleProblem:
-    """A vehicle of the class; reject anything else."""
+    """Return the problem of a vehicle of the class; reject anything else."""
     problem: dict[str, Any] = require_entries(content, VehicleProblem.__required_keys__, "problem")
     for name in POSITIVE:
         require_positive(problem[name], name)
@@ -101,7 +102,7 @@ def require_problem(content: object) -> VehicleProblem:
 
 
 def require_reference(content: object) -> None:
-    """Reject anything but the sines of all axes."""
+    """Reject anything but amplitude, period and phase of a sine for every axis."""
     sines = require_entries(content, REFERENCE_AXES, "reference")
     for axis in REFERENCE_AXES:
         _, period, _ = require_numbers(sines[axis], 3, f"reference.{axis}")
@@ -115,24 +116,20 @@ def require_positive_interval(content: object, place: str) -> None:
 
 
 def require_channel(content: object, name: str) -> None:
-    """Reject anything but a channel's controller and start."""
+    """Reject anything but the controller and the start of the channel ``name``."""
     channel: dict[str, Any] = require_entries(content, ChannelProblem.__required_keys__, f"channels.{name}")
     require_positive(channel["l0"], f"{name}.l0")
     require_positive(channel["rho"], f"{name}.rho")
     require_functions(channel["functions"], "conservative")
     is_covered = channel["functions"]["kind"] not in NOT_COVERED
     require_shape(is_covered, f"{name}.functions", "depend on e, which is not covered")
-    if channel["nominal"] is not None:
-        a, k, has_predictor_term = require_list(channel["nominal"], 3, f"{name}.nominal")
-        require_finite(a, f"{name}.nominal")
-        require_positive(k, f"{name}.nominal")
-        require_shape(type(has_predictor_term) is bool, f"{name}.nominal", "is not true or false")
+    require_nominal(channel["nominal"], f"{name}.nominal")
     require_shape(channel["start"] in STARTS, f"{name}.start", f"is none of {', '.join(STARTS)}")
     require_sizes(channel["initial"], 2, f"{name}.initial")
 
 
 def require_proof(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but the proofs of the problem's channels."""
+    """Reject anything but a proof of the problem's channels, with time cells and settled channels of the same form."""
     proof = require_entries(content, VehicleProof.__required_keys__, "proof")
     channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
     for name in CHANNELS:
@@ -148,7 +145,7 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
 
 
 def require_cells(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but the time cells of the problem's channels, equally many for every signal."""
+    """Reject anything but positive bounds of all signals in time cells, equally many for every signal."""
     cells: dict[str, Any] = require_entries(content, CellsProof.__required_keys__, "cells")
     require_count(cells["samples"], MOST_SAMPLES, "cells.samples", f"is no integer from 1 to {MOST_SAMPLES}")
     channels = require_entries(cells["bounds"], set(CHANNELS), "cells.bounds")
@@ -164,7 +161,7 @@ def require_cells(problem: VehicleProblem, content: object) -> None:
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
-    """Reject anything but a proof of the channel's shapes."""
+    """Reject anything but the linear channel ``name`` and positive bounds of its signals."""
     proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
     require_middle(problem, name, proof)
     names = signal_names(name, lagging=problem["rotor_lag"] > 0)
@@ -173,7 +170,7 @@ def require_channel_proof(problem: VehicleProblem, name: str, content: object) -
 
 
 def require_middle(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
-    """Reject anything but the linear channel of a proof: slopes, damping, lambda and P."""
+    """Reject anything but slopes, damping, lambda and P of the channel ``name``, with P of the channel's order."""
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
     require_finite(proof["share"], f"{name}.share")
     require_not_negative(proof["drag_damping"], f"{name}.drag_damping")

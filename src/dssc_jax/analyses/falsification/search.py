@@ -1,0 +1,314 @@
+"""The search of ``falsify``: points spread evenly, projected gradients, then differential evolution."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from dssc_jax.analyses.defaults import LEAST_BUDGET
+from dssc_jax.analyses.falsification.search_sets import SearchSet
+from dssc_jax.closed_loop.requirements import (
+    Requirement,
+    binding_requirement,
+    counted_places,
+    ended_early,
+    first_violation,
+    with_typical_slacks,
+    worst_slack,
+)
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import BLOCK
+from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code, worst_slopes
+from dssc_jax.engine.sampling import Arrays
+from dssc_jax.study import Study
+
+EXPLORED = 0.25  # share of the budget for points that are spread evenly
+CLIMBED = 0.5  # share of the budget for gradient descents; evolution gets the remainder
+STARTS = 8  # largest number of descents
+CLIMB = 12  # least number of steps of each
+STRIDE = 0.25  # first step of a descent, relative to the size of the set
+LONGER = 1.5  # factor of a step after success
+SHORTER = 0.3  # factor of a step after failure
+MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
+
+
+class SearchPrograms(NamedTuple):
+    """The compiled study, shared by all searches with one budget; each program compiles on first use.
+
+    Args:
+        study: The study without a sweep.
+        plain: Simulates draws.
+        with_gradients: Simulates draws, with the derivatives of the metrics by each uncertain number.
+    """
+
+    study: Study
+    plain: Evaluator
+    with_gradients: Evaluator
+
+    @classmethod
+    def of(cls, study: Study, budget: int) -> "SearchPrograms":
+        """The programs of a study without a sweep, in batches as large as a search with this budget needs."""
+        size = len(study.laws)
+        lanes = max(exploration_size(budget), population_size(budget, size))
+        with_gradients = GradientEvaluator(study, {}, climb_count(budget, size), names=list(study.laws))
+        return cls(study, Evaluator(study, {}, min(BLOCK, lanes)), with_gradients)
+
+
+def exploration_size(budget: int) -> int:
+    """Number of points that are spread evenly before anything is known, a power of two."""
+    return 1 << int(np.log2(max(EXPLORED * budget, LEAST_BUDGET // 2)))
+
+
+def population_size(budget: int, size: int) -> int:
+    """Number of members of the differential evolution, such that several generations fit the budget.
+
+    Args:
+        budget: Number of simulations.
+        size: Number of uncertain numbers.
+    """
+    return max(8, min(MEMBERS_PER_COORDINATE * size, budget // 20))
+
+
+def climb_count(budget: int, size: int) -> int:
+    """Number of gradient descents, such that each can make several steps within its share of the budget.
+
+    Args:
+        budget: Number of simulations.
+        size: Number of uncertain numbers; a simulation with derivatives costs 1 + size.
+    """
+    return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
+
+
+class SimulatedPoints(NamedTuple):
+    """Simulated draws as points of a search, with their results.
+
+    Args:
+        points: Coordinates, shape (n, laws).
+        slacks: Slack of the worst requirement, relative to the scale of that requirement, shape (n,).
+        binding: Index of that requirement, shape (n,).
+        distances: Slack of that requirement in its metric's unit, shape (n,).
+        simulation_counts: Simulations spent until then, shape (n,).
+        ended: Outcome code of a draw that ended early; 0 if it ran to its end, shape (n,).
+        failed_at: Time at which the draw ended early [s]; NaN if it ran to its end, shape (n,).
+        first: Index of the requirement that is violated first, before the draw ends; -1 if none is, shape (n,).
+        violated_at: Time at which that violation is certain [s]; NaN if there is none, shape (n,).
+        single_slacks: Slack of every requirement in its metric's unit, shape (n, requirements).
+    """
+
+    points: np.ndarray
+    slacks: np.ndarray
+    binding: np.ndarray
+    distances: np.ndarray
+    simulation_counts: np.ndarray
+    ended: np.ndarray
+    failed_at: np.ndarray
+    first: np.ndarray
+    violated_at: np.ndarray
+    single_slacks: np.ndarray
+
+
+@dataclass
+class WorstDrawSearch:
+    """A search for the worst draw: :meth:`explore`, then :meth:`climb`, then :meth:`evolve`.
+
+    Args:
+        programs: The compiled study.
+        region: The set of draws to search.
+        budget: Number of simulations.
+        rng: Random generator of the search.
+        progress: Called with the simulations spent.
+        requirement: Label of the only requirement that counts; empty: all count.
+        simulation_count: Number of simulations spent.
+        worst: Smallest slack so far.
+        batches: The simulated points so far.
+        requirements: The study's requirements, with the scales that the first points show.
+        unspent: Why evolution leaves simulations, in words; empty if it does not, or has not begun.
+    """
+
+    programs: SearchPrograms
+    region: SearchSet
+    budget: int
+    rng: np.random.Generator
+    progress: ProgressCallback | None
+    requirement: str = ""
+    simulation_count: int = 0
+    worst: float = np.inf
+    batches: list[SimulatedPoints] = field(default_factory=list)
+    requirements: tuple[Requirement, ...] = ()
+    unspent: str = ""
+
+    @property
+    def stopped(self) -> str:
+        """Why the search stopped before its budget was spent, in words; empty if it spent it."""
+        if self.simulation_count >= self.budget:
+            return ""
+        if self.worst > -np.inf:
+            return self.unspent
+        points = self.batches[-1]
+        place = int(np.argmin(points.slacks))
+        if points.ended[place]:
+            return "a draw ended early, and no draw is worse"
+        label = self.requirements[int(points.binding[place])].label
+        return f"a draw misses {label} by an infinite amount, and no draw is worse"
+
+    @property
+    def size(self) -> int:
+        """Number of uncertain numbers."""
+        return self.region.size
+
+    def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
+        """Simulate points and record them.
+
+        Args:
+            points: Coordinates, shape (n, laws).
+            evaluator: The program.
+            cost: Number of simulations that one point costs.
+
+        Returns:
+            The slack of the worst requirement, shape (n,), and the results.
+        """
+        results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
+        self.requirements = self.requirements or with_typical_slacks(self.programs.study.requirements, results)
+        places = counted_places(self.requirements, self.requirement)
+        requirements = [self.requirements[place] for place in places]
+        slacks = worst_slack(requirements, results)
+        binding = np.array(places)[binding_requirement(requirements, results)]
+        all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
+        distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
+        simulation_counts = self.simulation_count + cost * np.arange(1, len(points) + 1)
+        ended = np.where(ended_early(results["outcome"]), results["outcome"], 0)
+        first, violated_at = first_violation(self.requirements, results)
+        self.batches.append(
+            SimulatedPoints(
+                points=points,
+                slacks=slacks,
+                binding=binding,
+                distances=distances,
+                simulation_counts=simulation_counts,
+                ended=ended,
+                failed_at=results["failed_at"],
+                first=first,
+                violated_at=violated_at,
+                single_slacks=all_slacks.T,
+            )
+        )
+        self.simulation_count += cost * len(points)
+        self.worst = min(self.worst, float(slacks.min()))
+        if self.progress:
+            self.progress(min(self.simulation_count, self.budget), self.budget)
+        return slacks, results
+
+    def explore(self) -> None:
+        """Simulate points that are spread evenly over the set."""
+        self.simulate(self.region.even_points(exploration_size(self.budget), self.rng), self.programs.plain)
+
+    def worst_points(self, count: int) -> np.ndarray:
+        """The points with the smallest slacks so far, the worst first, shape (count, laws)."""
+        points = np.concatenate([batch.points for batch in self.batches])
+        slacks = np.concatenate([batch.slacks for batch in self.batches])
+        return points[np.argsort(slacks, kind="stable")[:count]]
+
+    @property
+    def relevant_requirements(self) -> list[Requirement]:
+        """The requirements that count in this search."""
+        return [self.requirements[place] for place in counted_places(self.requirements, self.requirement)]
+
+    def single_slacks(self) -> np.ndarray:
+        """Slack of each requirement that counts, relative to its scale, at all points so far; (n, requirements)."""
+        places = counted_places(self.requirements, self.requirement)
+        scales = np.array([requirement.scale for requirement in self.relevant_requirements])
+        slacks = np.concatenate([batch.single_slacks[:, places] for batch in self.batches]) / scales
+        return np.where(np.isnan(slacks), -np.inf, slacks)
+
+    def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Starting points of gradient descents, each of which descends the slack of one requirement.
+
+        The requirements that count take turns, the most critical one first. Otherwise the requirement that is worst at
+        most points would hide another one, whose worst draws lie elsewhere. A descent starts at the worst point of its
+        requirement that is far enough from the other starts, or at the worst one that is no start yet.
+
+        Returns:
+            The points, shape (count, laws), and the index of the requirement of each descent, shape (count,).
+        """
+        points = np.concatenate([batch.points for batch in self.batches])
+        slacks = self.single_slacks()
+        targets = np.resize(np.argsort(slacks.min(axis=0), kind="stable"), count)
+        starts: list[int] = []
+        for target in targets:
+            unused = [index for index in np.argsort(slacks[:, target], kind="stable").tolist() if index not in starts]
+            apart = (index for index in unused if self.is_apart(points[index], points[starts]))
+            starts.append(next(apart, unused[0]))
+        return points[starts], targets
+
+    def is_apart(self, point: np.ndarray, starts: np.ndarray) -> bool:
+        """Whether a point is far enough from all starting points, shape (n, laws)."""
+        return all(self.region.are_apart(point, start) for start in starts)
+
+    def climb(self) -> None:
+        """Run several projected gradient descents at once, each of one slack and with a step length of its own.
+
+        Native code has no derivatives, and an early end has no slack. Evolution then gets this share of the budget.
+        """
+        if native_code(self.programs.study) or not self.relevant_requirements:
+            return
+        cost = 1 + self.size
+        share = int(CLIMBED * self.budget)
+        evaluator = self.programs.with_gradients
+        points, targets = self.starts(climb_count(self.budget, self.size))
+        if len(points) * cost > share:
+            return
+        _, results = self.simulate(points, evaluator, cost)
+        best, slopes = self.slacks_and_slopes(points, results, targets)
+        stride = np.full(len(points), STRIDE)
+        for _ in range(share // (cost * len(points)) - 1):
+            trial = self.region.descend(points, slopes, stride)
+            _, results = self.simulate(trial, evaluator, cost)
+            slacks, trial_slopes = self.slacks_and_slopes(trial, results, targets)
+            better = slacks < best
+            points = np.where(better[:, None], trial, points)
+            slopes = np.where(better[:, None], trial_slopes, slopes)
+            best = np.minimum(best, slacks)
+            stride = stride * np.where(better, LONGER, SHORTER)
+            if self.worst == -np.inf:
+                return
+
+    def slacks_and_slopes(
+        self, points: np.ndarray, results: Arrays, targets: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The slack that each descent follows, shape (n,), and its derivatives by the coordinates, shape (n, laws).
+
+        Args:
+            points: The point of each descent, shape (n, laws).
+            results: The results there, with derivatives by the uncertain numbers.
+            targets: Index of the requirement of each descent, shape (n,).
+        """
+        laws = list(self.programs.study.laws)
+        slacks = np.array([worst_slack([requirement], results) for requirement in self.relevant_requirements])
+        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in self.relevant_requirements])
+        descents = np.arange(len(points))
+        slopes = self.region.slopes(points, gradients[targets, descents])
+        return slacks[targets, descents], np.where(np.isfinite(slopes), slopes, 0.0)
+
+    def evolve(self) -> None:
+        """Run differential evolution, starting from the worst points so far."""
+        count = population_size(self.budget, self.size)
+        first_generation: Any = self.worst_points(count)
+        remaining_budget = self.budget - self.simulation_count
+        generations = remaining_budget // count - 1
+        self.unspent = f"the {remaining_budget % count} simulations left are fewer than a generation of {count}"
+        if generations < 1:
+            self.unspent = f"the {remaining_budget} simulations left are fewer than two generations of {count}"
+            return
+
+        def cost(columns: np.ndarray) -> np.ndarray:
+            slacks, _ = self.simulate(self.region.project(np.atleast_2d(columns.T)), self.programs.plain)
+            return np.clip(slacks, -1e100, 1e100)
+
+        evolution = differential_evolution(
+            cost, [self.region.limits] * self.size, init=first_generation, rng=self.rng, tol=0.0,
+            maxiter=generations, polish=False, vectorized=True, updating="deferred",
+            callback=lambda x, convergence: self.worst == -np.inf,
+        )  # fmt: skip
+        if evolution.nit < generations:
+            self.unspent = f"all {count} draws of the last generation are equally bad"

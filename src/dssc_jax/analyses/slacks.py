@@ -1,0 +1,71 @@
+"""The slack of the worst requirement as a function of points, for methods that sample where draws fail."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import values_at
+from dssc_jax.study import Study
+
+LANES = 2048  # lanes of a batch
+
+SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(points, shape (n, d); indices of the in-loop noise, shape (n,)) -> slacks, shape (n,); negative: failure.
+
+The points are in the coordinates of a method: the unit cube, or standard normal space.
+"""
+
+
+class StudySlacks:
+    """The worst requirement's slack of a study at points of the unit cube: a :data:`SlackFunction`.
+
+    Args:
+        study: The study, without a sweep.
+        progress: Called with the simulations done; their total is not known beforehand.
+    """
+
+    def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        self.study = study
+        self.progress = progress
+        self.engine = Engine(study, LANES)
+        self.simulations = 0
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the loop has in-loop noise."""
+        return is_noisy(self.engine)
+
+    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Simulate one draw at each point; see :data:`SlackFunction`."""
+        results = evaluate(self.engine, values_at(self.study, points), noise)
+        self.simulations += len(points)
+        if self.progress:
+            self.progress(self.simulations, None)
+        return worst_slack(self.study.requirements, results)
+
+
+class SlackCounter:
+    """Computes slacks and counts the evaluations; provides indices of in-loop noise that no point has used.
+
+    Args:
+        slack: Computes the slacks.
+    """
+
+    def __init__(self, slack: SlackFunction) -> None:
+        self.slack = slack
+        self.simulations = 0
+        self.indices = 0
+
+    def fresh(self, count: int) -> np.ndarray:
+        """Indices of in-loop noise that no point has used, shape (count,)."""
+        self.indices += count
+        return np.arange(self.indices - count, self.indices)
+
+    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Compute slacks; see :data:`SlackFunction`. A point without a slack fails by an infinite amount."""
+        self.simulations += len(points)
+        slacks = self.slack(points, noise)
+        return np.where(np.isnan(slacks), -np.inf, slacks)

@@ -1,0 +1,56 @@
+"""The input of the plant: commands through the unmodelled dynamics, disturbances, wind and events."""
+
+import jax
+
+from dssc_jax.closed_loop.control import measure
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.signals import PlantInput, Scalar, Signals, State, tracking_error
+
+
+def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
+    """The commands that reach the plant through the unmodelled dynamics in their present states."""
+    parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
+    return tuple(model.output(p, z, u) for model, p, z, u in parts)
+
+
+def receive_command(
+    loop: Loop, params: LoopParams, key: jax.Array, unmodelled: State, i: int, command: Scalar, k: Scalar
+) -> State:
+    """The state of the unmodelled dynamics of channel i once they have received the command of sample k."""
+    sample_key = loop.key_at(key, "unmodelled", loop.channels[i], k + 1)
+    return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, sample_key, loop.sample_time)
+
+
+def plant_input(
+    loop: Loop,
+    params: LoopParams,
+    input_states: tuple[State, ...],
+    wind: State,
+    plant: State,
+    actuation: Signals,
+    t: Scalar,
+    condition: State = None,
+) -> PlantInput[Signals]:
+    """The plant's input at a stage of the integrator, with disturbances that may depend on the plant's state there.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        input_states: State of the disturbance of each channel, then of each named input.
+        wind: State of the wind.
+        plant: State of the plant at the stage.
+        actuation: The commands that reach the plant.
+        t: Time of the stage [s].
+        condition: The vehicle's condition after events; None without events.
+    """
+    references = loop.mimo_reference.at(params.reference, t)
+    measurements = measure(loop, params, plant, references)
+    disturbances = []
+    for i, model in enumerate(loop.disturbance):
+        sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
+        disturbances.append(model.value(params.disturbance[i], input_states[i], measurements[i], sigma, t))
+    first_sigma = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
+    inputs = []
+    for model, p, state in zip(loop.inputs, params.inputs, input_states[len(loop.disturbance) :], strict=True):
+        inputs.append(model.value(p, state, measurements[0], first_sigma, t))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs), condition)

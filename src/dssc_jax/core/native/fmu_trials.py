@@ -1,0 +1,100 @@
+"""Trial flights of an FMU, which find one that keeps numbers outside of its instances."""
+
+from collections.abc import Sequence
+from itertools import product
+from math import inf
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.fmi import WARNING, FmiError
+from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu, failure
+from dssc_jax.core.native.fmu_instances import references
+
+TRIAL_STEPS = 64
+TRIAL_STEP = 0.01
+"""Length of the steps of a trial flight if the FMU states none [s]."""
+
+
+def require_independent(fmu: NativeFmu) -> None:
+    """Require that an FMU starts, and that two instances of it do not disturb each other.
+
+    Two trial flights give the same bits one after the other as in turn, step by step.
+
+    Raises:
+        ConfigError: The FMU does not start, or its instances disturb each other.
+    """
+    try:
+        first = trial_outputs(fmu, [0])
+        second = trial_outputs(fmu, [1])
+        both = trial_outputs(fmu, [0, 1])
+        repeated_first = trial_outputs(fmu, [0])
+    except FmiError as error:
+        raise failure(fmu, error) from None
+    if both != first + second or repeated_first != first:
+        rule = "keeps numbers outside of its instances (static or global variables), which would mix the draws"
+        raise ConfigError("file", f"'{fmu.file}' {rule}; export it without them")
+
+
+def trial_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
+    """Fly some trial flights in turn, step by step, with inputs that oscillate.
+
+    Args:
+        fmu: The FMU.
+        flights: Numbers of the flights, from which their inputs follow.
+
+    Returns:
+        The bits of all outputs of each flight until its step fails.
+
+    Raises:
+        FmiError: An instance does not start.
+    """
+    calls = fmu.calls
+    inputs = [variable.reference for variable in fmu.variables.values() if variable.causality == INPUT]
+    h = fmu.step_size or TRIAL_STEP
+    outputs = {flight: bytearray() for flight in flights}
+    instances: dict[int, int] = {}
+    try:
+        for flight in flights:
+            instances[flight] = calls.instantiate(f"trial {flight}")
+            calls.initialise(instances[flight])
+        ended_flights: set[int] = set()
+        for k, flight in product(range(TRIAL_STEPS), flights):
+            if flight in ended_flights:
+                continue
+            signals = np.cos(np.arange(1.0, 1.0 + len(inputs)) * (0.1 * k + flight + 1.0))
+            values = trial_step(fmu, instances[flight], k * h, h, signals)
+            if values is None:
+                ended_flights.add(flight)
+            else:
+                outputs[flight] += values.tobytes()
+    finally:
+        for address in instances.values():
+            calls.free(address)
+    return [bytes(outputs[flight]) for flight in flights]
+
+
+def trial_step(fmu: NativeFmu, address: int, t: float, h: float, signals: np.ndarray) -> np.ndarray | None:
+    """Make a step of an instance.
+
+    Args:
+        fmu: The FMU.
+        address: Address of the instance.
+        t: Time at the start of the step [s].
+        h: Length of the step [s].
+        signals: Values of all inputs, float64.
+
+    Returns:
+        The values of all outputs; None if a call fails.
+    """
+    calls = fmu.calls
+    inputs = [variable.reference for variable in fmu.variables.values() if variable.causality == INPUT]
+    outputs = [variable.reference for variable in fmu.variables.values() if variable.causality == OUTPUT]
+    values = np.full(len(outputs), inf)
+    if inputs and calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data) > WARNING:
+        return None
+    if not calls.step(address, t, h):
+        return None
+    if outputs and calls.get_reals(address, references(outputs), len(outputs), values.ctypes.data) > WARNING:
+        return None
+    return values

@@ -1,0 +1,192 @@
+"""Commands that are logged more rarely than the controller gives them.
+
+What flew between two logged commands is not known: the last one was held, or a controller of twice the rate gave one in
+between. The flight tells which. Each reconstruction of the commands is compared by the sum of squares that it leaves:
+the best one counts, and those that describe the flight as well widen the intervals by how far they move the estimates.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.refusals import Doubt
+from dssc_jax.flight_logs.fit.sampled_log import Reconstruction, SampledLog
+from dssc_jax.flight_logs.reading.reader import forward_filled
+
+LACKING = 0.25  # share of the samples: a command that lacks more is logged more rarely than it is given
+STAIRCASE = 0.2  # share of the logged values that repeat the one before: with more, the controller itself is as slow
+REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
+JUMP = 5.0  # factor on the changes before and after: a larger change is a jump, and no straight line
+LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
+TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
+
+HELD = "its last value is held"
+LATE = "it follows straight lines, and jumps with the next logged value"
+EARLY = "it follows straight lines, and jumps right after the last logged value"
+
+
+def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...]:
+    """Commands at all samples, by the reconstructions that are possible; the first one is the likeliest.
+
+    Args:
+        commands: The command of each channel, NaN where the log lacks it, shape (samples,).
+    """
+    held_commands = np.array([forward_filled(command) for command in commands])
+    if not any(is_rare(command) for command in commands):
+        return (Reconstruction(HELD, held_commands),)
+    candidates: list[Reconstruction] = []
+    for text, early in ((LATE, False), (EARLY, True)):
+        rows = []
+        for command, row in zip(commands, held_commands, strict=True):
+            rows.append(along_lines(command, early) if is_rare(command) else row)
+        candidates.append(Reconstruction(text, np.array(rows)))
+    candidates.append(Reconstruction(HELD, held_commands))
+    distinct = [candidates[0]]
+    for candidate in candidates[1:]:
+        if not any(np.array_equal(candidate.commands, other.commands) for other in distinct):
+            distinct.append(candidate)
+    return tuple(distinct)
+
+
+def is_rare(command: np.ndarray) -> bool:
+    """Whether a command is logged more rarely than it is given, as it lacks many samples and hardly repeats a value."""
+    values = command[np.isfinite(command)]
+    if len(values) < 3 or np.mean(np.isnan(command)) < LACKING or np.ptp(values) == 0.0:
+        return False
+    return float(np.mean(np.diff(values) == 0.0)) < STAIRCASE
+
+
+def along_lines(command: np.ndarray, jumps_early: bool) -> np.ndarray:
+    """Interpolate a command linearly between its values; it is held over long gaps.
+
+    Where it jumps, it keeps the last value until the next one is logged; ``jumps_early`` has the next one at once.
+    """
+    finite_rows = np.flatnonzero(np.isfinite(command))
+    values = command[finite_rows]
+    gaps = np.diff(finite_rows)
+    changes = np.abs(np.diff(values))
+    preceding = np.concatenate([[0.0], changes[:-1]])
+    following = np.concatenate([changes[1:], [0.0]])
+    jumps = changes > JUMP * np.maximum(preceding, following)
+    filled = forward_filled(command)
+    lines = np.interp(np.arange(len(command)), finite_rows, values)
+    for begin, end, value, is_jump, gap in zip(finite_rows[:-1], finite_rows[1:], values[1:], jumps, gaps, strict=True):
+        if gap > REGULAR * np.median(gaps):
+            continue
+        if not is_jump:
+            filled[begin:end] = lines[begin:end]
+        elif jumps_early:
+            filled[begin + 1 : end] = value
+    return filled
+
+
+class ComparedCommands(NamedTuple):
+    """Another reconstruction beside that of the fit: its sum of squares, and how far it moves the coordinates."""
+
+    reconstruction: Reconstruction
+    cost: float
+    move: np.ndarray
+
+
+def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
+    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands."""
+    comparisons = []
+    for reconstruction in problem.log.alternatives:
+        equations = problem.normal_equations(minimum.x, reconstruction.commands)
+        diagonal = np.diag(np.maximum(np.diag(equations.information), TINY))
+        move = np.linalg.lstsq(equations.information + 1e-9 * diagonal, equations.gradient, rcond=None)[0]
+        x = minimum.x + move
+        cost = equations.cost
+        if problem.is_admissible(problem.values(x)):
+            cost = min(cost, problem.normal_equations(x, reconstruction.commands).cost)
+        comparisons.append(ComparedCommands(reconstruction, cost, move))
+    return comparisons
+
+
+def allowed_difference(problem: FitProblem) -> float:
+    """Difference of two weighted sums of squares below which both describe the flight equally well."""
+    return float(stats.chi2.ppf(LEVEL, len(problem.names)))
+
+
+def better_commands(
+    problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]
+) -> Reconstruction | None:
+    """The reconstruction that describes the flight best; None if it is that of the fit."""
+    best = min(comparisons, key=lambda item: item.cost, default=None)
+    if best is None or not best.cost < minimum.cost - allowed_difference(problem):
+        return None
+    return best.reconstruction
+
+
+def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog:
+    """The log with the commands of an alternative; its earlier commands are dropped."""
+    alternatives = tuple(other for other in log.alternatives if other is not reconstruction)
+    return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
+
+
+def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]) -> np.ndarray:
+    """How far equally good reconstructions move the coordinates, shape (k, p)."""
+    highest_cost = minimum.cost + allowed_difference(problem)
+    moves = [item.move for item in comparisons if item.cost <= highest_cost]
+    return np.array(moves).reshape(len(moves), len(problem.names))
+
+
+def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[Doubt, ...]:
+    """The doubt about commands that are logged more rarely than they are given.
+
+    Args:
+        problem: The problem.
+        moves: The moves by :func:`command_moves` of the f numbers that are fitted, shape (k, f).
+        deviations: Standard deviations of their coordinates without these moves, shape (f,).
+    """
+    log = problem.log
+    if not log.rare:
+        return ()
+    move_texts = []
+    if len(moves):
+        distances = np.sqrt(np.sum(moves**2, axis=0))
+        for name, distance, deviation in zip(problem.fitted_names, distances, deviations, strict=True):
+            if distance > TOLD * deviation:
+                move_texts.append(f"{name} by {distance / deviation:.2g} standard deviations")
+    text = (
+        f"the study's controller gives commands more often than the log has them ({', '.join(log.rare)}). Between two "
+        f"values of a command {log.between}, which describes the flight best"
+    )
+    if move_texts:
+        text += f". Another course describes it as well, and moves {', '.join(move_texts)}: intervals are wider by that"
+    return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)
+
+
+def largest_jump(command: np.ndarray) -> float:
+    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
+    finite_rows = np.flatnonzero(np.isfinite(command))
+    changes = np.abs(np.diff(command[finite_rows]))[np.diff(finite_rows) > 1]
+    return float(changes.max(initial=0.0))
+
+
+def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
+    """The doubts about outputs that are held, about commands with large changes, and about gaps in the log."""
+    doubts = []
+    for name, interval in log.slow.items():
+        text = (
+            f"{name} is held for {interval:.3g} s at a time, and is taken where it changes. Leave repeated cells "
+            "empty, or log the time of each measurement"
+        )
+        doubts.append(Doubt(name, text))
+    for name, jump in log.jumps.items():
+        text = (
+            f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
+            "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
+            "with a time stamp of its own"
+        )
+        doubts.append(Doubt(name, text))
+    if log.gaps:
+        names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
+        longest = max(gap.end - gap.begin for gap in log.gaps)
+        text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
+        doubts.append(Doubt("", text))
+    return tuple(doubts)

@@ -1,0 +1,223 @@
+"""Estimates of a study's numbers from a logged flight, and the laws that they propose."""
+
+import copy
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from dssc_jax.core.json_types import Json
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.flight_logs.fit.least_squares import fit_scale, from_fit_scale
+from dssc_jax.flight_logs.fit.refusals import Doubt, Explained
+from dssc_jax.flight_logs.hints.conversions import factor_text
+from dssc_jax.statistics.correlated_noise import correlation_time
+from dssc_jax.statistics.noise_posterior import NoisePosterior
+from dssc_jax.study import Law, Study
+from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_dotted, toml_entries
+
+BOUND_MARGIN = 1e-6  # share of the distance from an exclusive bound by which a law stays inside
+LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
+WITHOUT_SCALE = ("1", "s", "1/s", "samples")  # units of numbers that no other unit of an output or command changes
+OUTSIDE_LAW = (
+    3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside
+)
+
+
+class ResidualNoise(NamedTuple):
+    """The noise of a channel's residual."""
+
+    white: float  # probability that it is white
+    share: float  # share of its variance that is correlated, in the likeliest noise; 0: it is white
+    time: float  # lag at which the correlation of that share has fallen to 1/e [s]
+    explained: Explained  # the residual beside noise and output
+
+    @classmethod
+    def of(cls, posterior: NoisePosterior, explained: Explained) -> "ResidualNoise":
+        """The noise by its posterior law."""
+        likeliest = posterior.likeliest
+        return cls(posterior.white, likeliest.share, correlation_time(likeliest), explained)
+
+    def summary(self) -> dict[str, float]:
+        """For JSON."""
+        return {
+            "rms": self.explained.residual,
+            "noise": self.explained.noise,
+            "output_std": self.explained.output,
+            "unexplained_share": self.explained.unexplained,
+            "independent_samples": self.explained.independent,
+            "white_probability": self.white,
+            "correlated_share": self.share,
+            "correlation_time": self.time,
+        }
+
+
+class RivalMinimum(NamedTuple):
+    """A minimum of the residual that is not the best one."""
+
+    starts: int  # number of starts of the search that end there
+    values: dict[str, float]  # the numbers there
+    ratio: float  # its weighted residual, as a multiple of that of the best minimum
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Numbers estimated from a flight."""
+
+    study: Study
+    names: tuple[str, ...]  # of the n numbers
+    estimates: np.ndarray  # shape (n,)
+    scaled: np.ndarray  # estimates on the scale of the fit: the logarithm where the law is logarithmic, shape (n,)
+    covariance: np.ndarray  # on that scale, shape (n, n)
+    noise: dict[str, ResidualNoise]  # of the residual by channel, of those with enough readings
+    unidentified: dict[str, float]  # numbers that keep their laws, with their deviation from the flight over the law's
+    samples: int  # of the log that count
+    simulated: int  # samples of the simulation
+    held_samples: dict[str, int]  # of these, samples at which the log lacks a command, by signal
+    between: str  # what commands do between two logged values
+    replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
+    starts: int  # of the search
+    starts_here: int  # that end in the best minimum
+    rivals: tuple[RivalMinimum, ...]
+    simulations: int
+    cut: str  # why the search ended before it was complete; empty: it is complete
+    doubts: tuple[Doubt, ...]  # reasons to doubt it
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """Standard deviations on the scale of the fit, shape (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def interval(self, level: float = 0.9) -> np.ndarray:
+        """Two-sided confidence intervals within what is admissible, shape (n, 2)."""
+        half_width = special.ndtri(0.5 + 0.5 * level) * self.deviations
+        ends = np.stack([self.scaled - half_width, self.scaled + half_width], axis=1)
+        intervals = []
+        for name, pair in zip(self.names, ends, strict=True):
+            quantity = self.study.numbers[name].quantity
+            lowest = max(bound for bound in (quantity.above, quantity.at_least, -math.inf) if bound is not None)
+            highest = min(bound for bound in (quantity.below, quantity.at_most, math.inf) if bound is not None)
+            intervals.append(np.clip(from_fit_scale(self.study.laws[name], pair), lowest, highest))
+        return np.array(intervals)
+
+    def law(self, name: str) -> Law:
+        """The proposed law of a number: normal, within its admissible range, or log-normal."""
+        place = self.names.index(name)
+        mean = float(self.scaled[place])
+        std = float(self.deviations[place])
+        if self.study.laws[name].logarithmic:
+            return Law("lognormal", (mean, std))
+        quantity = with_sign(self.study.numbers[name].quantity, self.study.laws[name])
+        bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)
+        if all(bound is None for bound in bounds) and name not in self.study.parameter_names:
+            return Law("normal", (mean, std))
+        return Law("truncated_normal", (mean, std, *truncation(quantity, mean, std)))
+
+    def correlations(self) -> dict[str, float]:
+        """Rank correlations of the estimates by pair, as ``[correlation]`` has them."""
+        linear = self.covariance / np.outer(self.deviations, self.deviations)
+        ranks = {}
+        for i, row_name in enumerate(self.names):
+            for j, column_name in enumerate(self.names[:i]):
+                ranks[f"{row_name}, {column_name}"] = float(6.0 / math.pi * math.asin(0.5 * linear[i, j]))
+        return ranks
+
+    def outside_laws(self) -> dict[str, str]:
+        """Numbers whose estimates lie clearly outside their laws in the study, each with the multiple that lies inside.
+
+        The multiple is one of another unit, in words; empty if none lies inside, or not the same one for all of them.
+        """
+        units = [unit for channel in self.study.units for unit in (channel.output, channel.of("u"))]
+        outside = {}
+        for name, value, scaled, deviation in zip(
+            self.names, self.estimates, self.scaled, self.deviations, strict=True
+        ):
+            law = self.study.laws[name]
+            ends = law.quantile(np.array([0.001, 0.999]))
+            low, high = fit_scale(law, ends)
+            if scaled < low - OUTSIDE_LAW * deviation or scaled > high + OUTSIDE_LAW * deviation:
+                has_scale = value != 0.0 and self.study.numbers[name].quantity.unit not in WITHOUT_SCALE
+                outside[name] = factor_text(ends / value, units) if has_scale else ""
+        return outside if len(set(outside.values())) == 1 else dict.fromkeys(outside, "")
+
+    def toml(self) -> str:
+        """The proposal as TOML, one line for each entry; a number in a list comes with the whole list."""
+        table: dict[str, Json] = {}
+        for name in self.names:
+            law = self.law(name)
+            enclosing = enclosing_list(self.study.table, name)
+            if enclosing is not None:
+                list_name, entries = enclosing
+                if not has_dotted(table, list_name):
+                    set_dotted(table, list_name, copy.deepcopy(entries))
+            elif name in self.study.parameter_names:  # keeps its unit and meaning
+                short = name.partition(".")[2]
+                set_dotted(table, name, copy.deepcopy(self.study.table[PARAMETERS][short]))
+            set_dotted(table, name, {law.kind: list(law.arguments)})
+        correlations = self.correlations()
+        if correlations:
+            table["correlation"] = correlations
+        return toml_entries(table)
+
+    def summary(self) -> dict[str, Json]:
+        """For JSON."""
+        numbers = {}
+        for name, value, ends in zip(self.names, self.estimates, self.interval(), strict=True):
+            law = self.law(name)
+            numbers[name] = {
+                "unit": self.study.numbers[name].quantity.unit,
+                "estimate": float(value),
+                "interval_90": [float(end) for end in ends],
+                "prior": str(self.study.laws[name]),
+                "law": {law.kind: list(law.arguments)},
+            }
+        units = zip(self.study.loop.channels, self.study.units, strict=True)
+        return {
+            "study": self.study.name,
+            "samples": self.samples,
+            "simulated_samples": self.simulated,
+            "study_samples": self.study.loop.steps,
+            "held_commands": self.held_samples,
+            "between_commands": self.between,
+            "replayed": list(self.replayed),
+            "numbers": numbers,
+            "correlation": self.correlations(),
+            "noise": {channel: noise.summary() for channel, noise in self.noise.items()},
+            "noise_unit": {channel: unit.output for channel, unit in units},
+            "starts": self.starts,
+            "starts_here": self.starts_here,
+            "simulations": self.simulations,
+            "search_cut": self.cut,
+            "other_minima": [rival._asdict() for rival in self.rivals],
+            "warnings": [doubt._asdict() for doubt in self.doubts],
+            "outside_laws": self.outside_laws(),
+            "kept": {name: width if math.isfinite(width) else None for name, width in self.unidentified.items()},
+            "toml": self.toml(),
+        }
+
+
+def with_sign(quantity: Quantity, law: Law) -> Quantity:
+    """The quantity with the sign that all values of a law have, as a parameter whose inverse counts needs it."""
+    low, high = law.support
+    if low > 0.0 and quantity.above is None and quantity.at_least is None:
+        return replace(quantity, above=0.0)
+    if high < 0.0 and quantity.below is None and quantity.at_most is None:
+        return replace(quantity, below=0.0)
+    return quantity
+
+
+def truncation(quantity: Quantity, mean: float, std: float) -> tuple[float, float]:
+    """Ends of a law within a quantity's admissible range."""
+    low = mean - LAW_WIDTH * std
+    high = mean + LAW_WIDTH * std
+    if quantity.above is not None:
+        low = max(low, quantity.above + BOUND_MARGIN * (mean - quantity.above))
+    if quantity.at_least is not None:
+        low = max(low, quantity.at_least)
+    if quantity.below is not None:
+        high = min(high, quantity.below - BOUND_MARGIN * (quantity.below - mean))
+    if quantity.at_most is not None:
+        high = min(high, quantity.at_most)
+    return low, high

@@ -1,0 +1,363 @@
+"""Laws of a study's numbers from a logged flight: estimates, covariance, and numbers that it does not identify.
+
+The residual is the logged output minus the output that the study predicts for the logged commands. In each channel it
+is noise, part of which may be correlated in time; its correlation is estimated, too. Weighted least squares then has
+the covariance (J' S^-1 J)^-1 with the noise's covariance S and the Jacobian J. It is averaged over all S that the
+residual allows.
+
+References:
+    L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), sections 7.4 and 9.4.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.fit.command_gaps import (
+    better_commands,
+    command_doubts,
+    command_moves,
+    compared_commands,
+    held_doubts,
+    with_commands,
+)
+from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_covariance
+from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum
+from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
+from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
+from dssc_jax.flight_logs.fit.least_squares import FAR_OUTSIDE, TINY, FitProblem, averaged_covariance
+from dssc_jax.flight_logs.fit.log_sampling import sampled_log
+from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
+from dssc_jax.flight_logs.fit.outliers import outlier_doubts
+from dssc_jax.flight_logs.fit.prediction import RANDOM, Prediction, prediction
+from dssc_jax.flight_logs.fit.refusals import (
+    Explained,
+    NotIdentifiable,
+    Unexplained,
+    doubts,
+    explain,
+    noise_doubts,
+    require_description,
+    require_identifiable,
+    require_unique_minimum,
+)
+from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
+from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
+from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
+from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
+from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
+from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
+from dssc_jax.flight_logs.hints.starts import fixed_integrals
+from dssc_jax.flight_logs.reading.gaps import gap_text
+from dssc_jax.flight_logs.reading.reader import (
+    FlightLog,
+)
+from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
+from dssc_jax.study import Study
+
+PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
+"""Parts of a study whose numbers show in the output for given commands."""
+EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
+
+
+def fit_log(
+    study: Study,
+    log: FlightLog,
+    names: Sequence[str] = (),
+    predictions: dict[tuple[str, ...], Prediction] | None = None,
+    *,
+    allow_damaged: bool = False,
+    limits: SearchLimits = USUAL_LIMITS,
+    replay: LogReplay | None = None,
+    progress: ProgressCallback | None = None,
+) -> Fitted:
+    """Estimate numbers of a study from a logged flight.
+
+    Args:
+        study: The study; its sweep is ignored.
+        log: The flight, with measured outputs, and with commands, unless a replay computes them.
+        names: The numbers; none: all with laws that show in the output, less those that the flight does not identify.
+        predictions: Compiled predictions to use again, by names, for logs of one length.
+        allow_damaged: Whether a log that has lost messages is fitted all the same.
+        limits: When the search for the minimum ends with the best so far.
+        replay: The log's replay, whose commands are then checked, too; None: only its references are.
+        progress: Called with the simulations done, and their largest number.
+
+    Raises:
+        ConfigError: a name or the log is not suitable; the log has lost messages, or a jump of the estimator; a signal
+            of it is the study's in another unit, sign or column.
+        NotIdentifiable: the flight does not identify the numbers.
+        Unexplained: the residual is more than noise.
+        StartsElsewhere: the integrals of an inner loop were others at the first sample.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> from dssc_jax.flight_logs.reading.reader import Column
+        >>> study = dj.Study.load("motor")
+        >>> run = dj.simulate(study, 3)
+        >>> columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
+        >>> fitted = fit_log(study, dj.FlightLog("run", columns, 0.0), ["unmodelled.mu"])
+        >>> fitted.law("unmodelled.mu").kind
+        'lognormal'
+    """
+    if not allow_damaged:
+        require_undamaged(study, log)
+    study = study.without_sweep()
+    candidates = tuple(numbers_to_fit(study, names))
+    require_stated_times(study, candidates)
+    require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
+    predictions = {} if predictions is None else predictions
+    sampled = sampled_log(study, log)
+    if sampled.gaps and not allow_damaged:
+        raise ConfigError(
+            log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
+        )
+    if candidates not in predictions:
+        predictions[candidates] = prediction(study, candidates, sampled.outputs.shape[1], fixed_integrals(study))
+    problem = FitProblem(study, candidates, predictions[candidates], sampled, SearchCount(limits, progress))
+    starting_minima: list[Minimum] = []
+    unidentified = UnidentifiedNumbers()
+    while True:
+        search = find_minima(problem, starting_minima)
+        if search is None:
+            raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
+        starting_minima = [search.best, *search.rivals]
+        comparisons = compared_commands(problem, search.best)
+        better = better_commands(problem, search.best, comparisons)
+        if better is not None:
+            problem = replace(problem, log=with_commands(problem.log, better))
+            continue
+        insensitive = {} if names else insensitive_numbers(problem, search.best)
+        if not unidentified.update_insensitive(insensitive):
+            try:
+                moves = command_moves(problem, search.best, comparisons)
+                return fitted_minimum(problem, search, unidentified.kept_widths, moves)
+            except NotIdentifiable as refusal:
+                if names or refusal.number is None:
+                    raise
+                unidentified.add(refusal.number, refusal)
+        if unidentified.kept.issuperset(candidates):
+            raise none_identified(problem, search.best, unidentified)
+        problem = problem.keeping(unidentified.kept)
+        starting_minima = [at_medians(minimum, problem.is_kept) for minimum in starting_minima]
+
+
+def at_medians(minimum: Minimum, is_kept: np.ndarray) -> Minimum:
+    """A minimum as the start of another search, in which the numbers that keep their laws begin at their medians."""
+    return minimum._replace(x=np.where(is_kept, 0.0, minimum.x))
+
+
+def require_stated_times(study: Study, fitted_names: Sequence[str]) -> None:
+    """Require that the times at which something happens to the plant are known, unless they are fitted.
+
+    Those of the reference do not matter: the plant gets the logged commands.
+
+    Raises:
+        ConfigError: One has a law, whose median is hardly the flight's time.
+    """
+    for name, number in study.numbers.items():
+        is_time = number.quantity.begins or number.quantity.ends
+        if is_time and name in study.laws and name not in fitted_names and not name.startswith("reference."):
+            raise ConfigError(
+                name, f"has the law {study.laws[name]}, and a fit does not estimate it: set it to this flight's time"
+            )
+
+
+def require_undamaged(study: Study, log: FlightLog) -> None:
+    """Require a log that has lost no messages and has no jump of the estimator.
+
+    Raises:
+        ConfigError: It has.
+    """
+    if log.damaged:
+        raise ConfigError(
+            log.name,
+            "is damaged: messages are lost, and commands are held where the flight had others. "
+            "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
+        )
+    require_no_jumps(study, log)
+
+
+def marginal_information(information: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """The information on some of the numbers, whatever the others are, which keep their laws; shape (f, f).
+
+    Args:
+        information: The information on all numbers, with that of the laws that are kept, shape (p, p).
+        positions: Positions of the f numbers.
+    """
+    others = np.setdiff1d(np.arange(len(information)), positions)
+    coupling = information[np.ix_(others, positions)]
+    shared = coupling.T @ np.linalg.solve(information[np.ix_(others, others)], coupling)
+    return information[np.ix_(positions, positions)] - shared
+
+
+def none_identified(problem: FitProblem, best: Minimum, unidentified: UnidentifiedNumbers) -> NotIdentifiable:
+    """The refusal of a flight that identifies none of the numbers.
+
+    Args:
+        problem: The last problem, with the noise of its minimum.
+        best: That minimum.
+        unidentified: The numbers with their widths.
+
+    Raises:
+        Unexplained: The residual is more than noise.
+    """
+    results = explain(problem, best.x)
+    require_description(problem, best.x, results)
+    doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, best.x, results))
+    return NotIdentifiable(
+        f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
+        f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified.widths)}. "
+        f"{unidentified.reasons or width_reasons(problem)}{doubt_texts}"
+    )
+
+
+def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
+    """The numbers to estimate; without a request those with laws that show in the output."""
+    for name in requested:
+        if name not in study.laws:
+            raise ConfigError("names", f"'{name}' has no law in this study; {nearest(name, list(study.laws))}")
+        if not study.laws[name].movable:
+            raise ConfigError("names", f"'{name}' has a law of single cases, which has no derivative")
+    if requested:
+        return list(requested)
+    names = []
+    for name, law in study.laws.items():
+        paths = [follower.split(".") for follower in study.followers(name)]
+        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in paths):
+            names.append(name)
+    if not names:
+        raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")
+    return names
+
+
+def insensitive_numbers(problem: FitProblem, minimum: Minimum) -> dict[str, float]:
+    """Numbers on which the output hardly depends at a minimum, with their widths.
+
+    A width is the number's standard deviation from this flight, were all others known, over that of its law. It is not
+    below 1.
+    """
+    widths = {}
+    information = np.diag(minimum.equations.information) - problem.prior
+    for name, entry in zip(problem.names, information, strict=True):
+        width = 1.0 / math.sqrt(entry) if entry > 0.0 else math.inf
+        if not width < 1.0:
+            widths[name] = width
+    return widths
+
+
+def require_explained(problem: FitProblem, best: Minimum, results: list[Explained]) -> None:
+    """Require that the residual is noise.
+
+    Raises:
+        Unexplained: It is more; the message has the likely causes.
+    """
+    try:
+        require_description(problem, best.x, results)
+    except Unexplained as refusal:
+        causes = (
+            *output_start_doubts(problem, best.x, results),
+            *outlier_doubts(problem, best.x),
+            *delay_doubts(problem, best),
+        )
+        raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
+
+
+def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
+    """Require that no number is far outside its law where the simulated output explains nothing of the logged one.
+
+    A controller that holds a place in a gust gives commands against it, and the best gain for them is 0.
+
+    Raises:
+        NotIdentifiable: One is; the message has the farthest.
+    """
+    beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
+    farthest = int(np.argmax(beyond))
+    explains_nothing = all(result.residual > EXPLAINS_NOTHING * result.output for result in results)
+    if beyond[farthest] > FAR_OUTSIDE and explains_nothing:
+        name = problem.names[farthest]
+        raise NotIdentifiable(
+            f"the flight does not identify {name}: its best value, {problem.values(x)[farthest]:.4g}, is far outside "
+            "its law, and the simulated output explains nothing of the logged one. Fly steps that show the number",
+            name,
+        )
+
+
+def fitted_minimum(
+    problem: FitProblem, search: MinimumSearch, unidentified_widths: dict[str, float], moves: np.ndarray
+) -> Fitted:
+    """The estimate at the best minimum, with its covariance, if it passes all checks.
+
+    Args:
+        problem: The problem.
+        search: Its minima.
+        unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
+        moves: How far other commands that may have flown move the coordinates, shape (k, p).
+    """
+    study = problem.study
+    x = search.best.x
+    channels = [study.loop.channels[readings.channel] for readings in problem.readings]
+    results = explain(problem, x)
+    require_explained(problem, search.best, results)
+    require_plausible(problem, x, results)
+    fitted = problem.fitted
+    fitted_names = problem.fitted_names
+    require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))
+    require_first_integrals(free_integrals(problem, search.best))
+    posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
+    rough = roughness(problem, search.best)
+    doubts_of_delays = delay_doubts(problem, search.best)
+    covariance = averaged_covariance(problem, posteriors, x)
+    covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
+    covariance = covariance[np.ix_(fitted, fitted)]
+    moves = moves[:, fitted]
+    doubts_of_commands = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
+    growth = widest_growth(covariance, covariance + moves.T @ moves)
+    covariance = covariance + moves.T @ moves
+    information = np.linalg.inv(covariance)
+    try:
+        require_identifiable(fitted_names, information)
+    except NotIdentifiable as refusal:
+        raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
+    require_unique_minimum(problem, search, information)
+    doubts_of_outliers = outlier_doubts(problem, x)
+    with_outliers = {doubt.signal for doubt in doubts_of_outliers}
+    noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
+    rivals = []
+    for rival in search.rivals:
+        ratio = math.sqrt(rival.cost / max(search.best.cost, TINY))
+        rivals.append(RivalMinimum(rival.starts, problem.named_values(rival.x), ratio))
+    return Fitted(
+        study=study,
+        names=tuple(fitted_names),
+        estimates=problem.values(x)[fitted],
+        scaled=problem.scaled(x)[fitted],
+        covariance=covariance * np.outer(problem.widths[fitted], problem.widths[fitted]),
+        noise=dict(zip(channels, noises, strict=True)),
+        unidentified=unidentified_widths,
+        samples=sum(len(readings.values) for readings in problem.readings),
+        simulated=problem.log.outputs.shape[1],
+        held_samples=problem.log.held_samples,
+        between=problem.log.between,
+        replayed=problem.log.replayed,
+        starts=search.starts,
+        starts_here=search.best.starts,
+        rivals=tuple(rivals),
+        simulations=problem.count.simulations,
+        cut=problem.count.reason,
+        doubts=(
+            *doubts(problem, x, results),
+            *output_start_doubts(problem, x, results),
+            *doubts_of_outliers,
+            *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
+            *doubts_of_delays,
+            *held_doubts(problem.log),
+            *doubts_of_commands,
+            *wind_doubts(study),
+            *roughness_doubts(rough),
+        ),
+    )

@@ -1,0 +1,148 @@
+"""From a log to outputs and commands at the samples of a study."""
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.fit.command_gaps import is_rare, largest_jump, reconstructions
+from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES
+from dssc_jax.flight_logs.fit.reading_noise import reading_noise
+from dssc_jax.flight_logs.fit.sampled_log import SampledLog
+from dssc_jax.flight_logs.hints.references import study_references
+from dssc_jax.flight_logs.reading.coverage import time_unit_text
+from dssc_jax.flight_logs.reading.gaps import log_gaps
+from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reading.reader import (
+    FlightLog,
+    channel_signals,
+    column_remedy,
+    held_samples,
+    nearest_offsets,
+    samples_within,
+    signal_name,
+)
+from dssc_jax.flight_logs.replay import replayed_channel
+from dssc_jax.study import Study
+
+LARGE_JUMP = 0.2  # of a command's range
+
+
+def sampled_log(study: Study, log: FlightLog) -> SampledLog:
+    """Measured outputs, the offsets of their times, and commands of every channel, at the study's samples.
+
+    A command that was not logged is that of the analysed controller for the logged outputs.
+
+    Raises:
+        ConfigError: The log has too few outputs, or neither a command nor what its replay needs.
+    """
+    loop = study.loop
+    samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
+    references = study_references(study, samples)
+    sampling = LogSampling(study, log, samples)
+    for row in range(len(loop.channels)):
+        signals = channel_signals(study, log, row, references[row, 0])
+        if "y" in signals:
+            sampling.add_output(row, signals["y"])
+        command = signals.get("u_total")
+        if command is not None and np.isfinite(command).any():
+            sampling.add_command(row, command)
+        else:
+            sampling.replay_command(row, signals, references[row])
+    require_outputs(study, log, sampling.outputs)
+    end = log.start + (samples - 1) * loop.sample_time
+    reconstruction, *alternatives = reconstructions(list(sampling.commands))
+    return SampledLog(
+        outputs=sampling.outputs,
+        offsets=sampling.offsets,
+        commands=reconstruction.commands,
+        held_samples=sampling.held_samples,
+        replayed=tuple(sampling.replayed),
+        jumps=sampling.jumps,
+        gaps=log_gaps(log, sampling.needed_signals, end),
+        rare=tuple(sampling.rare),
+        between=reconstruction.text,
+        sensor_noise=reading_noise(study, sampling.outputs),
+        alternatives=tuple(alternatives),
+        slow=sampling.slow,
+    )
+
+
+class LogSampling:
+    """The outputs and commands of a log at a study's samples, channel by channel; fields as of :class:`SampledLog`.
+
+    Args:
+        study: The study.
+        log: The log.
+        samples: Number of samples.
+    """
+
+    def __init__(self, study: Study, log: FlightLog, samples: int) -> None:
+        self._study = study
+        self._log = log
+        shape = (len(study.loop.channels), samples)
+        self.outputs = np.full(shape, np.nan)
+        self.offsets = np.zeros(shape)
+        self.commands = np.zeros(shape)
+        self.slow: dict[str, float] = {}
+        self.replayed: list[str] = []
+        self.rare: list[str] = []
+        self.needed_signals: list[str] = []  # their gaps falsify a command
+        self.held_samples: dict[str, int] = {}
+        self.jumps: dict[str, float] = {}
+
+    def add_output(self, row: int, output: np.ndarray) -> None:
+        """Add a channel's output; of one that is held between rarer readings, the readings."""
+        loop = self._study.loop
+        name = signal_name(loop.channels[row], "y")
+        samples = self.outputs.shape[1]
+        self.offsets[row] = nearest_offsets(self._log.columns[name], self._log.start, loop.sample_time, samples)
+        self.outputs[row] = np.where(np.isfinite(self.offsets[row]), output, np.nan)
+        hold = usual_hold(self.outputs[row])
+        if hold > 1:
+            self.outputs[row] = drop_repeats(self.outputs[row])
+            self.slow[name] = hold * loop.sample_time
+
+    def add_command(self, row: int, command: np.ndarray) -> None:
+        """Add a channel's logged command."""
+        name = signal_name(self._study.loop.channels[row], "u_total")
+        self.commands[row] = command
+        self.needed_signals.append(name)
+        self.held_samples |= held_samples({name: command})
+        if is_rare(command):
+            self.rare.append(name)
+        jump = largest_jump(command)
+        if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):
+            self.jumps[name] = jump
+
+    def replay_command(self, row: int, signals: dict[str, np.ndarray], reference: np.ndarray) -> None:
+        """Add the command of the analysed controller for what was logged of a channel.
+
+        Args:
+            row: Index of the channel.
+            signals: Its logged signals at the samples.
+            reference: The study's reference with two derivatives, shape (3, samples).
+
+        Raises:
+            ConfigError: The log lacks what the controller needs.
+        """
+        channel = self._study.loop.channels[row]
+        replay = replayed_channel(self._study, row, signals, reference)
+        if isinstance(replay, str):
+            name = signal_name(channel, "u_total")
+            rule = f"has no command {name}, and {replay}; {column_remedy(channel, 'u_total')}"
+            raise ConfigError(self._log.name, rule)
+        self.commands[row] = replay
+        self.replayed.append(channel)
+        self.needed_signals += [signal_name(channel, name) for name in signals if name.startswith("y")]
+
+
+def require_outputs(study: Study, log: FlightLog, outputs: np.ndarray) -> None:
+    """Require that some channel has enough outputs for a fit.
+
+    Raises:
+        ConfigError: None has.
+    """
+    channels = study.loop.channels
+    if outputs.shape[1] < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
+        rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
+        place = " in every channel" if len(channels) > 1 else ""
+        raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, study.loop.sample_time)}")

@@ -1,0 +1,191 @@
+"""The measured output that a study predicts for the commands of a logged flight, and its derivatives."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.control import near_reference
+from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial_state, step
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.engine import kernels
+from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
+from dssc_jax.engine.kernels import Start
+from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_logs.hints.references import median_values
+from dssc_jax.models.sensors import IDEAL
+from dssc_jax.study import Study
+
+RANDOM = ("std", "turbulence")
+"""Fields of disturbances and winds that scale what is random."""
+NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
+
+Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[Scalar, ...]]
+"""(Values of the numbers; commands, shape (channels, samples); index of the draw) -> outputs of each channel, shape
+(samples,)."""
+
+Prediction: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(Values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
+(channels, samples), and its derivative by each number, shape (n, channels, samples). Further numbers, as far as there
+are any, have the study's values where they are left out."""
+
+
+def playback(controller: Controller, commands: jax.Array) -> Controller:
+    """A controller that gives the logged commands of its channel, shape (samples,), to the plant."""
+
+    def first_sample(params: Params, measurement: Measurement, reference: ReferencePoint) -> Scalar:
+        return jnp.zeros(())
+
+    def logged_command(
+        params: Params, sample: jax.Array, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[Scalar, Command, tuple[()]]:
+        return sample + 1.0, Command(commands[sample.astype(jnp.int32)], jnp.zeros(())), ()
+
+    return controller._replace(init=first_sample, step=logged_command)
+
+
+def quiet_values(study: Study) -> dict[str, float]:
+    """Medians of all laws, and 0 for what scales random disturbances and winds."""
+    values = median_values(study)
+    for name in study.numbers:
+        fields = name.split(".")
+        if fields[0] in ("disturbance", "wind") and fields[-1] in RANDOM:
+            values[name] = 0.0
+    return values
+
+
+def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: bool) -> Outputs:
+    """The program that simulates the plant with logged commands: readings of each channel, angles near the reference.
+
+    The plant starts as in the study. Numbers without a name here have the medians of their laws. ``quiet`` leaves out
+    sensors, random disturbances and random winds.
+    """
+    fixed = quiet_values(study) if quiet else median_values(study)
+    sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
+
+    require_steps_in_any_order(study, "the prediction of a logged flight")
+
+    def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
+        controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
+        loop = replace(study.loop, settled=None, sensor=sensors, controller=tuple(controllers))
+        params = study.params({**fixed, **dict(zip(names, values, strict=True))})
+        key = draw_key(study.config.seed, index)
+        advance = held_between_samples(loop, params)
+
+        def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], tuple[Scalar, ...]]:
+            state, k = carry
+            next_state, recorded = step(loop, params, key, state, k, advance)
+            readings = []
+            for i, (controlled, reference) in enumerate(zip(recorded.controlled, recorded.references, strict=True)):
+                readings.append(near_reference(loop, i, controlled.reading, reference).y)
+            return (next_state, k + 1), tuple(readings)
+
+        initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32))
+        _, readings = jax.lax.scan(sample, initial, length=samples)
+        return as_arrays(readings)
+
+    return outputs
+
+
+def prediction(
+    study: Study, names: Sequence[str], samples: int, presets: Mapping[str, float] = NO_NUMBERS
+) -> Prediction:
+    """Compile the prediction: the output without noise and random disturbances, and its derivatives in forward mode.
+
+    Args:
+        study: The study, without a sweep.
+        names: The numbers.
+        samples: Number of samples of the simulation.
+        presets: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
+            channels.
+    """
+    if len(study.loop.channels) > 1:
+        return prediction_by_lanes(study, names, samples, presets)
+    outputs = simulated_outputs(study, names, samples, quiet=True)
+
+    def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def slope(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return jax.jvp(lambda x: jnp.stack(outputs(list(x), commands, 0)), (values,), (direction,))
+
+        predicted, slopes = jax.vmap(slope)(jnp.eye(len(names)))
+        return predicted[0], slopes
+
+    compiled = jax.jit(with_slopes, compiler_options=plain_options())
+
+    def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with arithmetic(study.config.loop.precision):
+            real = jnp.result_type(float)
+            predicted, slopes = compiled(jnp.asarray(values, real), jnp.asarray(commands, real))
+            return np.asarray(predicted, float), np.asarray(slopes, float)
+
+    return predict
+
+
+def prediction_by_lanes(
+    study: Study, names: Sequence[str], samples: int, presets: Mapping[str, float] = NO_NUMBERS
+) -> Prediction:
+    """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
+
+    A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants
+    of the program, which is compiled again for others.
+    """
+    preset = [math.nan] * len(names) + list(presets.values())
+    names = (*names, *presets)
+    outputs = simulated_outputs(study, names, samples, quiet=True)
+    programs: dict[bytes, Start] = {}
+
+    def program(commands: np.ndarray) -> Start:
+        def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
+            numbers = [values[name] for name in names]
+            tangent = [jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i in range(len(names))]
+            predicted, slopes = jax.jvp(lambda x: outputs(x, jnp.asarray(commands), 0), (numbers,), (tangent,))
+            return (*predicted, *slopes)
+
+        return kernels.compiled(kernels.requested_form(), lane, [*names, DIRECTION], len(names), None, None)
+
+    def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with arithmetic(study.config.loop.precision):
+            key = commands.tobytes()
+            if key not in programs:
+                programs[key] = program(commands)
+            count = len(values)
+            extended = [*values, *preset[count:]]
+            columns = {name: np.full(count, value) for name, value in zip(names, extended, strict=True)}
+            columns[DIRECTION] = np.arange(count, dtype=float)
+            results, _ = programs[key](columns, np.zeros(count, np.uint32))()
+        channels = len(study.loop.channels)
+        predicted = np.array([results[i][0] for i in range(channels)], float)
+        slopes = np.array([results[channels + i] for i in range(channels)], float)
+        return predicted, np.moveaxis(slopes, 1, 0)
+
+    return predict
+
+
+def study_noise(
+    study: Study, names: Sequence[str], values: np.ndarray, commands: np.ndarray, replicates: int
+) -> np.ndarray:
+    """Outputs with sensors, random disturbances and winds less those without, shape (replicates, channels, samples)."""
+    samples = commands.shape[1]
+    quiet = simulated_outputs(study, names, samples, quiet=True)
+    noisy = simulated_outputs(study, names, samples, quiet=False)
+
+    def lane(lane_values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
+        numbers = [lane_values[name] for name in names]
+        logged = jnp.asarray(commands)
+        return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
+
+    with arithmetic(study.config.loop.precision):
+        columns = {name: np.full(replicates, value) for name, value in zip(names, values, strict=True)}
+        start = kernels.compiled(kernels.requested_form(), lane, list(names), replicates, None, None)
+        results, _ = start(columns, np.arange(replicates, dtype=np.uint32))()
+    channels = len(study.loop.channels)
+    readings = np.stack([np.asarray(result, float) for result in results], axis=1)
+    return readings[:, :channels] - readings[:, channels:]

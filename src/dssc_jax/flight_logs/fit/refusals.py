@@ -1,0 +1,333 @@
+"""The checks that a fit of a logged flight has to pass; the message of a refusal says what is wrong with the flight.
+
+The residual's mean square r^2 consists of the noise's, n^2, and of what the study does not describe. The share of the
+output's variance v that the study leaves unexplained is (r^2 - n^2)/v. The mean square of correlated noise has nearly
+the law of chi squared with as many degrees of freedom as there are independent samples, which gives the share a lower
+confidence limit.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
+from dssc_jax.flight_logs.fit.minima import MinimumSearch
+from dssc_jax.flight_logs.fit.prediction import study_noise
+from dssc_jax.flight_logs.hints.conversions import likeness_text
+from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.statistics.correlated_noise import Noise, independent_samples
+
+MOST_UNEXPLAINED = 0.1  # share of the output's variance
+EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
+MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual is doubted
+NOISE_CONFIDENCE = 0.9999  # confidence that noise alone is no larger than its limit
+NOISE_DEVIATIONS = 4.0  # standard deviations of the sizes of simulated noise, from their mean up to their limit
+LEAST_DOUBTED = 1e-5  # share of the output's variance left unexplained, in a residual that is doubted
+REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
+NOISIER = 3.0  # than the study's sensor: a residual with as much noise is doubted
+NOISE_REPLICATES = 16  # simulations of the study's noise
+SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
+SMALL_COEFFICIENT = 0.1  # least coefficient of a number that a message names in a combination
+TIE = 0.95  # level of chi squared below which two minima describe a log equally well
+
+
+class FitRefused(ValueError):
+    """A flight does not support a fit; the message says why."""
+
+
+class NotIdentifiable(FitRefused):
+    """The flight does not identify the numbers, or a combination of them; the message says which.
+
+    Args:
+        message: The reason.
+        number: The number with the largest coefficient in the combination; None: no single number is to blame.
+        width: Standard deviation of the combination, relative to that of the laws.
+        reasons: Why it is so wide and what to do; the message ends with it.
+    """
+
+    def __init__(self, message: str, number: str | None = None, width: float = math.inf, reasons: str = "") -> None:
+        super().__init__(f"{message}. {reasons}" if reasons else message)
+        self.number = number
+        self.width = width
+        self.reasons = reasons
+
+    def with_reasons(self, reasons: str) -> "NotIdentifiable":
+        """This refusal with reasons."""
+        return NotIdentifiable(str(self), self.number, self.width, reasons)
+
+
+class Unexplained(FitRefused):
+    """The residual is more than noise; the message has the numbers."""
+
+
+class Explained(NamedTuple):
+    """How well the simulated output of a channel describes the log, in the output's unit."""
+
+    residual: float  # root mean square of the residual
+    noise: float  # root mean square of the noise that log and study account for
+    output: float  # standard deviation of the logged output
+    independent: float  # number of independent samples of the residual
+    limit: float  # root mean square that noise alone hardly exceeds
+    reading_noise: float  # root mean square of the noise from one reading to the next
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the output's variance that neither the simulated output nor noise explains."""
+        return max(self.residual**2 - self.noise**2, 0.0) / max(self.output**2, TINY)
+
+    @property
+    def least_unexplained(self) -> float:
+        """Lower confidence limit of that share."""
+        largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
+        return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the residual is clearly larger than noise explains, and no trifle."""
+        return self.residual > max(MUCH_LARGER * self.noise, self.limit) and self.unexplained > LEAST_DOUBTED
+
+
+class Doubt(NamedTuple):
+    """A reason to doubt a fit that is accepted, and the signal that it concerns; empty: the fit as such."""
+
+    signal: str
+    text: str
+
+
+def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
+    """Standard deviation of a series about the straight line between each reading's two neighbours.
+
+    White noise of variance 1 has a variance of 1 + a^2 + b^2 there, with the line's weights a and b, by which it is
+    divided. A curved series adds to it.
+    """
+    gaps = np.diff(times)
+    weight = gaps[1:] / (gaps[:-1] + gaps[1:])
+    line = weight * values[:-2] + (1.0 - weight) * values[2:]
+    square = (values[1:-1] - line) ** 2 / (1.0 + weight**2 + (1.0 - weight) ** 2)
+    return float(np.sqrt(np.mean(square)))
+
+
+def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
+    """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
+    noise_rms = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
+    residual_rms = float(np.sqrt(np.mean(residual**2)))
+    independent = independent_samples(noise, readings.times)
+    noise_rms = min(noise_rms, residual_rms)
+    count = len(readings.values)
+    limit = noise_rms * math.sqrt(float(stats.chi2.ppf(NOISE_CONFIDENCE, count)) / count)
+    return Explained(
+        residual=residual_rms,
+        noise=noise_rms,
+        output=float(np.std(readings.values)),
+        independent=independent,
+        limit=limit,
+        reading_noise=noise_rms,
+    )
+
+
+def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
+    """How well the model describes each channel that has readings, at coordinates x of the fit.
+
+    If the readings' noise alone leaves too much unexplained in any channel, or a residual that is clearly larger, the
+    study's noise is simulated. For each channel the larger of the two noises then counts, and the larger limit.
+    """
+    results = []
+    for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
+        results.append(explain_channel(readings, noise, columns[:, 0]))
+    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.is_doubtful for result in results):
+        return results
+    simulated_noise = study_noise(
+        problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES
+    )
+    for place, readings in enumerate(problem.readings):
+        added_noise = readings.interpolate(simulated_noise[:, readings.channel])
+        replicate_rms = np.sqrt(np.mean(added_noise**2, axis=-1))
+        simulated = float(np.sqrt(np.mean(added_noise**2)))
+        limit = float(np.mean(replicate_rms) + NOISE_DEVIATIONS * np.std(replicate_rms))
+        result = results[place]
+        results[place] = result._replace(noise=max(result.noise, simulated), limit=max(result.limit, limit))
+    return results
+
+
+def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
+    """The unit, sign or channel in which a channel's readings would match the prediction, in words; empty if none.
+
+    Predicted are the outputs at coordinates x and at the medians of the laws.
+
+    Args:
+        problem: The problem.
+        x: The coordinates.
+        place: Position of the readings.
+    """
+    readings = problem.readings[place]
+    names = [signal_name(problem.study.loop.channels[output.channel], "y") for output in problem.readings]
+    unit = problem.study.units[readings.channel].output
+    for coordinates in (np.zeros_like(x), x):
+        predicted = []
+        for output, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
+            predicted.append(np.interp(readings.times, output.times, output.values - columns[:, 0]))
+        words = likeness_text(place, readings.values, predicted, names, unit)
+        if words:
+            return f". {names[place]} {words}"
+    return ""
+
+
+def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+    """The doubts about residuals that are clearly larger than noise explains, by channel, with the remedy."""
+    reasons = []
+    columns = problem.columns(x) if any(result.is_doubtful for result in results) else []
+    for place, result in enumerate(results):
+        if not result.is_doubtful:
+            continue
+        name, unit = signal_and_unit(problem, place)
+        largest_at = problem.readings[place].times[int(np.argmax(np.abs(columns[place][:, 0])))]
+        text = (
+            f"the residual of {name} is {result.residual:.3g} {unit} rms, "
+            f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains, "
+            f"and largest at {largest_at:.4g} s of the study: the study lacks something of this flight, such as a "
+            "limit or friction, or the log is not what the study takes it for. Estimates may be wrong by more than "
+            f"their intervals. {REMEDY}"
+            f"{conversion_hint(problem, x, place)}"
+        )
+        reasons.append(Doubt(name, text))
+    return tuple(reasons)
+
+
+def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    reasons = []
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+        sensor = math.sqrt(readings.sensor)
+        noise = result.reading_noise
+        if sensor == 0.0 or noise <= NOISIER * sensor:
+            continue
+        name, unit = signal_and_unit(problem, place)
+        text = (
+            f"the readings of {name} have a noise of {noise:.3g} {unit}, {noise / sensor:.3g} times that of the "
+            f"study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
+            f"{conversion_hint(problem, x, place)}"
+        )
+        reasons.append(Doubt(name, text))
+    return tuple(reasons)
+
+
+def signal_and_unit(problem: FitProblem, place: int) -> tuple[str, str]:
+    """The signal of readings, by their position, and its unit."""
+    channel = problem.readings[place].channel
+    return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
+
+
+def require_explained(channel: str, unit: str, result: Explained, hint: str = "") -> None:
+    """Require that the residual of a channel, whose output has a unit, can be noise; a hint ends the refusal."""
+    if result.least_unexplained <= MOST_UNEXPLAINED:
+        return
+    name = f"y of {channel}" if channel else "y"
+    raise Unexplained(
+        f"the study does not describe this flight: the residual of {name} is {result.residual:.3g} {unit} rms, "
+        f"noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the output's "
+        f"variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
+        f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
+        f"accepted. {REMEDY}; give the study what acts on the flight (wind, disturbance, sensor noise), or wider laws"
+        f"{hint}"
+    )
+
+
+def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> None:
+    """Require that the residuals at coordinates can be noise.
+
+    Args:
+        problem: The problem.
+        x: The coordinates of the numbers, shape (p,).
+        results: How well each channel is described there.
+
+    Raises:
+        Unexplained: a residual is more than noise.
+    """
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+        if result.least_unexplained > MOST_UNEXPLAINED:
+            channel = problem.study.loop.channels[readings.channel]
+            unit = problem.study.units[readings.channel].output
+            require_explained(channel, unit, result, conversion_hint(problem, x, place))
+
+
+def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
+    """Describe a direction in the space of the numbers in words."""
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
+    if len(terms) == 1:
+        return terms[0][0]
+    return " ".join(f"{x:+.2f} {name}" for name, x in terms) + ", each in standard deviations of its law"
+
+
+def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
+    """Require a standard deviation below that of the laws along every direction of the numbers' coordinates."""
+    diagonal = np.diag(information)
+    for name, entry in zip(names, diagonal, strict=True):
+        if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
+            text = f"the flight does not identify {name}: the predicted output does not depend on it"
+            raise NotIdentifiable(text, name)
+    direction = unidentified_direction(information)
+    if direction is None:
+        return
+    text = direction_text(names, direction.parts)
+    number = names[int(np.argmax(np.abs(direction.parts)))]
+    if math.isinf(direction.width):
+        reason = "the information matrix is singular in this direction"
+        raise NotIdentifiable(f"the flight does not identify {text}: {reason}", number)
+    raise NotIdentifiable(
+        f"the flight does not identify {text}: the standard deviation along it is {direction.width:.3g} times that of "
+        "the law",
+        number,
+        direction.width,
+    )
+
+
+class UnidentifiedDirection(NamedTuple):
+    """A combination of numbers that a flight does not identify: a unit vector, and its width over that of the laws."""
+
+    parts: np.ndarray
+    width: float  # infinite where the information is singular
+
+
+def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | None:
+    """The direction of least information, if its standard deviation is not below that of the laws."""
+    root = np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(information / np.outer(root, root))
+    if values[0] < SINGULAR_INFORMATION:
+        direction = vectors[:, 0] / root
+        return UnidentifiedDirection(direction / np.linalg.norm(direction), math.inf)
+    values, vectors = np.linalg.eigh(information)
+    return UnidentifiedDirection(vectors[:, 0], float(values[0] ** -0.5)) if values[0] < 1.0 else None
+
+
+def require_unique_minimum(problem: FitProblem, search: MinimumSearch, information: np.ndarray) -> None:
+    """Require that no other minimum describes the log as well as the best one does.
+
+    A rival within the confidence region of the best minimum says nothing that the region does not. One far outside of
+    the laws is refuted by them, if the best minimum is not.
+
+    Args:
+        problem: The least-squares problem.
+        search: Its minima.
+        information: The inverse of the covariance that the answer states of the numbers that are fitted.
+    """
+    allowed_difference = float(stats.chi2.ppf(TIE, len(problem.fitted)))
+    for rival in search.rivals:
+        move = (rival.x - search.best.x)[problem.fitted]
+        is_near = float(move @ information @ move) <= allowed_difference
+        is_refuted = problem.is_far_outside(rival.x) and not problem.is_far_outside(search.best.x)
+        if rival.cost - search.best.cost <= allowed_difference and not is_near and not is_refuted:
+            best = assignments_text(problem.named_values(search.best.x))
+            second = assignments_text(problem.named_values(rival.x))
+            raise NotIdentifiable(
+                f"the flight does not identify the numbers: two minima describe it equally well, at {best} and at "
+                f"{second}; narrow a law to one of them, or fit fewer numbers"
+            )
+
+
+def assignments_text(values: Mapping[str, float]) -> str:
+    """Values of numbers in words."""
+    return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())

@@ -1,0 +1,216 @@
+"""Fits of a log with some of its signals at other times, and whether they are better than that at the logged times.
+
+The fit is repeated at the shift that leaves the least residual. Both fits then have the noise of their residual, and
+the logarithms of their likelihoods tell whether the shift is needed.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum, minimise, reweighted_minimum
+from dssc_jax.statistics.correlated_noise import Noise, weighted_products
+
+LONGEST_SHIFT = 0.5  # s
+LONGEST_SHARE = 0.1  # share of the log's samples
+MOST_SHIFTS = 25  # on either side
+LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
+ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform error of one
+SIGNIFICANCE = 1e-4
+LARGE_MOVE = 1.0  # least move of an estimate that matters, in its standard deviations
+LARGE_PART = 0.7  # share of the residual without a shift that is left if a shift matters whatever it moves
+EXPLAINED = 0.97  # share of the residual without a shift that may be left if a shift explains it
+
+
+class Shifts(Protocol):
+    """The problem of a fit with signals that are shifted by whole samples; all shifts have the same readings.
+
+    Args:
+        problem: The problem without a shift.
+        noises: Noise of each channel's residual, for all shifts.
+        variances: Variance of that noise.
+    """
+
+    problem: FitProblem
+    noises: list[Noise]
+    variances: list[float]
+
+    def at(self, channels: Sequence[int], shift: int) -> FitProblem:
+        """The problem if the signals of some channels are later than logged by a number of samples."""
+        ...
+
+
+class Delay(NamedTuple):
+    """A delay of outputs, or of commands, with which a log fits better.
+
+    Args:
+        channels: Positions of the channels that are shifted.
+        time: How much later they are than predicted [s].
+        deviation: Standard deviation of the time [s].
+        p_value: Probability of as large a gain of the likelihood without a delay.
+        moves: How far the shift moves the estimates, in their standard deviations without it, by number.
+        values: The numbers with the shift.
+        unshifted: Root mean squares of the residuals of the shifted channels without the shift.
+        shifted: Root mean squares of the residuals of the shifted channels with the shift.
+    """
+
+    channels: tuple[int, ...]
+    time: float
+    deviation: float
+    p_value: float
+    moves: dict[str, float]
+    values: dict[str, float]
+    unshifted: tuple[float, ...]
+    shifted: tuple[float, ...]
+
+    def matters(self, sample_time: float) -> bool:
+        """Whether the log is certainly at other times, and the estimates or much of the residual depend on it."""
+        pairs = zip(self.unshifted, self.shifted, strict=True)
+        is_large_part = any(shifted < LARGE_PART * unshifted for unshifted, shifted in pairs)
+        is_large_move = max(map(abs, self.moves.values())) > LARGE_MOVE
+        is_certain = self.p_value < SIGNIFICANCE and abs(self.time) >= LEAST_SHIFT * sample_time
+        return is_certain and (is_large_move or is_large_part)
+
+    @property
+    def size_text(self) -> str:
+        """The size of the time with its standard deviation, in words."""
+        margin = f" ± {self.deviation:.2g}" if math.isfinite(self.deviation) else ""
+        return f"{abs(self.time):.3g}{margin} s"
+
+    def move_text(self, unshifted_values: Mapping[str, float]) -> str:
+        """The number that the shift moves farthest, with its values, in words.
+
+        Args:
+            unshifted_values: The numbers without the shift.
+        """
+        number = max(self.moves, key=lambda name: abs(self.moves[name]))
+        return f"{number} is {self.values[number]:.4g} in place of {unshifted_values[number]:.4g}"
+
+    @property
+    def explains(self) -> bool:
+        """Whether the shift clearly lowers the residual of any of the channels."""
+        pairs = zip(self.unshifted, self.shifted, strict=True)
+        return any(shifted < EXPLAINED * unshifted for unshifted, shifted in pairs)
+
+
+def longest_shift(problem: FitProblem) -> int:
+    """The longest shift, in samples."""
+    samples = problem.log.outputs.shape[1]
+    return int(min(LONGEST_SHIFT / problem.study.loop.sample_time, LONGEST_SHARE * samples, MOST_SHIFTS))
+
+
+def fitted_delay(
+    shifts: Shifts, unshifted_end: Minimum, channels: Sequence[int], shift: int, margin: int
+) -> Delay | None:
+    """Fit a log with a delay, from a likely shift on; None if no shift is better.
+
+    Both fits, with the shift and without it, have the noise of their residual.
+
+    Args:
+        shifts: The problems, with the noise of the minimum.
+        unshifted_end: The end of the fit without a shift.
+        channels: Positions of the channels that are shifted.
+        shift: The likely shift, in samples.
+        margin: The longest shift, in samples.
+    """
+    problem = shifts.problem
+    sample_time = problem.study.loop.sample_time
+    shift, end = climbed_shift(shifts, unshifted_end, unshifted_end, channels, shift, margin)
+    if shift == 0 or not end.cost < unshifted_end.cost:
+        return None
+    shifted_problem = shifts.at(channels, shift)
+    end = reweighted_minimum(shifted_problem, end)
+    shifts.noises, shifts.variances = shifted_problem.noises, shifted_problem.variances
+    shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), unshifted_end.x), channels, shift, margin)
+    if shift == 0:
+        return None
+    shifted_problem = shifts.at(channels, shift)
+    end = reweighted_minimum(shifted_problem, end)
+    unshifted_problem = shifts.at((), 0)
+    unshifted_end = reweighted_minimum(unshifted_problem, unshifted_end)
+    gain = 2.0 * (log_likelihood(shifted_problem, end.x) - log_likelihood(unshifted_problem, unshifted_end.x))
+    p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
+    distance, deviation = refinement(shifts, end, channels, shift, margin)
+    deviations = np.sqrt(np.diag(np.linalg.pinv(unshifted_end.equations.information)))
+    relative_moves = (end.x - unshifted_end.x) / np.maximum(deviations, TINY)
+    return Delay(
+        channels=tuple(channels),
+        time=sample_time * (shift + distance),
+        deviation=sample_time * deviation,
+        p_value=p_value,
+        moves={problem.names[i]: float(relative_moves[i]) for i in problem.fitted},
+        values=problem.named_values(end.x),
+        unshifted=residuals(unshifted_problem, channels, unshifted_end.x),
+        shifted=residuals(shifted_problem, channels, end.x),
+    )
+
+
+def climbed_shift(
+    shifts: Shifts, start: Minimum, unshifted_end: Minimum, channels: Sequence[int], shift: int, margin: int
+) -> tuple[int, Minimum]:
+    """Climb from a shift to one whose neighbours fit no better, and return it with the end of its fit.
+
+    Args:
+        shifts: The problems.
+        start: The minimum from which fits start.
+        unshifted_end: The end of the fit without a shift.
+        channels: Indices of the channels that are shifted.
+        shift: The first shift.
+        margin: The longest one.
+    """
+    minimum_of_shift = {0: unshifted_end}
+
+    def cost_at(candidate: int) -> float:
+        """The least weighted sum of squares with a shift, infinite beyond the margin; each shift is fitted once."""
+        if abs(candidate) > margin:
+            return math.inf
+        if candidate not in minimum_of_shift:
+            minimum_of_shift[candidate] = minimise(shifts.at(channels, candidate), start.x)
+        return minimum_of_shift[candidate].cost
+
+    while True:
+        better = min((shift, shift - 1, shift + 1), key=cost_at)
+        if better == shift:
+            return shift, minimum_of_shift[shift]
+        shift = better
+
+
+def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
+    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise."""
+    total = 0.0
+    for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
+        products, log_det = weighted_products(noise, readings.times, columns[:, :1])
+        count = len(readings.times)
+        total -= 0.5 * (log_det + count * math.log(max(float(products[0, 0]), readings.floor * count, TINY)))
+    return total
+
+
+def refinement(shifts: Shifts, end: Minimum, channels: Sequence[int], shift: int, margin: int) -> tuple[float, float]:
+    """The best shift less the whole one, by a parabola through three fits, and its standard deviation, in samples.
+
+    Commands and outputs count at the nearest sample, so the deviation has that of a uniform error of one sample, too.
+    It is infinite where the fits are on no parabola with a minimum.
+    """
+    if abs(shift) == margin:
+        return 0.0, math.inf
+    sides = [minimise(shifts.at(channels, shift + move), end.x).cost for move in (-1, 1)]
+    bend = sides[0] + sides[1] - 2.0 * end.cost
+    if not math.isfinite(bend) or bend <= 0.0:
+        return 0.0, math.inf
+    return float(np.clip(0.5 * (sides[0] - sides[1]) / bend, -0.5, 0.5)), math.hypot(math.sqrt(2.0 / bend), ROUNDING)
+
+
+def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tuple[float, ...]:
+    """The root mean square of the residual of some channels."""
+    pairs = zip(problem.readings, problem.columns(x), strict=True)
+    return tuple(float(np.sqrt(np.mean(c[:, 0] ** 2))) for readings, c in pairs if readings.channel in channels)
+
+
+def linear_cost(products: np.ndarray) -> float:
+    """The least weighted sum of squares by products of the residual and its slopes, shape (1 + p, 1 + p)."""
+    step = np.linalg.lstsq(products[1:, 1:], products[1:, 0], rcond=None)[0]
+    return float(products[0, 0] - products[1:, 0] @ step)

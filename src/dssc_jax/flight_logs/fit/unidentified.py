@@ -1,0 +1,55 @@
+"""The numbers of a fit that a flight does not identify, and that keep their laws."""
+
+from collections.abc import Mapping
+
+from dssc_jax.flight_logs.fit.refusals import NotIdentifiable
+
+
+class UnidentifiedNumbers:
+    """The numbers of a fit that keep their laws, as the search for a set of numbers goes on that a flight identifies.
+
+    Where a flight identifies a combination of two numbers alone, one of them keeps its law. Which one leaves the other
+    narrower than its law is seen by trying.
+    """
+
+    def __init__(self) -> None:
+        self.kept: frozenset[str] = frozenset()
+        self.widths: dict[str, float] = {}
+        self.reasons = ""
+        self._insensitive: set[str] = set()
+        self._recovered: set[str] = set()
+        self._last: str | None = None
+        self._tried = {self.kept}
+
+    @property
+    def kept_widths(self) -> dict[str, float]:
+        """The kept numbers, with the width that the flight leaves for each over that of its law."""
+        return {name: width for name, width in self.widths.items() if name in self.kept}
+
+    def update_insensitive(self, widths: Mapping[str, float]) -> bool:
+        """Keep the laws of numbers that the output hardly depends on, and tell whether other numbers are kept now.
+
+        At another minimum the output may depend on a number all the same. It is then fitted again, once.
+
+        Args:
+            widths: The numbers with their widths, kept ones among them.
+        """
+        before = self.kept
+        recovered = self._insensitive - widths.keys() - self._recovered
+        self._recovered |= recovered
+        self._insensitive = (self._insensitive | widths.keys()) - recovered
+        self.widths |= {name: width for name, width in widths.items() if name not in self.kept}
+        self._keep((self.kept - recovered).union(widths))
+        return self.kept != before
+
+    def add(self, name: str, refusal: NotIdentifiable) -> None:
+        """Keep the law of a number in a combination that is not identified, first in place of the one before it."""
+        self.widths[name] = refusal.width
+        self.reasons = refusal.reasons
+        exchanged = (self.kept - {self._last}) | {name}
+        self._keep(self.kept | {name} if exchanged in self._tried else exchanged)
+        self._last = name
+
+    def _keep(self, names: frozenset[str]) -> None:
+        self.kept = names
+        self._tried.add(names)

@@ -1,0 +1,48 @@
+"""Hints that a logged angle is in degrees in place of radians.
+
+The angles of a log count within half a turn of the reference, where degrees look like any angle. So they are compared
+as they were logged.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.numerics import wrap_angle
+from dssc_jax.flight_logs.hints.conversions import FEWER, rms
+from dssc_jax.flight_logs.reading.reader import FlightLog, nearest_values, signal_name
+from dssc_jax.study import Study
+
+LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not told
+
+
+def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[str, str]:
+    """The angles, logged as outputs or references, that are in degrees; what to say of each, by signal.
+
+    Args:
+        study: The study.
+        log: The flight.
+        references: The study's references, shape (channels, 3, samples).
+    """
+    hints = {}
+    for index, channel in enumerate(study.loop.channels):
+        if channel not in study.loop.plant.angles:
+            continue
+        reference = references[index, 0]
+        for name in (signal_name(channel, "y"), signal_name(channel, "y_ref")):
+            column = log.columns.get(name)
+            if column is None:
+                continue
+            values = nearest_values(column, log.start, study.loop.sample_time, len(reference))
+            if is_in_degrees(values, reference):
+                hints[name] = "is in degrees in place of radians"
+    return hints
+
+
+def is_in_degrees(values: np.ndarray, reference: np.ndarray) -> bool:
+    """Whether an angle is near its reference [rad] as degrees, and not as radians; NaN where missing."""
+    finite = values[np.isfinite(values)]
+    if not finite.size or float(np.abs(finite).max()) <= 2.0 * np.pi:  # radians of any frame
+        return False
+    in_radians = rms(np.asarray(wrap_angle(jnp.asarray(values - reference))))
+    in_degrees = rms(np.asarray(wrap_angle(jnp.asarray(np.radians(values) - reference))))
+    return in_degrees < min(FEWER * in_radians, LARGEST_ERROR)

@@ -1,0 +1,151 @@
+"""How a logged command follows from the one that the analysed controller gives for the logged measurements.
+
+The same measurements with their noise lead to the same command, but for the controller's first state. So a multiple, a
+delay, an offset or a slower clock shows, which a fit would put into gains, lags and disturbances; so does another
+controller.
+"""
+
+import numpy as np
+
+from dssc_jax.core.flag_runs import flag_runs
+from dssc_jax.flight_logs.hints.conversions import FEWER, multiple_of, rms
+from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reading.reader import Column, forward_filled
+
+LONGEST_SHIFT = 0.5  # s
+LONGEST_SHARE = 0.1  # of the log
+EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
+LARGE_OFFSET = 0.1  # share of that deviation: a smaller offset is not told
+LEAST_VALUES = 20
+FASTER = 0.75  # share of T_s: commands that change more often are those of a faster controller
+ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
+LEAST_STUCK = 5  # equal samples in a row of a command that sticks
+STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
+MOST_SPANS = 3  # in which a command sticks
+ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
+
+
+def rate_hint(command: Column, sample_time: float) -> str:
+    """That a logged command changes more often than the study's controller gives one, in words; empty if it does not.
+
+    Args:
+        command: The command as logged.
+        sample_time: T_s of the study [s].
+    """
+    change_times = command.time[1:][np.diff(command.value) != 0.0]
+    if len(change_times) < LEAST_VALUES:
+        return ""
+    interval = float(np.median(np.diff(change_times)))
+    if not interval < FASTER * sample_time:
+        return ""
+    return (
+        f"changes every {interval:.3g} s, and the study's controller gives a command every {sample_time:g} s: set "
+        "loop.sample_time to that of the flight's controller. A fit takes one of its commands for each sample"
+    )
+
+
+def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
+    """How the logged command follows from the replayed one, in words; empty if both are the same or nothing is certain.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+        sample_time: Time between two samples [s].
+        unit: Unit of the command.
+    """
+    factor = multiple_of(logged, replayed)
+    if factor != 1.0:
+        return (
+            f"is {factor:.4g} times what the analysed controller gives for the logged measurements: it is in another "
+            "unit, or other gains flew. Estimates of gains and disturbances are off by that factor unless they did"
+        )
+    has_both = np.isfinite(logged) & np.isfinite(replayed)
+    if np.count_nonzero(has_both) < LEAST_VALUES:
+        return ""
+    deviation = rms(logged - np.median(logged[has_both]))
+    largest_residual = EXPLAINED * deviation
+    difference = rms(logged - replayed)
+    if difference <= ROUNDING * rms(logged):
+        return ""
+    hold = usual_hold(logged)
+    spans = stuck_spans(logged, replayed) if hold == 1 else []
+    if spans:
+        times = " and ".join(f"from {begin * sample_time:.4g} s to {end * sample_time:.4g} s" for begin, end in spans)
+        return (
+            f"repeats one value {times} of the study, where the analysed controller's changes: its topic sticks, the "
+            "controller was off, or it has a lower limit. A fit takes it for what the vehicle got; if it is not, "
+            "fit the part before or after"
+        )
+    if hold > 1 and rms(logged - held_like(logged, replayed)) <= min(largest_residual, FEWER * difference):
+        return (
+            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
+            "so slow, the vehicle flew other commands, and a fit takes that for a lag; if the flight was, give "
+            "loop.sample_time that value"
+        )
+    shift, residual = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
+    if shift != 0 and residual <= min(largest_residual, FEWER * difference):
+        side = "later" if shift > 0 else "earlier"
+        return (
+            f"is {abs(shift) * sample_time:.3g} s {side} than the analysed controller gives it for the logged "
+            "measurements: compare the times of its column. A fit takes that for a lag"
+        )
+    offset = float(np.median((logged - replayed)[has_both]))
+    residual = rms(logged - replayed - offset)
+    if abs(offset) > LARGE_OFFSET * deviation and residual <= min(largest_residual, FEWER * difference):
+        return (
+            f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
+            "offset, or an integral began at another value. A fit takes an offset for a disturbance"
+        )
+    latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
+    if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
+        return (
+            f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
+            f"{unit} rms, and the logged one varies by {deviation:.4g}. Other gains or limits flew, or a measurement "
+            "is not what the controller got: compare units, offsets, times and gaps of y and y'"
+        )
+    return ""
+
+
+def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int]]:
+    """The first and last samples of spans in which a command sticks; none where they are many, or nothing is certain.
+
+    A command sticks where it repeats one value, the replayed one differs at most of the samples, and both agree outside
+    of such spans. A command at its limits does not, as the replayed one rests there, too.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    difference = np.abs(logged - replayed)
+    usual_difference = float(np.median(difference[np.isfinite(difference)]))
+    least_difference = max(STUCK * usual_difference, ROUNDING * rms(logged))
+    is_outside = np.isfinite(difference)
+    spans = []
+    for begin, end in zip(*flag_runs(np.diff(logged) == 0.0), strict=True):
+        rows = slice(int(begin), int(end) + 1)
+        is_long = end + 1 - begin >= LEAST_STUCK
+        if is_long and np.mean(difference[rows] > least_difference) > 0.5 and np.ptp(replayed[rows]) > least_difference:
+            spans.append((int(begin), int(end)))
+            is_outside[rows] = False
+    outside = rms(difference[is_outside])
+    agrees = all(STUCK * outside < rms(difference[begin : end + 1]) for begin, end in spans)
+    return spans if len(spans) <= MOST_SPANS and agrees else []
+
+
+def held_like(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """The replayed command, held from each change of the logged one to the next, shape (samples,)."""
+    return forward_filled(np.where(np.isfinite(drop_repeats(logged)), replayed, np.nan))
+
+
+def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:
+    """The delay of the logged command that leaves the least difference [samples], and the rms of that difference."""
+    samples = len(logged)
+    best = 0
+    smallest = rms(logged - replayed)
+    for shift in range(1, min(longest, int(LONGEST_SHARE * samples)) + 1):
+        later = rms(logged[shift:] - replayed[:-shift])
+        earlier = rms(logged[:-shift] - replayed[shift:])
+        if min(later, earlier) < smallest:
+            best = shift if later < earlier else -shift
+            smallest = min(later, earlier)
+    return best, smallest

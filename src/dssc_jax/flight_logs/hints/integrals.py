@@ -1,0 +1,318 @@
+"""Whether a logged output is the integral of its logged derivative: another factor is another unit, sign or clock.
+
+With X the integral of y' and the output y = a + b t + s X, the factor s is 1. A noise of y' and a drift of its bias are
+part of the residual. Batches of it, as long as its correlation, tell the deviation of s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dssc_jax.flight_logs.hints.conversions import RATE_CONVERSIONS
+from dssc_jax.flight_logs.hints.output_steps import step_cause
+from dssc_jax.flight_logs.reading.held_outputs import stuck_span
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog, signal_name
+from dssc_jax.study import Study
+
+LEAST_VALUES = 20
+LEAST_DIFFERENCE = 0.015  # least distance of the factor from 1
+DEVIATIONS = 5.0  # least distance of the factor from 1, in its standard deviations
+BATCHES = 10  # parts of the residual: a drift by noise in y' has hardly a correlation from one to another
+DRIFT = 10.0  # factor on the variance by white noise: the least that a drift is taken to add
+FITTED = 3  # numbers of the regression
+SMALL_ERROR = 0.25  # largest errors of a factor, as a share of its distance from 1: of the integral, and by noise in y'
+SAME_FACTOR = 0.02  # closer, a factor is that of another unit
+ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
+INTEGRAL = 0.9  # correlation: more, and one signal is the integral of the other
+NO_INTEGRAL = 0.7  # correlation: less, and it is not
+JUMP = 5.0  # factor on the typical change beside the rate: a larger change is hardly noise
+LASTING = 10.0  # factor on the typical difference of two means beside the rate: a larger one is no noise
+NEIGHBOURS = 8  # values of each mean
+MOST_JUMPS = 12  # of an output that has jumps, and no other error
+MOST_LISTED = 3  # jumps that a message lists
+TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation
+
+
+class Factor(NamedTuple):
+    """The change of an output over the integral of its derivative, with the standard deviation."""
+
+    value: float
+    deviation: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether it certainly differs from 1."""
+        distance = abs(self.value - 1.0)
+        is_accurate = self.deviation < ACCURATE * abs(self.value)
+        return is_accurate and distance > max(LEAST_DIFFERENCE, DEVIATIONS * self.deviation)
+
+
+def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Factor | None:
+    """Estimate the factor of an output over the integral of its rate, between two times of the log [s].
+
+    None if too few values, too rare ones, or noise leave it open.
+    """
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return None
+    is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
+    time, value = output.time[is_inside], output.value[is_inside]
+    if len(time) < LEAST_VALUES:
+        return None
+    sizes = float(np.abs(value).max()), float(np.abs(slope.value).max())
+    if min(sizes) == 0.0:
+        return None
+    rate = slope.value / sizes[1]
+    spline = CubicSpline(slope.time, rate).antiderivative()(time)
+    steps = 0.5 * np.diff(slope.time) * (rate[1:] + rate[:-1])
+    trapezia = np.interp(time, slope.time, np.concatenate([[0.0], np.cumsum(steps)]))
+    design = np.column_stack([np.ones(len(time)), time - time[0]])
+    parts = np.column_stack([value / sizes[0], spline, trapezia])
+    parts -= design @ np.linalg.lstsq(design, parts, rcond=None)[0]
+    size = float(parts[:, 1] @ parts[:, 1])
+    if size == 0.0:
+        return None
+    factor = float(parts[:, 0] @ parts[:, 1]) / size
+    coarse = float(parts[:, 2] @ parts[:, 1]) / size
+    residual = parts[:, 0] - factor * parts[:, 1]
+    square = float(residual @ residual)
+    sums = np.array([part.sum() for part in np.array_split(residual * parts[:, 1], BATCHES)])
+    white = square * size / len(time)
+    deviation = float(np.sqrt(max(sums @ sums * BATCHES / (BATCHES - FITTED), DRIFT * white))) / size
+    error = max(abs(coarse - 1.0), square / size / max(factor**2, 1e-300))
+    scale = sizes[0] / sizes[1]
+    factor, deviation = scale * factor, scale * deviation
+    return Factor(factor, deviation) if error < SMALL_ERROR * min(abs(factor - 1.0), 1.0) else None
+
+
+def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
+    """Whether a derivative is the integral of its output, between two times of the log [s], and not the reverse."""
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return False
+    return likeness_to_integral(slope, output) > INTEGRAL and likeness_to_integral(output, slope) < NO_INTEGRAL
+
+
+def likeness_to_integral(output: Column, rate: Column) -> float:
+    """The correlation of an output with the integral of a rate, both without a straight line; 0 if one is 0."""
+    sizes = float(np.abs(output.value).max()), float(np.abs(rate.value).max())
+    if min(sizes) == 0.0:
+        return 0.0
+    relative = rate.value / sizes[1]
+    steps = 0.5 * np.diff(rate.time) * (relative[1:] + relative[:-1])
+    integral = np.interp(output.time, rate.time, np.concatenate([[0.0], np.cumsum(steps)]))
+    design = np.column_stack([np.ones(len(output.time)), output.time - output.time[0]])
+    parts = np.column_stack([output.value / sizes[0], integral])
+    parts -= design @ np.linalg.lstsq(design, parts, rcond=None)[0]
+    size = float(np.sqrt((parts[:, 0] @ parts[:, 0]) * (parts[:, 1] @ parts[:, 1])))
+    return float(parts[:, 0] @ parts[:, 1]) / size if size > 0.0 else 0.0
+
+
+def values_between(column: Column, begin: float, end: float) -> Column:
+    """Select the values between two times; of several at one time, the first."""
+    selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
+    rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
+    return Column(column.time[rows], column.value[rows])
+
+
+class Jump(NamedTuple):
+    """A change of an output from one value to the next that its rate does not have: the time [s], and the size."""
+
+    time: float
+    size: float
+
+
+def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jump]:
+    """Find the jumps of an output between two times of the log [s]; none where there are many, or too few values.
+
+    A jump is far larger than what the output usually changes by beside the integral of its rate, and than what the
+    largest rate gives within the same time; and it lasts, which an outlier does not.
+    """
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return []
+    rate = np.interp(output.time, slope.time, slope.value)
+    gaps = np.diff(output.time)
+    changes = np.diff(output.value) - 0.5 * gaps * (rate[1:] + rate[:-1])
+    excess = np.concatenate([[0.0], np.cumsum(changes)])
+    means = np.convolve(excess, np.full(NEIGHBOURS, 1.0 / NEIGHBOURS), "valid")
+    lasting_changes = np.zeros(len(changes))
+    lasting_changes[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
+    least_change = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
+    is_jump = (np.abs(changes) > least_change) & (np.abs(lasting_changes) > LASTING * usual_size(lasting_changes))
+    rows = np.flatnonzero(is_jump & (np.abs(lasting_changes - changes) < 0.5 * np.abs(changes)))
+    if len(rows) > MOST_JUMPS:
+        return []
+    return [Jump(float(output.time[row + 1]), float(lasting_changes[row])) for row in rows]
+
+
+def usual_size(values: np.ndarray) -> float:
+    """The standard deviation of normal numbers from their median size, which a few outliers hardly change."""
+    return TO_DEVIATION * float(np.median(np.abs(values)))
+
+
+class IntegralHints(NamedTuple):
+    """Hints about signals that contradict each other, by signal.
+
+    Args:
+        units: One of them is in another unit, has the opposite sign, or is a copy of the other or exchanged with it.
+        factors: They differ by another factor, or one of them sticks.
+        jumps: One jumps where the other has no peak.
+    """
+
+    units: dict[str, str]
+    factors: dict[str, str]
+    jumps: dict[str, str]
+
+
+def are_copies(first: Column | None, second: Column | None) -> bool:
+    """Whether two columns that are logged, and that move, hold the same numbers."""
+    if first is None or second is None:
+        return False
+    finite_values = first.value[np.isfinite(first.value)]
+    is_moving = finite_values.size > 1 and bool(np.ptp(finite_values) > 0.0)
+    return is_moving and np.array_equal(first.value, second.value, equal_nan=True)
+
+
+def is_still(column: Column) -> bool:
+    """Whether a column holds one number."""
+    finite_values = column.value[np.isfinite(column.value)]
+    return finite_values.size > 0 and float(finite_values.min()) == float(finite_values.max())
+
+
+def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
+    """Hints about copied columns, outputs that stick, and outputs that are not the integrals of their derivatives.
+
+    Copies are sought in whole columns, all else within the study's duration. In a log with jumps of an estimator there
+    are hints about copies alone. Angles, which are logged in one turn, are compared with no integral.
+    """
+    hints = IntegralHints({}, {}, {})
+    loop = study.loop
+    for channel in loop.channels:
+        hints.units.update(copy_hints(log, channel))
+    end = last_sample_time(study, log)
+    if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
+        return hints
+    for index, channel in enumerate(loop.channels):
+        y_name = signal_name(channel, "y")
+        rate_name = signal_name(channel, "y_dot")
+        y = log.columns.get(y_name)
+        rate = log.columns.get(rate_name)
+        if y is None:
+            continue
+        stuck = stuck_span(values_between(y, log.start, end))
+        if stuck is not None:
+            hints.factors[y_name] = stuck_text(*stuck)
+            continue
+        if rate is None:
+            continue
+        stillness = still_text(y, rate, y_name, log.start, end)
+        if stillness:
+            hints.factors[rate_name] = stillness
+            continue
+        is_copied = y_name in hints.units or rate_name in hints.units
+        if not is_copied and channel not in loop.plant.angles:
+            add_integral_hints(hints, study, index, log)
+    return hints
+
+
+def still_text(y: Column, rate: Column, y_name: str, begin: float, end: float) -> str:
+    """What a rate is that rests, always or for a while, while its output moves; empty if it does not.
+
+    Args:
+        y: The output.
+        rate: Its derivative.
+        y_name: The output's signal.
+        begin: Time of the log from which on it counts [s].
+        end: Time up to which it counts [s].
+    """
+    if is_still(rate) and not is_still(y):
+        return f"does not change while {y_name} does: its column holds something else"
+    stuck = stuck_span(values_between(rate, begin, end))
+    if stuck is None or is_still(values_between(y, *stuck)):
+        return ""
+    return stuck_text(*stuck)
+
+
+def last_sample_time(study: Study, log: FlightLog) -> float:
+    """The time of the study's last sample, in the log's time [s]."""
+    return log.start + study.loop.sample_time * (study.loop.steps - 1)
+
+
+def copy_hints(log: FlightLog, channel: str) -> dict[str, str]:
+    """Hints about columns of a channel that are copies of others."""
+    hints: dict[str, str] = {}
+    command = signal_name(channel, "u_total")
+    for quantity, reference_quantity in (("y", "y_ref"), ("y_dot", "y_ref_dot")):
+        name = signal_name(channel, quantity)
+        reference = signal_name(channel, reference_quantity)
+        if are_copies(log.columns.get(name), log.columns.get(reference)):
+            hints[name] = f"is a copy of {reference}, number by number"
+        if are_copies(log.columns.get(command), log.columns.get(name)):
+            hints[command] = f"is a copy of {name}, number by number"
+    return hints
+
+
+def stuck_text(begin: float, end: float) -> str:
+    """What an output is that repeats one value between two times of the log [s]."""
+    return (
+        f"repeats one value from {begin:.4g} s to {end:.4g} s of the log, and changes at each reading else: the sensor "
+        "sticks, or its topic does. Take the part before or after"
+    )
+
+
+def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: FlightLog) -> None:
+    """Compare a channel's output with the integral of its derivative, and add a hint where they differ."""
+    channel = study.loop.channels[index]
+    unit = study.units[index].output
+    y_name = signal_name(channel, "y")
+    rate_name = signal_name(channel, "y_dot")
+    y = log.columns[y_name]
+    rate = log.columns[rate_name]
+    end = last_sample_time(study, log)
+    factor = integral_factor(y, rate, log.start, end)
+    is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
+    if not is_opposite and are_exchanged(y, rate, log.start, end):
+        hints.units[y_name] = f"looks exchanged with {rate_name}, which is its integral"
+        return
+    jumps = jumps_beside(y, rate, log.start, end)
+    if jumps:
+        jump_texts = ", ".join(f"by {jump.size:.3g} {unit} at {jump.time:.4g} s" for jump in jumps[:MOST_LISTED])
+        if len(jumps) > MOST_LISTED:
+            jump_texts += f", and {len(jumps) - MOST_LISTED} times more,"
+        cause = step_cause(study, index, [jump.time - log.start for jump in jumps], [jump.size for jump in jumps])
+        hints.jumps[y_name] = f"jumps {jump_texts} of the log, and {rate_name} has no such peak: {cause}"
+        return
+    if factor is not None and factor.differs:
+        add_factor_hint(hints, factor, y_name, rate_name, unit)
+
+
+def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name: str, unit: str) -> None:
+    """Say what the factor between an output and the integral of its derivative means: a unit, a sign or a clock."""
+    changes_less = abs(factor.value) < 1.0  # the output, than the integral
+    multiple = unit_text(factor.value, unit)
+    inverse = unit_text(1.0 / factor.value, unit)
+    if inverse and changes_less:
+        hints.units[rate_name] = f"is the derivative of {y_name} {inverse}"
+        return
+    if multiple:
+        hints.units[y_name] = f"is the integral of {rate_name} {multiple}"
+        return
+    change = f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}"
+    if factor.value < 0.0:
+        hints.factors[y_name] = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
+        return
+    clock = f"{1.0 / factor.value:.4g} times too fast" if changes_less else f"{factor.value:.4g} times too slow"
+    hints.factors[y_name] = (
+        f"{change}: the log's clock is {clock}, or one of both is in another unit or of another place. Compare the "
+        "times with those of another clock, and scale the times or the column"
+    )
+
+
+def unit_text(factor: float, unit: str) -> str:
+    """The unit or sign that a factor means, in words; empty if it is none of these."""
+    for conversion in RATE_CONVERSIONS:
+        if conversion.is_possible(unit) and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
+            return conversion.text(unit)
+    return ""

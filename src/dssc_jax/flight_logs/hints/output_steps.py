@@ -1,0 +1,45 @@
+"""Steps of a logged output at those of its reference, which a wrong column has and no vehicle flies."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dssc_jax.flight_logs.hints.conversions import is_same_reference
+from dssc_jax.flight_logs.hints.references import references_at
+from dssc_jax.study import Study
+
+SAME_STEP = 0.2  # share of a step of the reference: closer, a step of the output is that one or its opposite
+RESET = "a reset of the estimator that the log does not count, or two flights in one log. Take the part before or after"
+
+
+def is_reference(output: np.ndarray, reference: np.ndarray) -> bool:
+    """Whether a logged output is the study's reference, which moves.
+
+    Args:
+        output: The logged output, NaN where missing, shape (samples,).
+        reference: The study's reference.
+    """
+    is_moving = bool(np.ptp(reference) > 0.0 and np.isfinite(output).any())
+    return is_moving and is_same_reference(output, reference)
+
+
+def step_cause(study: Study, index: int, times: Sequence[float], sizes: Sequence[float]) -> str:
+    """What steps of an output are that its rate, or the prediction, does not have, in words.
+
+    Args:
+        study: The study.
+        index: Position of the output's channel.
+        times: Times of the first readings after the steps, from the study's beginning on [s].
+        sizes: The steps, in the output's unit.
+    """
+    sample_time = study.loop.sample_time
+    ends = np.concatenate([np.asarray(times) - 1.5 * sample_time, np.asarray(times) + 0.5 * sample_time])
+    before, after = np.split(references_at(study, ends)[index, 0], 2)
+    steps = after - before
+    for sign, words in (
+        (-1.0, "minus the step of its reference: is it the error y - y_ref in place of y?"),
+        (1.0, "the step of its reference: is it the reference, or the error y_ref - y, in place of y?"),
+    ):
+        if (np.abs(np.asarray(sizes) - sign * steps) < SAME_STEP * np.abs(steps)).all():
+            return f"each time by {words}"
+    return RESET

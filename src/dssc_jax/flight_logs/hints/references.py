@@ -1,0 +1,222 @@
+"""A log's references beside those of its study: how far they differ, in which unit, and from which time."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.flight_logs.hints.conversions import (
+    SAME_REFERENCE,
+    is_same_reference,
+    is_shifted,
+    reference_conversion,
+    reference_shift,
+    rms,
+)
+from dssc_jax.flight_logs.hints.reference_clocks import StretchedReference, fine_times, reference_stretch, stretch_text
+from dssc_jax.flight_logs.reading.reader import FlightLog, first_time, signal_name
+from dssc_jax.study import Study
+
+USUAL = 0.9
+"""Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
+OTHER = 0.1  # share of a reference's range: a larger difference is told, though nothing explains it
+RATE_REMEDY = (
+    "the slope of a record whose time stamps jitter is rough. Give it the log's rate, by rate_column and rate_file"
+)
+
+
+class ComparedReferences(NamedTuple):
+    """How a log's references differ from the study's.
+
+    Args:
+        differences: Largest difference of y_ref, by channel.
+        rates: Largest difference of y_ref_dot, at the times of the log, by channel.
+        conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
+        shifts: References that are the study's at another time, or by another clock.
+        others: References that are not the study's, for no reason that is known.
+        slopes: Rates that are not the slope of the study's reference, though the reference is.
+    """
+
+    differences: dict[str, float]
+    rates: dict[str, float]
+    conversions: dict[str, str]
+    shifts: dict[str, str]
+    others: dict[str, str]
+    slopes: dict[str, str]
+
+
+def median_values(study: Study) -> dict[str, float]:
+    """The median of every law of the study."""
+    return {name: float(law.median) for name, law in study.laws.items()}
+
+
+def references_at(study: Study, times: np.ndarray) -> np.ndarray:
+    """The study's reference of each channel with two derivatives, shape (channels, 3, times); medians of laws.
+
+    Args:
+        study: The study.
+        times: Times of the study [s], shape (times,).
+    """
+    with arithmetic(study.config.loop.precision):
+        params = study.params(median_values(study)).reference
+        points = jax.vmap(lambda t: as_arrays(study.loop.mimo_reference.at(params, t)))(jnp.asarray(times))
+    return np.array([[np.asarray(part, float) for part in point] for point in points])
+
+
+def study_references(study: Study, samples: int) -> np.ndarray:
+    """The study's references, with two derivatives, at its samples, shape (channels, 3, samples)."""
+    return references_at(study, study.loop.sample_time * np.arange(samples))
+
+
+def compared_references(
+    study: Study, log: FlightLog, signals: Sequence[Mapping[str, np.ndarray]], references: np.ndarray
+) -> ComparedReferences:
+    """Compare the log's references with the study's.
+
+    Args:
+        study: The study, without a sweep.
+        log: The flight.
+        signals: The logged signals of each channel at the study's samples, NaN where missing.
+        references: The study's, shape (channels, 3, samples).
+    """
+    loop = study.loop
+    comparison = ComparedReferences({}, {}, {}, {}, {}, {})
+    rates = rate_distances(study, log)
+    unexplained: list[int] = []
+    logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
+    for index, values in logged.items():
+        channel = loop.channels[index]
+        name = signal_name(channel, "y_ref")
+        reference = references[index, 0]
+        comparison.differences[channel] = largest_distance(values, reference)
+        text = reference_conversion(index, values, references[:, 0], loop.channels, study.units[index].output)
+        shift = 0 if text else reference_shift(values, reference)
+        if text:
+            comparison.conversions[name] = text
+        elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
+            comparison.shifts[name] = shifted_text(log, shift * loop.sample_time)
+        elif not is_same_reference(values, reference):
+            unexplained.append(index)
+        if channel in rates:
+            distance, rate = rates[channel]
+            comparison.rates[channel] = float(distance.max(initial=0.0))
+            is_moving = np.ptp(reference) > 0.0
+            is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
+            slope_text = wrong_slope_text(distance, rate, study.units[index].of("y/s")) if is_moving and is_same else ""
+            if slope_text:
+                comparison.slopes[signal_name(channel, "y_ref_dot")] = slope_text
+    stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
+    for index in unexplained:
+        name = signal_name(loop.channels[index], "y_ref")
+        if stretch is not None:
+            comparison.shifts[name] = stretch_text(log, stretch)
+            continue
+        text = other_reference_text(logged[index], references[index, 0], study.units[index].output)
+        if text:
+            comparison.others[name] = text
+    return comparison
+
+
+def wrong_slope_text(distance: np.ndarray, rate: np.ndarray, unit: str) -> str:
+    """That a logged derivative is not the slope of the study's reference; empty where it is, but for rare samples.
+
+    Args:
+        distance: Distance of the derivative from the slope at each sample.
+        rate: The slope.
+        unit: Their unit.
+    """
+    is_usual = distance <= np.quantile(distance, USUAL)
+    rms_distance = rms(distance[is_usual])
+    rms_rate = rms(rate[is_usual])
+    if not rms_distance > SAME_REFERENCE * rms_rate > 0.0:
+        return ""
+    return (
+        f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
+        f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
+    )
+
+
+def shifted_text(log: FlightLog, shift: float) -> str:
+    """That a logged reference is later than the study's by a time [s], or earlier, with both remedies."""
+    start = log.start + shift
+    remedy = f"set start to {start:g} s"
+    if start < first_time(log.columns):
+        remedy = "shift the study's reference, or let its record begin there, as the log does not begin so early"
+    side = "late" if shift > 0.0 else "early"
+    return (
+        f"is the study's, {abs(shift):g} s {'later' if shift > 0.0 else 'earlier'}: if y and the command are as "
+        f"{side}, {remedy}; if not, only its topic is {side}, and a fit of logged commands does not use it"
+    )
+
+
+def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
+    """The factor by which the times of all logged references are the study's; None if there is none.
+
+    Angles are left out, which a log may give in one turn.
+    """
+    loop = study.loop
+    fine = fine_times(loop.sample_time, samples)
+    references = references_at(study, fine)[:, 0]
+    stretched = []
+    for index, channel in enumerate(loop.channels):
+        column = log.columns.get(signal_name(channel, "y_ref"))
+        if column is None or channel in loop.plant.angles:
+            continue
+        time = column.time - log.start
+        is_inside = (time >= 0.0) & (time <= loop.sample_time * (samples - 1))
+        stretched.append(StretchedReference(time[is_inside], column.value[is_inside], fine, references[index]))
+    return reference_stretch(stretched)
+
+
+def other_reference_text(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
+    """That a logged reference is another one, with the size of the difference; empty if the difference is small.
+
+    Args:
+        logged: Values, NaN where missing, in the output's unit, shape (samples,).
+        reference: The study's at the same times.
+        unit: Unit of the output.
+    """
+    difference = rms(logged - reference)
+    if not np.isfinite(difference) or difference <= max(OTHER * np.ptp(reference), SAME_REFERENCE * rms(reference)):
+        return ""
+    return (
+        f"differs from the study's by {difference:.3g} {unit} rms, whose range is {np.ptp(reference):.3g} {unit}, and "
+        "is neither a multiple of it nor the same at other times. The draws follow the study's reference, a replay "
+        "follows the logged one, and a fit of logged commands needs neither. If the flight had the logged one, give it "
+        "to the study (reference.kind = 'record'); if not, compare times and columns"
+    )
+
+
+def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
+    """The largest distance of a logged reference from the study's; 0 if it has no value."""
+    return float(np.nanmax(np.abs(logged - reference), initial=0.0))
+
+
+def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Distances of the logged rate of each channel's reference from the study's, at the times of the log, and the rate.
+
+    Channels whose rate is not logged within the study's duration are left out.
+    """
+    loop = study.loop
+    columns = {}
+    for index, channel in enumerate(loop.channels):
+        column = log.columns.get(signal_name(channel, "y_ref_dot"))
+        if column is not None:
+            time = column.time - log.start
+            is_inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
+            if is_inside.any():
+                columns[index] = (time[is_inside], column.value[is_inside])
+    if not columns:
+        return {}
+    times, places = np.unique(np.concatenate([time for time, _ in columns.values()]), return_inverse=True)
+    slopes = references_at(study, times)[:, 1]
+    distances = {}
+    begin = 0
+    for index, (time, value) in columns.items():
+        rows = places[begin : begin + len(time)]
+        begin += len(time)
+        distances[loop.channels[index]] = (np.abs(value - slopes[index, rows]), value)
+    return distances

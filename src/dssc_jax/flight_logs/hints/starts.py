@@ -1,0 +1,88 @@
+"""Integrals of software on board, such as an inner loop's, where a logged flight begins in the air.
+
+By then they compensate errors of the believed mass, the wind and the drag. A study whose integrals
+start at 0 then sees a fall or a drift that the flight did not have, and another mass explains it.
+"""
+
+import math
+
+import numpy as np
+
+from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
+from dssc_jax.study import Study
+
+LONG_IN_AIR = 1.0  # s before the study begins: integrals are no longer those of the ground
+MOVING = 0.5  # m/s at the beginning: such a vehicle has flown before
+
+
+def fixed_integrals(study: Study) -> dict[str, float]:
+    """The numbers at which integrals of software on board start, by name; without those that have a law."""
+    software = study.loop.mimo_plant.software
+    names = () if software is None else software.integrals(study.template.plant)
+    initial_values = {}
+    for name in names:
+        number = study.numbers.get(f"plant.{name}")
+        if number is not None and number.expression is None and isinstance(number.value, int | float):
+            initial_values[number.name] = float(number.value)
+    return initial_values
+
+
+def begins_in_air(study: Study) -> bool:
+    """Whether integrals of software on board start elsewhere than at 0, as in a flight under way."""
+    software = study.loop.mimo_plant.software
+    if software is None:
+        return False
+    names = software.integrals(study.template.plant)
+    initial_values = fixed_integrals(study)
+    return software.settled(study.template.plant) or any(initial_values.values()) or len(initial_values) < len(names)
+
+
+def begins_level(study: Study) -> bool:
+    """Whether a vehicle begins without a tilt, whatever the wind."""
+    software = study.loop.mimo_plant.software
+    if software is None or software.settled(study.template.plant):
+        return False
+    tilts = [study.numbers.get(f"plant.{name}") for name in ("roll", "pitch")]
+    return all(number is None or number.value == 0.0 for number in tilts)
+
+
+def start_remedy(name: str) -> str:
+    """What to do about integrals that start elsewhere.
+
+    Args:
+        name: Name of one of them, such as ``plant.inner_loop.velocity_integral.2``.
+    """
+    section, field, _ = name.rsplit(".", 2)
+    return (
+        f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air or in a steady "
+        f"wind, or give the integrals laws, such as {field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}], "
+        "which a fit estimates"
+    )
+
+
+def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
+    """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
+    software = study.loop.mimo_plant.software
+    initial_values = fixed_integrals(study)
+    if software is None or not initial_values or software.settled(study.template.plant) or any(initial_values.values()):
+        return {}
+    reason = airborne_reason(study, log)
+    if not reason:
+        return {}
+    vertical = list(initial_values)[-1]
+    return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
+
+
+def airborne_reason(study: Study, log: FlightLog) -> str:
+    """Why a vehicle seems to be in the air where the study begins; empty if nothing suggests it."""
+    for segment in log.airborne:
+        if segment.begin + LONG_IN_AIR < log.start < segment.end:
+            return f"at {log.start:g} s the vehicle has been airborne for {log.start - segment.begin:.3g} s"
+    speeds = []
+    for channel in study.loop.channels:
+        column = log.columns.get(signal_name(channel, "y_dot"))
+        if column is not None and channel not in study.loop.plant.angles:
+            row = int(np.searchsorted(column.time, log.start - 0.5 * study.loop.sample_time))
+            speeds.append(float(column.value[min(row, len(column.value) - 1)]))
+    speed = math.hypot(*speeds)
+    return f"the log begins at a speed of {speed:.3g} m/s" if speed > MOVING else ""

@@ -1,0 +1,1 @@
+"""Files of logged flights: tables and ULogs of PX4, their columns, clocks, resets and gaps."""

@@ -1,0 +1,21 @@
+"""A controller's functions and its nominal control in plain numbers, as problems and certificates hold them."""
+
+from typing import NamedTuple
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
+from dssc_jax.models.controllers.nominal import NominalGains
+
+
+def functions_content(functions: NamedTuple) -> JsonObject:
+    """The kind of the state-dependent functions, which are a row of :data:`GAIN_FUNCTIONS`, and their constants."""
+    kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(functions, entry.members[None]))
+    constants = {name: float(value) for name, value in functions._asdict().items() if value is not None}
+    return {"kind": kind, **constants}
+
+
+def nominal_content(nominal: NominalGains | None) -> tuple[float, float, bool] | None:
+    """a_n [1/s], k_n and whether the nominal control has its term 1/tau_m; None without a nominal control."""
+    if nominal is None:
+        return None
+    return float(nominal.a), float(nominal.k), bool(nominal.predictor_term)

@@ -1,0 +1,174 @@
+"""Bounds of the rotors' thrusts and speeds, and of how far a lag keeps them behind their commands.
+
+docs/vehicle_proofs.md has the formulas. A lower bound is rounded down.
+"""
+
+from typing import NamedTuple
+
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import maximum, minimum, require_premise
+from dssc_jax.proofs.verifier.vehicle.attitude import Attitude
+from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
+from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
+
+LEAST_ROTORS = 4
+"""Number of rotors whose thrusts follow from net thrust and moments."""
+
+
+class Rotors(NamedTuple):
+    """Bounds of the rotors' thrusts and speeds, with their symbols in docs/vehicle_proofs.md.
+
+    Args:
+        smallest: f_min, a lower bound of every thrust [N].
+        largest: f_max, an upper bound of every thrust [N].
+        difference: w_o, of the difference of two rotors' speeds [rad/s].
+        sum: o_S, of the sum of the speeds [rad/s].
+    """
+
+    smallest: arb
+    largest: arb
+    difference: arb
+    sum: arb
+
+
+class RotorLag(NamedTuple):
+    """Bounds of how far rotors with a lag are behind their commands, with their symbols in docs/vehicle_proofs.md.
+
+    Args:
+        moment_h: r_mh, of g times the deviation of the commanded angular acceleration from m across body z [m/s^2].
+        moment_z: r_mz, of that along body z from eta_psi [rad/s^2].
+        shortfall: d, of |f_ci - f_i|, how far a thrust is behind its command [N].
+        defect: zeta, of the slope of a thrust that a lag of its speed adds to that of a lag of the thrust [N/s].
+        spin_up: Bound of the sum of the speeds' slopes [rad/s^2].
+    """
+
+    moment_h: arb
+    moment_z: arb
+    shortfall: arb
+    defect: arb
+    spin_up: arb
+
+
+def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earlier: Rotors | None) -> Rotors:
+    """(V3) Bounds of the rotors' thrusts and speeds.
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Numbers that follow from its intervals.
+        attitude: Bounds of the attitude.
+        earlier: Those in the time cell before, whose thrusts still count with a rotor lag; None in the first cell.
+
+    Raises:
+        Rejected: the command of a thrust may reach 0 or its limit.
+    """
+    n = arb(problem["rotors"])
+    believed_mass = arb(problem["believed_mass"])
+    coefficient = arb(problem["thrust_coefficient"])
+    g = ranges.gravity
+    m_h = (
+        attitude.tilt_demand
+        + attitude.tilt * attitude.yaw_demand
+        + attitude.frame_h
+        + ranges.believed_ratio_h * attitude.rate_h * attitude.rate_z
+    )
+    m_z = (
+        attitude.yaw_demand
+        + attitude.tilt * attitude.tilt_demand
+        + attitude.frame_z
+        + ranges.believed_ratio_z * attitude.rate_h * attitude.rate_h / 2
+    )
+    by_moment = 2 * ranges.believed_h * m_h / (n * arb(problem["arm"]))
+    by_moment = by_moment + ranges.believed_z * m_z / (n * arb(problem["torque_coefficient"]))
+    smallest = (believed_mass * (g - attitude.lift) / n - by_moment).lower()
+    largest = (believed_mass * (g + attitude.lift) * attitude.secant / n + by_moment).upper()
+    require_premise(bool(smallest > 0), "V3: a rotor's commanded thrust may reach 0")
+    require_premise(bool(largest < arb(problem["rotor_limit"])), "V3: a rotor's commanded thrust may reach its limit")
+    lift = g + maximum(attitude.lift, attitude.achieved_lift)
+    if earlier is not None and problem["rotor_lag"] > 0:
+        smallest = minimum(smallest, earlier.smallest)
+        largest = maximum(largest, earlier.largest)
+    return Rotors(
+        smallest=smallest,
+        largest=largest,
+        difference=((largest.sqrt() - smallest.sqrt()) / coefficient.sqrt()).upper(),
+        sum=(n * believed_mass * lift * attitude.secant / coefficient).sqrt().upper(),
+    )
+
+
+def rotor_lag_of(
+    problem: VehicleProblem,
+    ranges: Ranges,
+    bounds: SignalBalls,
+    attitude: Attitude,
+    rotors: Rotors,
+    earlier_shortfall: arb | None,
+) -> RotorLag:
+    """(V3) Bounds of how far the rotors are behind their commands; zeros without a lag.
+
+    In a later time cell the part xi of :func:`largest_shortfall` begins with what it had before. So the shortfall d is
+    the larger of that of this cell and that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger
+    root is not below: then xi cannot grow beyond what belongs to d.
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Numbers that follow from its intervals.
+        bounds: Bounds of the signals.
+        attitude: Bounds of the attitude.
+        rotors: Bounds of the rotors.
+        earlier_shortfall: The shortfall d in the time cell before [N]; None in the first cell.
+
+    Raises:
+        Rejected: the rotors may be too far behind their commands.
+    """
+    if problem["rotor_lag"] == 0:
+        return RotorLag(arb(0), arb(0), arb(0), arb(0), arb(0))
+    n = arb(problem["rotors"])
+    time_constant = arb(problem["rotor_lag"])
+    g = ranges.gravity
+    s = attitude.tilt
+    tilt_demand = attitude.tilt_demand
+    yaw_demand = attitude.yaw_demand
+    rate_h = attitude.rate_h
+    product = attitude.frame_h + ranges.believed_ratio_h * rate_h * attitude.rate_z
+    inner = arb(problem["damping"]) * attitude.yaw_rate * s + s * yaw_demand + s * s * tilt_demand / 2 + product
+    moment_h = (arb(problem["stiffness"]) * g * attitude.tilt_defect + g * inner).upper()
+    coupling_z = ranges.believed_ratio_z * rate_h * rate_h / 2
+    moment_z = (s * tilt_demand + s * s * yaw_demand / 2 + attitude.frame_z + coupling_z).upper()
+    shortfall = arb(problem["believed_mass"]) * bounds["z"]["behind"] * attitude.secant / n
+    behind_h = bounds["x"]["behind"] + moment_h
+    shortfall = shortfall + 2 * ranges.believed_h * behind_h / (g * n * arb(problem["arm"]))
+    behind_z = bounds["psi"]["behind"] + moment_z
+    shortfall = shortfall + ranges.believed_z * behind_z / (n * arb(problem["torque_coefficient"]))
+    shortfall = largest_shortfall(n, shortfall, rotors.smallest)
+    if earlier_shortfall is not None and problem["rotors"] > LEAST_ROTORS:
+        is_bounded = (n - LEAST_ROTORS).sqrt() * earlier_shortfall <= 4 * rotors.smallest
+        require_premise(bool(is_bounded), "V3: the rotors may be too far behind their commands")
+        shortfall = maximum(shortfall, earlier_shortfall)
+    defect = shortfall * shortfall / (4 * time_constant * rotors.smallest)
+    slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
+    spin_up = n * shortfall / (2 * time_constant * slowest)
+    return RotorLag(moment_h, moment_z, shortfall, defect.upper(), spin_up.upper())
+
+
+def largest_shortfall(n: arb, d_4: arb, f_min: arb) -> arb:
+    """(V3) A bound d of |f_ci - f_i|, the shortfall of each rotor's thrust behind its command [N].
+
+    With more than four rotors the thrusts f_i have a part xi_i in the null space of the allocation, too. The commands
+    f_ci have none, so xi' = -xi/tau - (projection of the zeta_i on that space), with the lag tau and the defects zeta_i
+    of the rotors. The projection's rows have the norm ((n - 4)/n)^(1/2) and the sum 0. Each zeta_i lies in [0, zeta],
+    where zeta is at most d^2/(4 tau f_min). So |xi_i| is at most tau (n - 4)^(1/2) zeta/2. As xi is continuous and
+    begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+
+    Args:
+        n: Number of rotors.
+        d_4: Bound of the part of the shortfall that belongs to net thrust and moments [N].
+        f_min: Smallest thrust [N].
+
+    Raises:
+        Rejected: the equation for d has no root.
+    """
+    discriminant_deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
+    require_premise(bool(discriminant_deficit < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - discriminant_deficit).sqrt())).upper()

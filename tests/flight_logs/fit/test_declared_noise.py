@@ -1,0 +1,57 @@
+"""Fits of flights in gusts that the study declares: what a short residual does not show."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dssc_jax.flight_logs.fit.declared_noise import larger_covariance
+from dssc_jax.flight_logs.fit.fit import fit_log
+from tests.flight_logs.fit.test_fit import DT, linear, log_of, output
+
+STD = 0.1
+CORRELATION_TIME = 1.0
+GUST = {"kind": "filtered_noise", "std": STD, "correlation_time": CORRELATION_TIME}
+LEVEL = {"kind": "constant", "value": {"normal": [0.0, 0.3]}}
+
+
+def gust(random, samples):
+    """Noise of the first order by its exact recursion."""
+    decay = np.exp(-DT / CORRELATION_TIME)
+    values = [STD * random.normal()]
+    for _ in range(samples - 1):
+        values.append(decay * values[-1] + STD * np.sqrt(1.0 - decay**2) * random.normal())
+    return np.array(values)
+
+
+def test_the_larger_covariance_is_at_least_both():
+    random = np.random.default_rng(1)
+    first, second = (root @ root.T for root in random.normal(size=(2, 3, 3)))
+    larger = larger_covariance(first, second)
+    for covariance in (first, second):
+        assert np.linalg.eigvalsh(larger - covariance)[0] > -1e-12
+    np.testing.assert_allclose(larger_covariance(first, 0.0 * second), first)
+    np.testing.assert_allclose(larger_covariance(first, 4.0 * first), 4.0 * first)
+
+
+@pytest.mark.long
+def test_the_mean_of_a_declared_gust_widens_the_interval_of_a_constant_force():
+    """20 flights of 8 s: the interval was 4 standard deviations beside the truth, and the sensor got the blame."""
+    study = linear(
+        disturbance=[LEVEL, GUST],
+        sensor={"kind": "noisy", "position_std": 0.002},
+        plant={"kind": "normal_form", "k_p": 1.0, "a_p": {"normal": [1.0, 0.2]}, "initial": [0.5, 0.0]},
+    )
+    random = np.random.default_rng(3)
+    predictions = {}
+    hits = []
+    for _ in range(20):
+        level = 0.3 * random.normal()
+        a_p = 1.0 + 0.2 * random.normal()
+        u = np.repeat(random.normal(size=40), 10)
+        y = output(1.0, a_p, u + level + gust(random, len(u))) + 0.002 * random.normal(size=len(u))
+        fitted = fit_log(study, log_of(y, u), predictions=predictions)
+        assert fitted.doubts == ()
+        (row,) = [row for row, name in enumerate(fitted.names) if name.endswith("value")]
+        low, high = fitted.interval()[row]
+        hits.append(low <= level <= high)
+    assert stats.binom.cdf(sum(hits), len(hits), 0.9) > 1e-3
