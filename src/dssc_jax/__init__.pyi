@@ -41,7 +41,7 @@ from dssc_jax.engine.pure_functions import lane as lane, stepper as stepper
 from dssc_jax.exploration import explore as explore
 from dssc_jax.flight_logs.comparison import LogComparison as LogComparison, compare_log as compare_log
 from dssc_jax.flight_logs.next_flight import NextFlight as NextFlight, next_flight as next_flight
-from dssc_jax.flight_logs.reader import FlightLog as FlightLog, read_log as read_log
+from dssc_jax.flight_logs.reading.reader import FlightLog as FlightLog, read_log as read_log
 from dssc_jax.proofs.prove import Proved as Proved, check_certificate as check_certificate, prove as prove
 from dssc_jax.proofs.prove_vehicle import VehicleProved as VehicleProved
 from dssc_jax.proofs.reach import ProvedReach as ProvedReach, proved_up_to as proved_up_to
