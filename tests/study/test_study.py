@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jax.tree_util import keystr, tree_flatten_with_path
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
@@ -245,6 +246,16 @@ def test_table_1_parameters_survive_the_file(tmp_path):
     assert {"mu_robustness", "residual_scaling"} <= set(available_studies())
     for path in available_studies().values():
         dj.Study.load(path)
+
+
+def test_every_number_lies_at_its_paths_in_the_template():
+    """A law or a swept value at a path that does not exist would have no effect."""
+    for path in available_studies().values():
+        study = dj.Study.load(path)
+        leaves = {keystr(place, simple=True, separator=".") for place, _ in tree_flatten_with_path(study.template)[0]}
+        for number in study.numbers.values():
+            if number.quantity.law:
+                assert set(number.paths) <= leaves, (path.stem, number.name)
 
 
 OWN = """

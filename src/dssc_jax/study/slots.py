@@ -130,7 +130,7 @@ def parse_reference(
     numbers = list(joint.under(f"{slot}.joint", slot).numbers)
     for place, (channel, part) in enumerate(replacements.items()):
         part_with_units = with_units(part, units[channels.index(channel)])
-        numbers += part_with_units.under(f"{slot}.replaced.{place}", dotted_name(slot, channel)).numbers
+        numbers += part_with_units.under(f"{slot}.replacements.{place}", dotted_name(slot, channel)).numbers
     models = {channels.index(channel): part.model for channel, part in replacements.items()}
     model = replace_channels(joint.model, models)
     params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
