@@ -65,14 +65,14 @@ def line_rank(draws: int) -> int:
     return math.floor(TAIL_SHARE * (draws + 1) + ROUNDING)
 
 
-def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
+def beyond_p_value(count: int, flights: int, draws: int) -> float:
     """P-value of the hypothesis that the flights have the law of the draws.
 
     It is the probability that at least so many flights lie beyond the line, the :func:`line_rank`-th largest number of
     the draws.
 
     Args:
-        beyond: Number of flights beyond the line.
+        count: Number of flights beyond the line.
         flights: Number of all flights.
         draws: Number of draws, at least :data:`FEWEST_DRAWS`.
 
@@ -82,26 +82,26 @@ def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
     rank = line_rank(draws)
     if rank < 1:
         raise ValueError(f"needs at least {FEWEST_DRAWS} draws, got {draws}")
-    return float(count_probabilities(flights, np.arange(beyond, flights + 1), draws).sum())
+    return float(count_probabilities(flights, np.arange(count, flights + 1), draws).sum())
 
 
-def count_probabilities(flights: ArrayLike, beyond: np.ndarray, draws: int) -> np.ndarray:
+def count_probabilities(flights: ArrayLike, counts: np.ndarray, draws: int) -> np.ndarray:
     """Beta-binomial probability that exactly x of n flights lie beyond the line; 0 where x > n.
 
     Args:
         flights: Number n of flights, any shape.
-        beyond: Number x of flights beyond the line, broadcastable.
+        counts: Number x of flights beyond the line, broadcastable.
         draws: Number of draws that give the line.
     """
     rank = line_rank(draws)
-    within = np.maximum(np.subtract(flights, beyond), 0)
+    within = np.maximum(np.subtract(flights, counts), 0)
     logarithm = (
         -np.log(np.add(flights, 1.0))
-        - special.betaln(beyond + 1.0, within + 1.0)
-        + special.betaln(beyond + rank, within + draws + 1.0 - rank)
+        - special.betaln(counts + 1.0, within + 1.0)
+        + special.betaln(counts + rank, within + draws + 1.0 - rank)
         - special.betaln(rank, draws + 1.0 - rank)
     )
-    return np.where(beyond <= np.asarray(flights), np.exp(logarithm), 0.0)
+    return np.where(counts <= np.asarray(flights), np.exp(logarithm), 0.0)
 
 
 @lru_cache(maxsize=8)

@@ -219,22 +219,22 @@ def precision_matrix(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float
     initial_covariance = noise.transition(median_gap)[1][0] if isinstance(noise, Drift) else np.eye(size)
     # each gap adds the square of (next state - transition state), weighted by the inverse of its covariance
     inverse = np.linalg.inv(covariance)
-    below = -inverse @ transition
+    subdiagonal = -inverse @ transition
     diagonal = np.tile(np.linalg.inv(initial_covariance), (len(times), 1, 1))
     diagonal[1:] = inverse
-    diagonal[:-1] += transition.transpose(0, 2, 1) @ -below
+    diagonal[:-1] += transition.transpose(0, 2, 1) @ -subdiagonal
     gap_log_determinants = np.linalg.slogdet(covariance)[1]
     initial_log_determinant = float(np.linalg.slogdet(initial_covariance)[1])
     log_determinant = -(len(times) - 1) * float(gap_log_determinants.mean()) - initial_log_determinant
-    return lower_bands(diagonal, below), log_determinant, size
+    return lower_bands(diagonal, subdiagonal), log_determinant, size
 
 
-def lower_bands(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
+def lower_bands(diagonal: np.ndarray, subdiagonal: np.ndarray) -> np.ndarray:
     """Lower bands of a symmetric block-tridiagonal matrix, as SciPy stores them, shape (2 p, n p).
 
     Args:
         diagonal: Blocks on the diagonal, shape (n, p, p).
-        below: Blocks below the diagonal, shape (n - 1, p, p); (1, p, p) if all are equal.
+        subdiagonal: Blocks below the diagonal, shape (n - 1, p, p); (1, p, p) if all are equal.
     """
     count, size, _ = diagonal.shape
     bands = np.zeros((2 * size, count, size))
@@ -242,7 +242,7 @@ def lower_bands(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
         for row in range(column, size):
             bands[row - column, :, column] = diagonal[:, row, column]
         for row in range(size):
-            bands[size + row - column, :-1, column] = below[:, row, column]
+            bands[size + row - column, :-1, column] = subdiagonal[:, row, column]
     return bands.reshape(2 * size, -1)
 
 

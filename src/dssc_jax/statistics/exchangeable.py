@@ -39,8 +39,8 @@ def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
     for signal, is_measured in enumerate(np.isfinite(tested)):
         if is_measured.any():
             distance, size = distances_from_median(curves[:, signal, is_measured], tested[signal, is_measured])
-            least = max(LEAST_SPREAD * size, rounding)
-            has_spread[signal] = np.count_nonzero(distance.max(axis=1) > least) >= 2
+            threshold = max(LEAST_SPREAD * size, rounding)
+            has_spread[signal] = np.count_nonzero(distance.max(axis=1) > threshold) >= 2
     return has_spread
 
 
@@ -201,8 +201,8 @@ class Yardstick(NamedTuple):
         size = np.abs(middle).max(axis=1, keepdims=True)
         floor = FLOOR * np.sqrt(np.mean(spread**2, axis=1, keepdims=True))
         spread = np.maximum(spread, np.maximum(floor, LEAST_SPREAD * size))
-        least = np.maximum(LEAST_SPREAD * size[:, 0], ROUNDING * median_sizes(curves).max())
-        constant = np.nanmax(distance, axis=(0, 2)) <= least
+        threshold = np.maximum(LEAST_SPREAD * size[:, 0], ROUNDING * median_sizes(curves).max())
+        constant = np.nanmax(distance, axis=(0, 2)) <= threshold
         spread[constant] = np.nan
         return cls(middle, spread)
 

@@ -52,7 +52,7 @@ class Counts(NamedTuple):
     first: int
     probabilities: np.ndarray
 
-    def between(self, low: int, high: int) -> "Counts":
+    def part(self, low: int, high: int) -> "Counts":
         """The probabilities of ``low`` to ``high`` failures, both included."""
         start = max(low - self.first, 0)
         end = max(high + 1 - self.first, start)
@@ -98,12 +98,12 @@ def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
     for look in looks[:-1]:
         running = running.plus(binomial(look.draws - draws, probability))
         draws = look.draws
-        stopped += running.between(0, look.lower).total
-        running = running.between(look.lower + 1, look.upper - 1)
+        stopped += running.part(0, look.lower).total
+        running = running.part(look.lower + 1, look.upper - 1)
         if not running.probabilities.size:
             return stopped
     running = running.plus(binomial(looks[-1].draws - draws, probability))
-    return stopped + running.between(0, failures).total
+    return stopped + running.part(0, failures).total
 
 
 def multistage_interval(looks: Sequence[Look], failures: int, confidence: float) -> tuple[float, float]:

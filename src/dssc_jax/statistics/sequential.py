@@ -64,21 +64,21 @@ class UntilWidth:
         """The rule as part of a folder name."""
         return f"width-{self.width:g}"
 
-    def looks(self, most: int) -> Iterator[Look]:
-        """The looks that can stop the run, up to one that surely does, or to ``most`` draws."""
+    def looks(self, limit: int) -> Iterator[Look]:
+        """The looks that can stop the run, up to one that surely does, or to ``limit`` draws."""
         earlier: list[Look] = []
-        for draws in look_draws(most, RATIO):
+        for draws in look_draws(limit, RATIO):
             lower = self.lower_boundary(earlier, draws)
-            if lower >= 0 or draws == most:
+            if lower >= 0 or draws == limit:
                 look = Look(draws, lower, draws - lower)
                 yield look
                 earlier.append(look)
             if 2 * lower >= draws - 1:
                 break
 
-    def stops(self, most: int) -> int:
-        """Upper limit of the number of looks in a run of at most ``most`` draws."""
-        return len(look_draws(most, RATIO))
+    def stops(self, limit: int) -> int:
+        """Upper limit of the number of looks in a run of at most ``limit`` draws."""
+        return len(look_draws(limit, RATIO))
 
     def lower_boundary(self, earlier: list[Look], draws: int) -> int:
         """Largest number of failures, up to half the draws, after which the interval is narrow; -1 if there is none.
@@ -151,20 +151,20 @@ class AcceptReject:
         """The rule as part of a folder name."""
         return f"accept-{self.accept:g}-reject-{self.reject:g}"
 
-    def looks(self, most: int) -> Iterator[Look]:
-        """The looks up to ``most`` draws, with the boundaries at which the likelihood ratio decides."""
+    def looks(self, limit: int) -> Iterator[Look]:
+        """The looks up to ``limit`` draws, with the boundaries at which the likelihood ratio decides."""
         log_ratio_of_failure = math.log(self.reject / self.accept)
         log_ratio_of_pass = math.log1p(-self.reject) - math.log1p(-self.accept)
         bound = -math.log(1.0 - self.confidence)
         slope = log_ratio_of_failure - log_ratio_of_pass
-        for draws in look_draws(most, SPARSE_RATIO):
+        for draws in look_draws(limit, SPARSE_RATIO):
             lower = math.floor((-bound - draws * log_ratio_of_pass) / slope)
             upper = math.ceil((bound - draws * log_ratio_of_pass) / slope)
             yield Look(draws, max(lower, -1), min(upper, draws + 1))
 
-    def stops(self, most: int) -> int:
-        """Number of looks in a run of ``most`` draws."""
-        return len(look_draws(most, SPARSE_RATIO))
+    def stops(self, limit: int) -> int:
+        """Number of looks in a run of ``limit`` draws."""
+        return len(look_draws(limit, SPARSE_RATIO))
 
     def verdict(self, look: Look, failures: int) -> str | None:
         """The verdict ``accepted`` or ``rejected`` at a look with so many failures; None to continue."""

@@ -77,7 +77,7 @@ def limit_distances(weights: np.ndarray, counts: np.ndarray, confidence: float) 
 
 
 def allocate_draws(
-    weights: np.ndarray, shares: np.ndarray, width: float, most: int, confidence: float = CONFIDENCE
+    weights: np.ndarray, shares: np.ndarray, width: float, limit: int, confidence: float = CONFIDENCE
 ) -> np.ndarray:
     """Fewest draws in each stratum for an expected width of the interval.
 
@@ -87,7 +87,7 @@ def allocate_draws(
         weights: Probability of each stratum, shape (strata,).
         shares: Expected share of failures in each stratum, in (0, 1), shape (strata,).
         width: Upper minus lower limit of the interval; if it is large, every stratum gets :data:`LEAST_DRAWS`.
-        most: Largest number of all draws together; the interval may then remain wider.
+        limit: Largest number of all draws together; the interval may then remain wider.
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -104,10 +104,10 @@ def allocate_draws(
 
     def needs_more(log_multiplier: float) -> float:
         columns = best_columns(log_multiplier)
-        below = np.sqrt(squares_below[strata, columns].sum())
-        above = np.sqrt(squares_above[strata, columns].sum())
-        is_wide = below + above > width
-        return 1.0 if is_wide and numbers[columns].sum() < most else -1.0
+        lower = np.sqrt(squares_below[strata, columns].sum())
+        upper = np.sqrt(squares_above[strata, columns].sum())
+        is_wide = lower + upper > width
+        return 1.0 if is_wide and numbers[columns].sum() < limit else -1.0
 
     cheapest = -20.0
     narrowest = 80.0
