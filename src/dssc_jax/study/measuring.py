@@ -40,9 +40,11 @@ def metric_kinds(config: StudyTable) -> dict[str, Metric]:
         ConfigError: An object cannot be imported, is no metric, or has the name of another metric.
     """
     metrics = dict(PACKAGE_METRICS)
-    names_by_place = {f"metrics.names.{i}": name for i, name in enumerate(config.metrics.names or ())}
-    for i, table in enumerate(config.requirement):
-        names_by_place[f"requirement.{i}.metric"] = table.metric or ""
+    names_by_place: dict[str, str] = {}
+    for index, name in enumerate(config.metrics.names or ()):
+        names_by_place[f"metrics.names.{index}"] = name
+    for index, table in enumerate(config.requirement):
+        names_by_place[f"requirement.{index}.metric"] = table.metric or ""
     for place, name in names_by_place.items():
         if ":" not in name:
             continue

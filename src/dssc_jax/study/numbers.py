@@ -8,7 +8,7 @@ from typing import Any
 
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.laws import LAWS, Law, is_number, parse_law
+from dssc_jax.study.laws import LAWS, Law, UncertainValue, is_number, parse_law
 from dssc_jax.study.parameters import Expression, ParameterTable, require_plain
 from dssc_jax.study.tables import PARAMETERS
 
@@ -76,7 +76,7 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
         ValueError: It is none of these, not within the interval of the quantity, or not whole where it must be.
     """
     content = number_content(value, quantity)
-    low, high = (content, content) if isinstance(content, float) else content.support
+    low, high = content.support if isinstance(content, UncertainValue) else (content, content)
     violation = quantity.violated_by(low, high)
     if violation:
         value_text = f"{value!r}" if is_number(value) else f"{content}, whose support is [{low:g}, {high:g}]"
