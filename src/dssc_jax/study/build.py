@@ -1,47 +1,35 @@
 """Construction of a study from its table: models, parameters, numbers, metrics and requirements."""
 
-from collections.abc import Hashable, Iterable
-from dataclasses import replace
+from collections.abc import Hashable
 from functools import lru_cache
-from itertools import chain
 from typing import Any, NamedTuple
 
 import jax
 from pydantic import ValidationError
 
 from dssc_jax.closed_loop.infos import fields_of, first_infos
-from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
+from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
-from dssc_jax.core.contracts import Plant
-from dssc_jax.core.errors import ConfigError, errors_under
-from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
-from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.actuators import require_one_form, section_of
+from dssc_jax.core.units import ChannelUnits
+from dssc_jax.study.actuators import require_one_form
 from dssc_jax.study.components import as_table
-from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
-from dssc_jax.study.fitting import fitted_controllers, nominal_params
-from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, sensor_tables
+from dssc_jax.study.fitting import nominal_params
 from dssc_jax.study.measuring import available_metrics, metric_kinds, parse_measures
-from dssc_jax.study.numbers import Number, dotted_name, parameter_numbers
+from dssc_jax.study.numbers import Number, merge_numbers, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
-from dssc_jax.study.parts import (
-    parse_columns,
-    parse_plant,
-    parse_single_parts,
-    require_controllers,
-    with_bounded_jitter,
-)
-from dssc_jax.study.schema import StudyTable, UnitsTable
+from dssc_jax.study.parts import parse_parts
+from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.sections import FIXED_TABLES, with_section
 from dssc_jax.study.settled_checks import require_changes_before_settling, require_whole_windows
-from dssc_jax.study.slots import SLOTS, TABLES
+from dssc_jax.study.slots import TABLES
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
 from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
@@ -76,7 +64,7 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
     return constants
 
 
-class Parts(NamedTuple):
+class StudyContent(NamedTuple):
     """Content of a parsed study; the fields are those of :class:`dssc_jax.study.Study`."""
 
     config: StudyTable
@@ -88,80 +76,46 @@ class Parts(NamedTuple):
     requirements: tuple[Requirement, ...]
 
 
-def build(table: TomlTable) -> Parts:
-    """Parse every part of a study.
+def build(table: TomlTable) -> StudyContent:
+    """Parse a study from its table.
 
     Raises:
         ConfigError: The table is not valid; the message has the path, the rule and the value of the first error. For a
             name in the wrong section, it has the right section.
     """
     try:
-        return parsed_parts(table)
+        return parse_content(table)
     except ConfigError as error:
         raise with_section(error, table) from None
 
 
-def parsed_parts(table: TomlTable) -> Parts:
-    """Parse every part of a study, as in :func:`build`, without the hint at the right section."""
+def parse_content(table: TomlTable) -> StudyContent:
+    """Parse a study as :func:`build` does, but without the hint at the right section in an error."""
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
     require_one_form(config)
-    tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
-    parameters.resolved(config.compare, "compare")  # raises if an expression is not valid; a comparison reads it later
-    plant = parse_plant(tables["plant"], config.loop)
-    channels = plant.model.channels or ("",)
-    units = parse_units(config.units, plant.model, channels)
-    single_parts = parse_single_parts(tables, plant, channels, units)
-    inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
-    outputs = plant.model.reported(plant.params)
-    measurable = measurable_signals(plant.model, nominal_params(plant.params), outputs, channels, units)
-    sensors = sensor_tables(tables["sensor"], measurable)
-    measures = tuple(measurable[name] for name in sensors.measures)
-    columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
-    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable)
-    sample_time = config.loop.sample_time
-    columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
-    require_controllers(columns["controller"], channels, measures)
-    columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
-    events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
-    for slot in CHANNEL_EVENTS:
-        columns[slot] = with_channel_events(columns[slot], events, channels, slot)
-    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
-    loop = Loop(
-        **{slot: part.model for slot, part in single_parts.items()},
-        **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
-        channels=channels,
-        measures=measures,
-        input_names=tuple(signal.name for signal in inputs),
-        outputs=outputs,
-        rotors=plant.params.vehicle.rotors if columns["events"] else 0,
-        **time_fields(config),
-    )
-    template = LoopParams(
-        **{slot: part.params for slot, part in single_parts.items()},
-        **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
-    )
+    parts = parse_parts(config, parameters)
+    loop = parts.loop(config)
+    template = parts.template
+    units = parts.units
     metrics = metric_kinds(config)
     fields, vehicle_fields = info_fields(loop, template)
     names = available_metrics(fields, vehicle_fields, metrics)
     signals = signals_of(loop, template, units)
-    metric_measures, requirements = parse_measures(
-        config, names, metrics, channels, units, signals, parameters.constant
-    )
-    parts = [*single_parts.values(), *chain.from_iterable(columns.values())]
-    numbers = merge_numbers(chain.from_iterable(part.numbers for part in parts))
+    measures, requirements = parse_measures(config, names, metrics, loop.channels, units, signals, parameters.constant)
+    numbers = merge_numbers(parts.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, loop, measurable, numbers)
-    require_whole_windows(loop, metric_measures, config.envelope)
+    check_swept_parts(table, config, loop, parts.measurable, numbers)
+    require_whole_windows(loop, measures, config.envelope)
     require_changes_before_settling(config, numbers)
-    return Parts(
+    return StudyContent(
         config=config,
         loop=loop,
         template=template,
         units=units,
         numbers=numbers,
-        measures=metric_measures,
+        measures=measures,
         requirements=requirements,
     )
 
@@ -171,47 +125,6 @@ def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]
     fields, vehicle_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
     return sampled_signals(fields, vehicle_fields, units, reports, loop.quantities, loop.measures, loop.plant.angles)
-
-
-def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
-    """Units and meanings of each channel: those of the plant, overridden by ``[units]`` and ``[units.CHANNEL]``.
-
-    Raises:
-        ConfigError: An entry is unknown or not valid.
-    """
-    units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
-    common = {name: value for name, value in table.items() if name not in channels}
-    channel_units = []
-    for units, channel in zip(units_of_plant, channels, strict=True):
-        with errors_under(dotted_name("units", channel if channel in table else "")):
-            overrides = as_table(table[channel]) if channel in table else {}
-            try:
-                changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
-            except ValidationError as error:
-                raise first_error(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
-        channel_units.append(units._replace(**changes))
-    return tuple(channel_units)
-
-
-def merge_numbers(numbers: Iterable[Number]) -> dict[str, Number]:
-    """Merge numbers of the same name, which channels share: all their paths, and the unit of the first channel."""
-    merged_numbers: dict[str, Number] = {}
-    for number in numbers:
-        first = merged_numbers.get(number.name)
-        merged_numbers[number.name] = replace(first, paths=first.paths + number.paths) if first else number
-    return merged_numbers
-
-
-def time_fields(config: StudyTable) -> TomlTable:
-    """Fields of ``Loop`` about time: sampling, integration, and the rule that ends a settled draw early."""
-    loop = config.loop
-    return {
-        "sample_time": loop.sample_time,
-        "steps": loop.steps,
-        "substeps": loop.substeps,
-        "integrator": Integrator(loop.integrator),
-        "settled": Settled(**loop.settled.model_dump()) if loop.settled else None,
-    }
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]

@@ -20,7 +20,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ChannelUnits
-from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_fixed, with_constants
+from dssc_jax.study.build import info_fields, signals_of, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
@@ -28,6 +28,7 @@ from dssc_jax.study.measuring import PACKAGE_METRICS, available_metrics, metric_
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
+from dssc_jax.study.parts import time_fields
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.study import Study
 from dssc_jax.study.tables import PARAMETERS

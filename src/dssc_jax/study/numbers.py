@@ -164,6 +164,15 @@ def leaves_of(value: Any) -> Any:
     return value.leaf if isinstance(value, Expression) else value
 
 
+def merge_numbers(numbers: Iterable[Number]) -> dict[str, Number]:
+    """Merge numbers of the same name, which channels share: all their paths, and the unit of the first channel."""
+    merged_numbers: dict[str, Number] = {}
+    for number in numbers:
+        first = merged_numbers.get(number.name)
+        merged_numbers[number.name] = replace(first, paths=first.paths + number.paths) if first else number
+    return merged_numbers
+
+
 def parameter_numbers(parameters: ParameterTable, parts: Iterable[Number]) -> list[Number]:
     """Record of each parameter of the study; one that is needed before tracing can be neither drawn nor swept.
 

@@ -2,18 +2,30 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
+from typing import NamedTuple
 
+from pydantic import ValidationError
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
+from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.components import Component
-from dssc_jax.study.measures import require_signals
-from dssc_jax.study.numbers import dotted_name
-from dssc_jax.study.schema import LoopTable
+from dssc_jax.study.actuators import section_of
+from dssc_jax.study.components import Component, as_table
+from dssc_jax.study.events import CHANNEL_EVENTS, EVENT, events_of, vehicle_events, with_channel_events
+from dssc_jax.study.fitting import fitted_controllers, nominal_params
+from dssc_jax.study.measures import measurable_signals, parse_signal_sensors, require_signals, sensor_tables
+from dssc_jax.study.numbers import Number, dotted_name
+from dssc_jax.study.parameters import ParameterTable
+from dssc_jax.study.schema import LoopTable, StudyTable, UnitsTable
 from dssc_jax.study.slots import (
     PER_CHANNEL,
+    SLOTS,
     parse_channels,
     parse_disturbances,
     parse_inputs,
@@ -22,6 +34,93 @@ from dssc_jax.study.slots import (
     parse_winds,
     with_units,
 )
+from dssc_jax.study.table_errors import first_error
+
+
+class LoopParts(NamedTuple):
+    """All parts of a loop, parsed.
+
+    Args:
+        single: Plant, reference and wind by slot.
+        columns: Parts by slot, in most slots one for each channel. Others are the events of the vehicle, the
+            disturbance of each named input, and the sensor of each measured signal besides y and y'.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        units: Units and meanings of each channel.
+        inputs: Named disturbance inputs of the plant.
+        outputs: Named outputs of the plant.
+        measurable: Signals that sensors can measure, by name.
+        measures: Signals that the study measures besides y and y'.
+    """
+
+    single: dict[str, Component]
+    columns: dict[str, list[Component]]
+    channels: tuple[str, ...]
+    units: tuple[ChannelUnits, ...]
+    inputs: tuple[NamedSignal, ...]
+    outputs: tuple[NamedSignal, ...]
+    measurable: dict[str, NamedSignal]
+    measures: tuple[NamedSignal, ...]
+
+    def loop(self, config: StudyTable) -> Loop:
+        """The loop of the parts' models, with the clock of the study."""
+        return Loop(
+            **{slot: part.model for slot, part in self.single.items()},
+            **{slot: tuple(part.model for part in column) for slot, column in self.columns.items()},
+            channels=self.channels,
+            measures=self.measures,
+            input_names=tuple(signal.name for signal in self.inputs),
+            outputs=self.outputs,
+            rotors=self.single["plant"].params.vehicle.rotors if self.columns["events"] else 0,
+            **time_fields(config),
+        )
+
+    @property
+    def template(self) -> LoopParams:
+        """Parameters of the loop, whose leaves are numbers, laws and expressions."""
+        return LoopParams(
+            **{slot: part.params for slot, part in self.single.items()},
+            **{slot: tuple(part.params for part in column) for slot, column in self.columns.items()},
+        )
+
+    @property
+    def numbers(self) -> list[Number]:
+        """Records of the numbers of all parts; those that channels share occur once for each."""
+        parts = [*self.single.values(), *chain.from_iterable(self.columns.values())]
+        return [number for part in parts for number in part.numbers]
+
+
+def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
+    """Parse all parts of a loop.
+
+    Args:
+        config: Tables of the study.
+        parameters: Parameters of the study.
+
+    Raises:
+        ConfigError: A table is not valid, or parts do not fit together.
+    """
+    tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
+    parameters.resolved(config.compare, "compare")  # raises if an expression is not valid; a comparison reads it later
+    plant = parse_plant(tables["plant"], config.loop)
+    channels = plant.model.channels or ("",)
+    units = parse_units(config.units, plant.model, channels)
+    single_parts = parse_single_parts(tables, plant, channels, units)
+    inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
+    outputs = plant.model.reported(plant.params)
+    measurable = measurable_signals(plant.model, nominal_params(plant.params), outputs, channels, units)
+    sensors = sensor_tables(tables["sensor"], measurable)
+    measures = tuple(measurable[name] for name in sensors.measures)
+    columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
+    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable)
+    sample_time = config.loop.sample_time
+    columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
+    require_controllers(columns["controller"], channels, measures)
+    columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
+    events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
+    for slot in CHANNEL_EVENTS:
+        columns[slot] = with_channel_events(columns[slot], events, channels, slot)
+    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
+    return LoopParts(single_parts, columns, channels, units, inputs, outputs, measurable, measures)
 
 
 def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
@@ -135,3 +234,35 @@ def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], s
             numbers.append(number)
         bounded_sensors.append(replace(sensor, numbers=tuple(numbers)))
     return bounded_sensors
+
+
+def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
+    """Units and meanings of each channel: those of the plant, overridden by ``[units]`` and ``[units.CHANNEL]``.
+
+    Raises:
+        ConfigError: An entry is unknown or not valid.
+    """
+    units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
+    common = {name: value for name, value in table.items() if name not in channels}
+    channel_units = []
+    for units, channel in zip(units_of_plant, channels, strict=True):
+        with errors_under(dotted_name("units", channel if channel in table else "")):
+            overrides = as_table(table[channel]) if channel in table else {}
+            try:
+                changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
+            except ValidationError as error:
+                raise first_error(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
+        channel_units.append(units._replace(**changes))
+    return tuple(channel_units)
+
+
+def time_fields(config: StudyTable) -> TomlTable:
+    """Fields of ``Loop`` about time: sampling, integration, and the rule that ends a settled draw early."""
+    loop = config.loop
+    return {
+        "sample_time": loop.sample_time,
+        "steps": loop.steps,
+        "substeps": loop.substeps,
+        "integrator": Integrator(loop.integrator),
+        "settled": Settled(**loop.settled.model_dump()) if loop.settled else None,
+    }
