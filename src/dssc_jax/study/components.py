@@ -236,13 +236,26 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
         return parse_named(spec, as_table(value))
     if slot is None:
         return parse_params(as_table(value), spec.hint, preset)
-    if slot.number is None or not (is_number(value) or is_law(value) or isinstance(value, Expression)):
-        component = parse_component(value, slot.registry, default=slot.default)
-        return component.params, component.numbers
-    first_field = next(iter(field_specs(slot.registry[slot.number].members[None])))
-    component = parse_component({"kind": slot.number, first_field: value}, slot.registry)
+    if slot.number is not None and (is_number(value) or is_law(value) or isinstance(value, Expression)):
+        return parse_bare_number(value, slot.number, slot.registry)
+    component = parse_component(value, slot.registry, default=slot.default)
+    return component.params, component.numbers
+
+
+def parse_bare_number(value: object, kind: str, registry: Registry) -> tuple[Any, tuple[Number, ...]]:
+    """Parse a number in place of a part's table, as the first field of a part of this kind.
+
+    Returns:
+        Parameters of the part, and the records of its numbers. That of the bare number has an empty name, so that its
+        dotted name is that of the slot.
+
+    Raises:
+        ConfigError: As in :func:`parse_params`.
+    """
+    first_field = next(iter(field_specs(registry[kind].members[None])))
+    component = parse_component({"kind": kind, first_field: value}, registry)
     numbers = []
-    for number in component.numbers:  # a number in place of the part's table has the name of the slot
+    for number in component.numbers:
         numbers.append(replace(number, name="") if number.name == first_field else number)
     return component.params, tuple(numbers)
 
