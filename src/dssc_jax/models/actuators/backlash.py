@@ -1,7 +1,7 @@
 """Backlash (play) in series with the plant input, as of a gear: the output moves when the gap is used up.
 
-The play is taken implicitly: after a monotone change of the command the output is that of the continuous-time play,
-whatever the step, and it cannot chatter.
+The play is solved implicitly: after a monotone change of the command, the output is that of the play in continuous
+time, whatever the step, and it cannot chatter.
 
 Reference:
     M. Brokate, J. Sprekels, Hysteresis and Phase Transitions (1996), section 2.3.
@@ -19,24 +19,24 @@ from dssc_jax.core.smoothness import SMOOTH, not_smooth
 
 
 class BacklashParams(NamedTuple):
-    """The half-width of the gap; 0 for an ideal actuator."""
+    """Parameters of a backlash; a half-width of 0 makes it an ideal actuator."""
 
     half_width: Annotated[Scalar, Quantity("u", "half of the gap", at_least=0.0)]
 
 
 def step(params: BacklashParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The output keeps its value while the command stays within the gap around it."""
+    """The output after the command has moved: it changes only as far as the command leaves the gap around it."""
     (z,) = state
     return (clip(z, command - params.half_width, command + params.half_width),)
 
 
 def sample(params: BacklashParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar) -> tuple[Scalar]:
-    """:func:`step`: the command that is held moves the output at once."""
+    """The output after a new command, which moves it at once as in :func:`step`."""
     return step(params, state, command, dt)
 
 
 def unit_gain(params: BacklashParams) -> tuple[Unmodelled, BacklashParams]:
-    """The backlash for signals that are large against its gap: a gain of 1."""
+    """The substitute for signals that are large compared with the gap: a gain of 1, with the same parameters."""
     return UNIT_GAIN, params
 
 

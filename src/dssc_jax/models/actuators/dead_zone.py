@@ -10,13 +10,13 @@ from dssc_jax.core.smoothness import not_smooth
 
 
 class DeadZoneParams(NamedTuple):
-    """The half-width; 0 for an ideal actuator."""
+    """Parameters of a dead zone; a half-width of 0 makes it an ideal actuator."""
 
     half_width: Annotated[Scalar, Quantity("u", "largest command that has no effect", at_least=0.0)]
 
 
 def beyond_zone(params: DeadZoneParams, command: Scalar) -> Scalar:
-    """The part of the command beyond the zone."""
+    """The plant input: the part of the command beyond the dead zone, 0 within it."""
     return command - saturate(command, params.half_width)
 
 

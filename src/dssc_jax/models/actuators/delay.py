@@ -16,7 +16,7 @@ MOST_SAMPLES = 200  # samples: the state holds a scalar for each, and every scal
 
 
 class DelayParams(NamedTuple):
-    """The delay, and the length of the memory."""
+    """Parameters of a delay: the delay itself, and the number of commands in memory."""
 
     samples: Annotated[Scalar, Quantity("1", "delay, in controller samples", at_least=0.0)]
     memory: Annotated[
@@ -32,14 +32,19 @@ class DelayParams(NamedTuple):
 
 
 class DelayState(NamedTuple):
-    """The current and previous commands, newest first, and the plant's input during the current sample."""
+    """State of a delay.
+
+    Args:
+        commands: The present and the previous commands, newest first.
+        delayed: The plant's input during the present sample.
+    """
 
     commands: tuple[Scalar, ...]
     delayed: Scalar
 
 
 def prepare(params: DelayParams) -> DelayParams:
-    """Check the delay against the memory; raises ConfigError."""
+    """Require a memory of a whole number of samples, which is at least the longest delay; raises ConfigError."""
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     longest = extent(params.samples)[1]
@@ -49,19 +54,23 @@ def prepare(params: DelayParams) -> DelayParams:
 
 
 def init(params: DelayParams) -> DelayState:
-    """Commands before t = 0 are zero."""
+    """The state at t = 0: all earlier commands were zero."""
     return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
 
 
 def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Array, dt: Scalar) -> DelayState:
-    """Store a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
+    """The state after a new command.
+
+    With a delay of n + f samples the plant gets the mean of the delayed command over the sample, (1 - f) u_n +
+    f u_(n+1), where u_n is the command n samples ago.
+    """
     commands = (command, *state.commands[:-1])
     weights = [jnp.maximum(0.0, 1.0 - jnp.abs(params.samples - age)) for age in range(len(commands))]
     return DelayState(commands, dot(weights, commands))
 
 
 def has_fraction(params: DelayParams) -> bool:
-    """Whether the delay may be other than a whole number of samples."""
+    """Whether the delay may be a number of samples that is not whole."""
     shortest, longest = extent(params.samples)
     return shortest != longest or not shortest.is_integer()
 

@@ -1,6 +1,6 @@
 """Lags 1/(mu s + 1)^order in series with the plant input (the examples of Section V-A2).
 
-The command is held between samples and the lag is advanced by its exact solution, so a small mu needs no small step.
+The command is constant between samples, so the lag is advanced by its exact solution: a small mu needs no small step.
 """
 
 from enum import IntEnum
@@ -16,20 +16,20 @@ from dssc_jax.core.signals import Scalar
 
 
 class Order(IntEnum):
-    """Order of the lag."""
+    """Number of first-order lags in series."""
 
     ONE = 1
     TWO = 2
 
 
 class LagParams(NamedTuple):
-    """Time constant of the lag."""
+    """Parameters of a lag."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant mu of the unmodelled dynamics", above=0.0)]
 
 
 def system(params: LagParams, order: Order) -> LinearSystem:
-    """mu z1' = u - z1, mu z2' = z1 - z2, ...; the output is the last state."""
+    """The lag as a linear system: mu z1' = u - z1, mu z2' = z1 - z2, ...; its output is the last state."""
     rate = 1.0 / at_least(params.mu, FASTEST)
     rows = []
     for i in range(order):
@@ -42,7 +42,7 @@ def system(params: LagParams, order: Order) -> LinearSystem:
 
 
 def lag(order: Order) -> Unmodelled:
-    """1/(mu s + 1)^order, at rest at t = 0."""
+    """The actuator 1/(mu s + 1)^order, at rest at t = 0."""
     return linear_unmodelled(
         LagParams, lambda params: (0.0,) * order, lambda params: system(params, order), time_constant="mu"
     )

@@ -11,7 +11,7 @@ from dssc_jax.core.smoothness import MEAN_GAIN, not_smooth
 
 
 class QuantisationParams(NamedTuple):
-    """The resolution."""
+    """Parameters of a quantisation."""
 
     resolution: Annotated[Scalar, Quantity("u", "the plant input is a multiple of it", above=0.0)]
 

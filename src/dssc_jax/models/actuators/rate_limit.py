@@ -12,22 +12,22 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class RateLimitParams(NamedTuple):
-    """The largest slope; infinite for an ideal actuator."""
+    """Parameters of a rate limit; an infinite rate makes it an ideal actuator."""
 
     rate: Annotated[Scalar, Quantity("u/s", "largest slope of the plant input", above=0.0)]
 
 
 def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """Exact solution of z' = rate sgn(u - z) over dt with the command held."""
+    """The state after dt with a constant command u: the exact solution of z' = rate sgn(u - z)."""
     (z,) = state
     return (z + saturate(command - z, params.rate * dt),)
 
 
 def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """Exact solution for a command that moves on a straight line from start to end.
+    """The state after dt with a command that goes in a straight line from start to end: the exact solution.
 
-    The output moves towards the command at the largest rate. Once they meet, it moves with the command, or falls
-    behind.
+    The output moves towards the command at the largest rate. Once it has reached the command, it moves with it, or
+    falls behind it if the command is faster.
     """
     (z,) = state
     slope = (end - start) / dt
@@ -41,10 +41,10 @@ def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Sc
 
 
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
-    """Moments of a ramp that reaches the command after the share s of dt, and then stays constant.
+    """Moments over dt of the output, a ramp that reaches the command after the share s of dt and then stays there.
 
-    The mean lies s/2 of the covered gap before its end. The line with the same first moment rises by s (3 - 2 s) of
-    that gap.
+    With d the total change over dt, the mean is the final value less s d/2. The line with the same first moment rises
+    by s (3 - 2 s) d.
     """
     (z,) = state
     reach = params.rate * dt
@@ -54,7 +54,7 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
 
 
 def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
-    """The rate limit within its slope: the command itself."""
+    """The substitute for slopes below the limit: an infinite rate, so that the output is the command."""
     return RATE_LIMIT, RateLimitParams(jnp.inf)
 
 

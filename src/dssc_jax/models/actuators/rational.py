@@ -19,7 +19,13 @@ DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of s firs
 
 
 class RationalActuatorParams(NamedTuple):
-    """G(s), from the command to the plant's input; ``unit`` is found before tracing [s]."""
+    """The transfer function G(s) from the command to the plant's input.
+
+    Args:
+        numerator: Coefficients, highest power first.
+        denominator: Coefficients, highest power first.
+        unit: Unit of time of the states [s], which :func:`prepare` computes.
+    """
 
     numerator: Annotated[tuple[Scalar, ...], NUMERATOR]
     denominator: Annotated[tuple[Scalar, ...], DENOMINATOR]
@@ -27,7 +33,7 @@ class RationalActuatorParams(NamedTuple):
 
 
 def prepare(params: RationalActuatorParams) -> RationalActuatorParams:
-    """Check that G is proper for every value of its coefficients, and find the unit of time; raises ConfigError."""
+    """Require that G is proper for every value of its coefficients, and set the unit of time; raises ConfigError."""
     order = len(params.denominator) - 1
     if not 0 <= order <= MOST_ORDER:
         raise ConfigError("denominator", f"must have 1 to {MOST_ORDER + 1} coefficients, got {order + 1}")
@@ -41,7 +47,14 @@ def prepare(params: RationalActuatorParams) -> RationalActuatorParams:
 
 
 def time_unit(denominator: list[float]) -> float:
-    """The geometric mean of the time constants of the poles that are not 0 [s], at least FASTEST; 1 without any."""
+    """The geometric mean of the poles' time constants [s], at least FASTEST; poles at 0 are left out.
+
+    Args:
+        denominator: Coefficients, highest power first.
+
+    Returns:
+        The mean; 1 if all poles are 0, or if there is none.
+    """
     leading = denominator[0]
     for zero_poles, coefficient in enumerate(reversed(denominator[1:])):
         if coefficient != 0.0:
@@ -57,7 +70,7 @@ def init(params: RationalActuatorParams) -> tuple[Scalar, ...]:
 
 
 def system(params: RationalActuatorParams) -> LinearSystem:
-    """G in the unit of time."""
+    """G as a linear system in controllable canonical form, in the unit of time."""
     order = len(params.denominator) - 1
     leading = params.denominator[0]
 

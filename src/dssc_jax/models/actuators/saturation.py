@@ -14,14 +14,14 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class SaturationParams(NamedTuple):
-    """The limits of the plant input; infinite for an ideal actuator. Without ``low`` they are symmetric."""
+    """Limits of the plant input: [low, limit], or [-limit, limit] without ``low``; infinite for an ideal actuator."""
 
     limit: Annotated[Scalar, Quantity("u", "largest plant input", above=0.0)]
     low: Annotated[Scalar | None, Quantity("u", "smallest plant input; absent: -limit")] = None
 
 
-def saturated(params: SaturationParams, command: Scalar) -> Scalar:
-    """The command within the limits."""
+def limited_command(params: SaturationParams, command: Scalar) -> Scalar:
+    """The plant input: the command, clipped to the limits."""
     return clip(command, -params.limit if params.low is None else params.low, params.limit)
 
 
@@ -36,13 +36,13 @@ def prepare(params: SaturationParams) -> SaturationParams:
 
 
 def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
-    """The saturation within its limits: a gain of 1."""
+    """The substitute for commands within the limits: infinite limits, which make a gain of 1."""
     return SATURATION, SaturationParams(jnp.inf, None if params.low is None else -jnp.inf)
 
 
 SATURATION = static_unmodelled(
     SaturationParams,
-    saturated,
+    limited_command,
     smooth=piecewise("its limit; there it counts as within the limit, a gain of 1", without_limit),
     continuous=True,
     prepare=prepare,

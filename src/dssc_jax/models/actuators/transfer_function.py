@@ -1,6 +1,6 @@
 """Any stable proper transfer function G(mu s) with G(0) = 1 in series with the plant input (Section V-A2).
 
-The command is held between samples and G is advanced by its exact solution. A small mu therefore does not limit the
+The command is constant between samples, so G is advanced by its exact solution. A small mu therefore does not limit the
 step, and poles may be complex, repeated or far apart. With s' = mu s and z = (v, s' v, ..., s'^(n-1) v), v =
 u/denominator,
 
@@ -21,14 +21,14 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.zero_dynamics import companion
 
 MOST_ORDER = 6
-SLOWEST = 1e-6  # share of the poles' geometric mean: slower decay than that is not told from none
+SLOWEST = 1e-6  # slowest decay, relative to the poles' geometric mean, that can be told from none
 Matrix = tuple[tuple[float, ...], ...]
 NUMERATOR = Quantity("1", "numerator of G, rising powers of mu s", law=False)
 DENOMINATOR = Quantity("1", "denominator of G, rising powers of mu s", law=False)
 
 
 class TransferFunctionParams(NamedTuple):
-    """Time constant and shape of G: 1/(mu s + 1)^2 has the numerator (1,) and the denominator (1, 2, 1)."""
+    """Time constant and shape of G(mu s); 1/(mu s + 1)^2 has the numerator (1,) and the denominator (1, 2, 1)."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant mu of the unmodelled dynamics", above=0.0)]
     numerator: Annotated[tuple[float, ...], NUMERATOR]
@@ -36,12 +36,12 @@ class TransferFunctionParams(NamedTuple):
 
 
 class Realisation(NamedTuple):
-    """A, C and D in the unit of time mu ``unit``, in which the poles' geometric mean is 1; there B = (0, ..., 0, 1).
+    """G in controllable canonical form with B = (0, ..., 0, 1), in a unit of time in which the poles' mean size is 1.
 
     Args:
-        unit: The poles' geometric mean time constant, over mu.
-        a: Companion matrix of the denominator, with a_0 = a_n = 1.
-        c: Output row.
+        unit: The unit of time over mu: the geometric mean of the poles' time constants.
+        a: A, the companion matrix of the denominator with a_0 = a_n = 1, shape (n, n).
+        c: Output row, shape (n,).
         d: Direct feedthrough.
     """
 
@@ -52,14 +52,21 @@ class Realisation(NamedTuple):
 
 
 def scale_time(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
-    """Unit of time over mu, and the denominator's coefficients in it: the first and the last are 1, shape (n + 1,)."""
+    """Choose the unit of time in which the denominator's first and last coefficients are both 1.
+
+    Args:
+        denominator: Coefficients in rising powers of mu s, length n + 1.
+
+    Returns:
+        The unit over mu, and the coefficients in it, shape (n + 1,).
+    """
     ratios = np.asarray(denominator, dtype=float) / denominator[0]
     unit = ratios[-1] ** (1.0 / (len(ratios) - 1))
     return float(unit), ratios / unit ** np.arange(len(ratios))
 
 
 def decay(denominator: Sequence[float]) -> float:
-    """Rate of the slowest pole, over the poles' geometric mean; NaN if there is no finite rate."""
+    """Decay rate of the slowest pole, relative to the geometric mean of all poles; NaN if it is not finite."""
     with np.errstate(all="ignore"):
         _, coefficients = scale_time(denominator)
         if not np.all(np.isfinite(coefficients)):
@@ -68,12 +75,12 @@ def decay(denominator: Sequence[float]) -> float:
 
 
 def as_rows(matrix: np.ndarray) -> Matrix:
-    """A matrix as plain numbers."""
+    """A matrix as a tuple of rows."""
     return tuple(map(tuple, matrix.tolist()))
 
 
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
-    """G as matrices."""
+    """The realisation of G from its coefficients in rising powers of mu s."""
     unit, poles = scale_time(denominator)
     zeros = np.zeros(len(poles))
     zeros[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
@@ -82,9 +89,9 @@ def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Rea
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
-    """Check that G is proper, of order 1 to 6 and stable, that G(0) = 1, and that no pole is slower than ``SLOWEST``.
+    """Require that G is proper, of order 1 to 6 and stable, that G(0) = 1, and that no pole is slower than ``SLOWEST``.
 
-    The numerator must be finite in the unit of time in which the denominator begins and ends with 1.
+    The numerator must also be finite in the unit of time of :func:`scale_time`.
 
     Raises:
         ConfigError: A condition does not hold.
@@ -116,7 +123,7 @@ def init(params: TransferFunctionParams) -> tuple[Scalar, ...]:
 
 
 def linear(params: TransferFunctionParams) -> LinearSystem:
-    """G in the unit of time mu ``unit``."""
+    """G as a linear system for a time constant mu, which may be traced."""
     g = realise(params.numerator, params.denominator)
     rate = 1.0 / at_least(params.mu * g.unit, FASTEST)
     rows = []

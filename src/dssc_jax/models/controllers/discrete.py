@@ -1,16 +1,16 @@
-"""Controllers that are given in discrete time: a transfer function of z, and a state space.
+"""Controllers in discrete time: a transfer function of z, and a state-space model.
 
-The transfer function is u = C(z) (y_m - y), in the transposed direct form II. Between its limits it is linear; at a
-limit the limited command is what its denominator works on, so that it does not wind up.
+The transfer function is u = C(z) (y_m - y), in the transposed direct form II. Between its limits it is linear. At a
+limit the denominator acts on the limited command, so that the controller does not wind up.
 
-The state space is x(k+1) = A x + B w, u = C x + D w within its limits, where w holds y_m - y and then the measured
-signals, in the order of the study's ``measures``. Whether its state winds up at a limit is its designer's business.
+The state-space model is x(k+1) = A x + B w, u = C x + D w within its limits, where w holds y_m - y and then the
+measured signals, in the order of the study's ``measures``. It has no anti-windup.
 
 References:
     K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), sections 9.4 and 9.5.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
@@ -23,6 +23,7 @@ from dssc_jax.models.controllers.command_limits import HIGH, LOW, require_order,
 from dssc_jax.models.controllers.nominal import L0
 
 MOST_STATES = 40
+"""Largest order of a controller."""
 NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of z first")
 DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of z first")
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -36,7 +37,7 @@ Rows = tuple[Row, ...]
 
 
 class FractionGains(NamedTuple):
-    """C(z); ``l0`` defines sigma of the metrics and is not used by the controller."""
+    """Coefficients of C(z) and limits of u; ``l0`` defines sigma of the metrics and is not used by the controller."""
 
     numerator: Annotated[Row, NUMERATOR]
     denominator: Annotated[Row, DENOMINATOR]
@@ -47,7 +48,7 @@ class FractionGains(NamedTuple):
 
 
 class MatrixGains(NamedTuple):
-    """A, B, C and D; ``l0`` defines sigma of the metrics and is not used by the controller."""
+    """A, B, C, D and limits of u; ``l0`` defines sigma of the metrics and is not used by the controller."""
 
     a: Annotated[Rows, ENTRY]
     b: Annotated[Rows, INPUTS]
@@ -59,8 +60,11 @@ class MatrixGains(NamedTuple):
     l0: Annotated[Scalar, L0] = 1.0
 
 
+G = TypeVar("G", FractionGains, MatrixGains)
+
+
 class DiscreteState(NamedTuple):
-    """The controller's state."""
+    """The state x of the transfer function or the state-space model."""
 
     x: Row
 
@@ -112,12 +116,6 @@ def prepare_fraction(gains: FractionGains) -> FractionGains:
     return gains
 
 
-def fit_fraction(gains: FractionGains, setting: LoopSetting) -> FractionGains:
-    """Require the sample time of its design; raises ConfigError."""
-    require_sample_time(gains.sample_time, setting)
-    return gains
-
-
 def matrix_init(gains: MatrixGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
     """At rest."""
     return DiscreteState((0.0,) * len(gains.a))
@@ -155,17 +153,13 @@ def prepare_matrix(gains: MatrixGains) -> MatrixGains:
     return gains
 
 
-def fit_matrix(gains: MatrixGains, setting: LoopSetting) -> MatrixGains:
-    """Require the sample time of its design; raises ConfigError."""
-    require_sample_time(gains.sample_time, setting)
-    return gains
-
-
-def require_sample_time(designed: Scalar | None, setting: LoopSetting) -> None:
-    """Require that a controller runs at the T_s it was designed for, if it says so; raises ConfigError."""
-    if designed is not None and abs(float(designed) - setting.sample_time) > 1e-9 * setting.sample_time:
-        rule = f"must be the loop's sample_time = {setting.sample_time:g} s, got {float(designed):g}"
+def fit(gains: G, setting: LoopSetting) -> G:
+    """The gains, unchanged; raises ConfigError if they state another T_s than that of the loop."""
+    design_time = gains.sample_time
+    if design_time is not None and abs(float(design_time) - setting.sample_time) > 1e-9 * setting.sample_time:
+        rule = f"must be the loop's sample_time = {setting.sample_time:g} s, got {float(design_time):g}"
         raise ConfigError("sample_time", f"{rule}; design the controller for that, or change the loop")
+    return gains
 
 
 DISCRETE_TRANSFER_FUNCTION: Entry = single(
@@ -175,7 +169,7 @@ DISCRETE_TRANSFER_FUNCTION: Entry = single(
         fraction_step,
         prepare_fraction,
         smooth=smooth_within_limits(fraction_init, fraction_step),
-        fit=fit_fraction,
+        fit=fit,
         info=DiscreteInfo,
     ),
     "u = C(z) (y_m - y), by the coefficients of C",
@@ -191,7 +185,7 @@ DISCRETE_STATE_SPACE: Entry = single(
         prepare_matrix,
         smooth=smooth_within_limits(matrix_init, matrix_step),
         takes=lambda gains: len(gains.d) - 1,
-        fit=fit_matrix,
+        fit=fit,
         info=DiscreteInfo,
     ),
     "x(k+1) = A x + B w, u = C x + D w, where w is y_m - y and the measured signals",

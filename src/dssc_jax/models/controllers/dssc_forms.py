@@ -31,10 +31,13 @@ NEWTON_STEPS = 12
 
 @jax.tree_util.register_static
 class PredictorStart(StrEnum):
-    """sigma_hat at the first sample: 0; sigma (sliding from the start, as in Appendix D); sigma half a sample earlier.
+    """The choice of sigma_hat at the start.
 
-    With ``matched`` the sum of T_s phi_2 in the command is the integral of phi_2 from half a sample before the first
-    one, by the midpoint rule. With ``midpoint`` it begins at the first sample.
+    With ``zero`` it is 0 at the first sample. With ``matched`` it is sigma there, so that the loop slides from the
+    start, as in Appendix D. With ``midpoint`` it is sigma half a sample earlier.
+
+    The sum of T_s phi_2 in the command approximates the integral of phi_2 by the midpoint rule. With ``matched`` this
+    integral starts half a sample before the first sample, and with ``midpoint`` at the first sample.
     """
 
     ZERO = "zero"
@@ -43,9 +46,15 @@ class PredictorStart(StrEnum):
 
 
 class DsscGains(NamedTuple):
-    """Gains of DSSC: the state-dependent functions, the modulation and the nominal control.
+    """Gains of DSSC.
 
-    ``sign_width`` w replaces sgn(x) by x/(|x| + w), for smooth derivatives; if absent or 0, the sign is used.
+    Args:
+        l0: Error pole l_0 of sigma [1/s].
+        functions: State-dependent functions k_o, tau_av, tau_m.
+        rho: Modulation rho, the bound of u_0.
+        nominal: Gains of the nominal control; None: there is none.
+        predictor_start: Choice of sigma_hat at the start.
+        sign_width: Width w of x/(|x| + w), which replaces sgn(x) for smooth derivatives; None or 0: sgn(x).
     """
 
     l0: Annotated[Scalar, L0]
@@ -69,10 +78,15 @@ def nominal_input_gain(gains: DsscGains) -> float:
 
 
 class DsscState(NamedTuple):
-    """Averaged control u_av [m/s], predictor [m/s], previous sigma [m/s], state of the modulation.
+    """State of DSSC.
 
-    The predictor's state is sigma_hat; in the conservative form it is phi_1(sigma_hat). With the start ``midpoint``,
-    ``earlier`` is how many samples it is older than the first measurement; then it is 0.
+    Args:
+        u_av: Averaged control [u].
+        predictor: sigma_hat [y/s]; in the conservative form, phi_1(sigma_hat) [u].
+        sigma: sigma at the sample before [y/s].
+        modulation: State of the modulation.
+        earlier: Age of ``predictor`` before the first sample [samples], with the start ``midpoint``; 0 after that
+            sample, and () with another start.
     """
 
     u_av: Scalar
@@ -83,7 +97,15 @@ class DsscState(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """Filter and predictor after one sample: u_0, u_av+, predictor+, sigma_hat+, the equivalent control u_eq [m/s]."""
+    """Filter and predictor after one sample.
+
+    Args:
+        u_0: Switched control [u].
+        u_av: Averaged control [u].
+        predictor: State of the predictor, as in :class:`DsscState`.
+        sigma_hat: Predicted sigma [y/s].
+        u_eq: Equivalent control [u].
+    """
 
     u_0: Scalar
     u_av: Scalar
@@ -93,7 +115,15 @@ class Sampled(NamedTuple):
 
 
 class SampleRatios(NamedTuple):
-    """Quotients of the functions and T_s: 1/tau_m [1/s], 1/(1+b), c [1/s] and its inverse [s], K_I of (22)."""
+    """Ratios of the functions' values and T_s at one sample.
+
+    Args:
+        pole: 1/tau_m [1/s].
+        decay: 1/(1 + T_s/tau_m).
+        c: Decrease of sigma_tilde in a sample by an increase of u_0 [y/(s u)].
+        inverse_c: 1/c.
+        integral_gain: K_I of (22) [u/y].
+    """
 
     pole: Scalar
     decay: Scalar
@@ -103,7 +133,14 @@ class SampleRatios(NamedTuple):
 
 
 class ControlSample(NamedTuple):
-    """Inputs of filter and predictor at one sample: the error, the functions and their ratios there, the bound rho."""
+    """Inputs of filter and predictor at one sample.
+
+    Args:
+        error: Tracking error e and sigma.
+        at: Values of the state-dependent functions.
+        ratios: Ratios of these values and T_s.
+        rho: Bound of u_0 [u].
+    """
 
     error: TrackingError
     at: StateFunctions

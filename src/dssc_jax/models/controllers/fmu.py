@@ -34,14 +34,14 @@ COMMAND_KEY = "command"
 
 
 class SampledSignals(NamedTuple):
-    """The signals that a controller in an FMU can get at a sample.
+    """The signals that a controller in an FMU can read at a sample.
 
     Args:
-        y: The measurement of y.
-        y_dot: The measurement of y'.
-        y_ref: The reference y_m.
-        y_ref_dot: Its derivative.
-        y_ref_ddot: Its second derivative.
+        y: Measured y.
+        y_dot: Measured y'.
+        y_ref: Reference y_m.
+        y_ref_dot: Derivative of the reference.
+        y_ref_ddot: Second derivative of the reference.
         error: y_m - y, the negative of the error e of the metrics.
     """
 

@@ -81,16 +81,16 @@ def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar |
 
 
 class Factored(Protocol):
-    """Functions of which one factor is given."""
+    """Functions with a known product k_o tau_av; one factor is a parameter, and the other one is None."""
 
     @property
     def k_o(self) -> Scalar | None:
-        """Predictor gain, or None."""
+        """Predictor gain [y/(s^2 u)], or None."""
         ...
 
     @property
     def tau_av(self) -> Scalar | None:
-        """Averaging time constant, or None."""
+        """Averaging time constant [s], or None."""
         ...
 
 

@@ -34,7 +34,7 @@ from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace, call
 from dssc_jax.models.controllers.nominal import L0
 
 KIND = "library"
-"""The kind's name in a study's tables, by which the native code that they name is found."""
+"""Name of the kind in a study's tables; the search for native code in a study uses it."""
 
 FLAG = Quantity("1", "return value of the step: 0, or a number that tells why the command is not the usual one")
 WITHOUT_DERIVATIVE = (
@@ -42,20 +42,20 @@ WITHOUT_DERIVATIVE = (
 )
 
 Words: TypeAlias = tuple[jax.Array, ...]
-"""The state: the controller's memory beside its parameters, in words of the size of its numbers."""
+"""The state: the controller's memory without its parameters, in words as large as its numbers."""
 
 
 class LibraryGains(NamedTuple):
-    """Gains of a library before its file is known; those that it exports are further fields."""
+    """Gains of a library before its file is loaded; the parameters that it exports are further fields."""
 
     l0: Annotated[Scalar, L0] = 1.0
 
 
 class NativeCalls:
-    """The functions of one controller of a library, as functions that lanes can call.
+    """The functions of one controller of a library, in the form in which lanes call them.
 
-    Telemetry may cost more than the commands, and most flights show none. Where the code allows it, a sample is
-    therefore two calls, of which a compiler drops the one whose results nobody reads.
+    Telemetry may cost more than the command, and most flights do not record it. If the library has a step without
+    telemetry, a sample therefore makes two calls, and the compiler drops the one whose results are not used.
 
     Args:
         library: The library.
@@ -91,7 +91,7 @@ class NativeCalls:
         self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
 
     def values(self, gains: Params) -> list[Scalar]:
-        """The parameters in the order of the library."""
+        """The values of the library's parameters, in its order."""
         return [getattr(gains, number.name) for number in self.controller.parameters]
 
     def call(self, function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
@@ -119,13 +119,13 @@ class NativeCalls:
 
     @property
     def label(self) -> str:
-        """The controller in words."""
+        """The controller's name and file, for messages."""
         return f"the controller {self.controller.name} in {self.library.file}"
 
 
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
-    """The controller of a name in a library."""
+    """The controller with this name in a library."""
     (controller,) = (candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
@@ -159,7 +159,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
 
 
 def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
-    """The measured signals that the controller takes beside y and y'."""
+    """The measured signals that the controller reads in addition to y and y'."""
     return tuple(NamedSignal.of(number.name, number.quantity) for number in controller.measured)
 
 
@@ -195,10 +195,10 @@ def loaded_controller(table: TomlTable) -> Controller:
 
 
 def unloaded(reason: str) -> Controller:
-    """Placeholder for native code in lists of kinds, where its file is not known; no study gets it.
+    """A placeholder for native code in lists of kinds, before a file is loaded; no study gets it.
 
     Args:
-        reason: Why it has no derivative.
+        reason: Why the code has no derivative.
     """
     return Controller(
         LibraryGains,

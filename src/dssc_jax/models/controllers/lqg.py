@@ -9,11 +9,11 @@ because they are taken just before the new command acts. Per sample,
 About an operating point (y_0, u_0, s_0) other than 0, these are the deviations u - u_0, s - s_0 and y_m - y_0. The
 model is that of the plant if it is linear, or the one that the table ``model`` states, such as a linearisation there.
 
-K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2; L is the filter of least
-variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati equation when the
-study is built, with the median in place of each law: the controller of every draw is that of the nominal plant. N makes
-the gain from y_m to y one at rest; where the plant has none, N is 0. z stands still while the command is at a limit and
-the error drives it further.
+K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2. L is the gain of the filter
+with the least variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati
+equation when the study is built, with the median in place of each law, so that every draw has the controller of the
+nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero there, N is 0. While the
+command is at a limit, z does not integrate errors that drive it further.
 
 References:
     G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapters 8 and 9.
@@ -83,9 +83,11 @@ class LqgModel(NamedTuple):
 
 
 class LqgGains(NamedTuple):
-    """Weights and standard deviations; the other fields follow from them and from the nominal plant.
+    """Weights and standard deviations of the design, and the controller that :func:`fit` computes from them.
 
-    ``l0`` defines sigma of the metrics and is not used by the controller.
+    ``l0`` defines sigma of the metrics and is not used by the controller. The fields without units are computed: A, B,
+    C, D (``transition``, ``input``, ``signals``, ``feedthrough``), K, L, k_i, N (``feedback``, ``correction``,
+    ``integral_gain``, ``feedforward``), and ``taken``, the number of measured signals, 0 if y alone is measured.
     """
 
     command_weight: Annotated[Scalar, COMMAND_WEIGHT]
@@ -114,7 +116,7 @@ class LqgGains(NamedTuple):
 
 
 class LqgState(NamedTuple):
-    """The predicted state x-, the integral z of the error, and the last command."""
+    """The predicted state x-, the integral z of the error y - y_m, and the last command."""
 
     predicted: Row
     integral: Scalar
@@ -129,7 +131,13 @@ class LqgInfo(NamedTuple):
 
 
 class SampledPlant(NamedTuple):
-    """The nominal plant with its inputs held over a sample: A, B, and the columns of the disturbances."""
+    """A linear plant in discrete time, with inputs that are constant over a sample.
+
+    Args:
+        a: A, shape (n, n).
+        b: Column of the command, shape (n,).
+        disturbances: Columns of the disturbances, shape (n, inputs).
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -137,7 +145,13 @@ class SampledPlant(NamedTuple):
 
 
 def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> SampledPlant:
-    """The exact solution over a sample (Van Loan); the first column is that of the command."""
+    """The exact discretisation of a linear plant, by Van Loan's method.
+
+    Args:
+        a: A in continuous time, shape (n, n).
+        columns: Columns of the command and then of the disturbances, shape (n, 1 + inputs).
+        sample_time: T_s [s].
+    """
     order = len(a)
     block = np.zeros((order + columns.shape[1],) * 2)
     block[:order, :order] = a
@@ -146,11 +160,13 @@ def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> Sa
     return SampledPlant(exponential[:order, :order], exponential[:order, order], exponential[:order, order + 1 :])
 
 
-def regulator(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_time: float) -> np.ndarray:
+def feedback_row(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_time: float) -> np.ndarray:
     """K, followed by k_i if the error is integrated; shape (n,) or (n + 1,)."""
     order = len(plant.a)
-    a, b = plant.a, plant.b[:, None]
-    q = np.diag(filled("state_weights", gains.state_weights, order)) + gains.output_weight * np.outer(output, output)
+    a = plant.a
+    b = plant.b[:, None]
+    weights = numbers_or_zeros("state_weights", gains.state_weights, order)
+    q = np.diag(weights) + gains.output_weight * np.outer(output, output)
     if gains.integral_weight:
         a = np.block([[a, np.zeros((order, 1))], [sample_time * output[None, :], np.ones((1, 1))]])
         b = np.vstack([b, [[0.0]]])
@@ -159,29 +175,49 @@ def regulator(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_t
 
 
 def regulator_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, weight: float) -> np.ndarray:
-    """The row K that minimises the sum of x' Q x + weight u^2; raises ConfigError."""
-    p = solution(a, b, q, weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
+    """The row K, shape (n,), of u = -K x that minimises the sum of x' Q x + weight u^2; raises ConfigError."""
+    p = riccati_solution(a, b, q, weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
     return (np.linalg.solve(weight + b.T @ p @ b, b.T @ p @ a))[0]
 
 
-def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndarray:
-    """L, shape (n, m)."""
+def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndarray:
+    """L, shape (n, m), for m measured signals s = rows x, where ``rows`` has the shape (m, n)."""
     count = plant.disturbances.shape[1]
     missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
-    deviations = np.array(filled("disturbance_std", (*gains.disturbance_std, *missing), count))
-    intensity = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
-    w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + intensity
-    return filter_gain(plant.a, rows, w, np.diag(np.square(filled("signal_std", gains.signal_std, len(rows)))))
+    disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *missing), count))
+    state_variance = np.diag(np.square(numbers_or_zeros("state_std", gains.state_std, len(plant.a))))
+    w = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance
+    v = np.diag(np.square(numbers_or_zeros("signal_std", gains.signal_std, len(rows))))
+    return filter_gain(plant.a, rows, w, v)
 
 
 def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """L of the filter of least variance; the state's noise has the covariance w, and the signals' noise v."""
-    p = solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
+    """The gain L, shape (n, m), of the steady-state Kalman filter; raises ConfigError.
+
+    Args:
+        a: A in discrete time, shape (n, n).
+        rows: C of the measured signals, shape (m, n).
+        w: Covariance of the state's noise in a sample, shape (n, n).
+        v: Covariance of the signals' noise, shape (m, m).
+    """
+    p = riccati_solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
     return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T
 
 
-def solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray, part: str, cause: str) -> np.ndarray:
-    """The stabilising solution of a discrete Riccati equation; raises ConfigError."""
+def riccati_solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray, part: str, cause: str) -> np.ndarray:
+    """The stabilising solution of a discrete algebraic Riccati equation.
+
+    Args:
+        a: A, shape (n, n).
+        b: B, shape (n, m).
+        q: Weight of the state, shape (n, n).
+        r: Weight of the command, shape (m, m).
+        part: The part of the controller that needs it, for the message.
+        cause: A reason why there may be none, for the message.
+
+    Raises:
+        ConfigError: There is no stabilising solution.
+    """
     try:
         return solve_discrete_are(a, b, q, r)
     except (LinAlgError, ValueError) as error:
@@ -189,15 +225,15 @@ def solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray, part: s
         raise ConfigError("kind", f"{rule}noise lies on the unit circle, or {cause}") from None
 
 
-def filled(name: str, values: Row, count: int) -> tuple[float, ...]:
-    """Plain numbers, zeros where none are given; raises ConfigError for a wrong number of them."""
+def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
+    """The values as plain numbers, or zeros if there are none; raises ConfigError if there are not ``count``."""
     if values and len(values) != count:
         raise ConfigError(name, f"must have {count} numbers, got {len(values)}")
     return tuple(map(float, values)) or (0.0,) * count
 
 
 def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) -> float:
-    """N = N_u + K N_x with y = y_m at rest; 0 where the plant has a zero there."""
+    """N = N_u + K N_x, which makes y = y_m at rest; 0 if the plant has a zero at z = 1."""
     order = len(plant.a)
     block = np.block([[plant.a - np.eye(order), plant.b[:, None]], [output[None, :], np.zeros((1, 1))]])
     if np.linalg.cond(block) > 1e12:
@@ -206,15 +242,17 @@ def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) 
     return float(equilibrium[order] + feedback @ equilibrium[:order])
 
 
-def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
-    """The plant that a table states; raises ConfigError where its sizes do not fit."""
+def plant_of_model(model: LqgModel, setting: LoopSetting) -> NominalPlant:
+    """The plant of the table ``model``; raises ConfigError if the sizes of its matrices do not fit."""
     order = len(model.a)
-    named = () if setting.plant is None else setting.plant.inputs
     columns = model.disturbances or (model.b,)
     rows = model.signals
-    sizes = [("a", row, order) for row in model.a] + [("b", model.b, order), ("c", model.c, order)]
-    sizes += [("signals", row, order) for row in rows] + [("disturbances", column, order) for column in columns]
-    sizes += [("feedthrough", model.feedthrough, len(rows))] if model.feedthrough else []
+    sizes = [("a", row, order) for row in model.a]
+    sizes += [("b", model.b, order), ("c", model.c, order)]
+    sizes += [("signals", row, order) for row in rows]
+    sizes += [("disturbances", column, order) for column in columns]
+    if model.feedthrough:
+        sizes.append(("feedthrough", model.feedthrough, len(rows)))
     for name, entries, count in sizes:
         if len(entries) != count:
             raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(entries)}")
@@ -227,14 +265,14 @@ def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
         disturbances=np.array(columns, float).T,
         output=np.array(model.c, float),
         signals=np.reshape(np.array(rows, float), (len(rows), order)),
-        feedthrough=np.array(filled("model.feedthrough", model.feedthrough, len(rows))),
-        inputs=named,
+        feedthrough=np.array(numbers_or_zeros("model.feedthrough", model.feedthrough, len(rows))),
+        inputs=() if setting.plant is None else setting.plant.inputs,
     )
 
 
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
-    """Regulator and filter of the nominal plant, or of the stated model; raises ConfigError."""
-    plant = setting.plant if gains.model is None else stated_plant(gains.model, setting)
+    """The gains with the regulator and the filter of the nominal plant, or of ``model``; raises ConfigError."""
+    plant = setting.plant if gains.model is None else plant_of_model(gains.model, setting)
     if plant is None:
         rule = "'lqg' needs a linear plant with one command, such as kind = 'state_space', or a linear model of it"
         raise ConfigError("kind", f"{rule} in [controller.model], as `design --controller lqg` writes it")
@@ -243,22 +281,22 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     rows = plant.output[None, :] if by_output else plant.signals
     feedthrough = np.zeros(1) if by_output else plant.feedthrough
     if len(gains.signal_std) != len(rows):
-        named = "y" if by_output else ", ".join(setting.measures)
-        rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
+        names = "y" if by_output else ", ".join(setting.measures)
+        rule = f"must have a number for each measured signal ({names}), got {len(gains.signal_std)}"
         if not by_output and "y" not in setting.measures:
             rule = f"{rule}; to measure y as well, add it to [sensor] measures"
         raise ConfigError("signal_std", rule)
     columns = np.column_stack([plant.command, plant.disturbances])
     discrete = sampled_system(plant.a, columns, setting.sample_time)
     order = len(discrete.a)
-    feedback = regulator(discrete, plant.output, gains, setting.sample_time)
+    feedback = feedback_row(discrete, plant.output, gains, setting.sample_time)
     return gains._replace(
         transition=plain_rows(discrete.a),
         input=tuple(map(float, discrete.b)),
         signals=plain_rows(rows),
         feedthrough=tuple(map(float, feedthrough)),
         feedback=tuple(map(float, feedback[:order])),
-        correction=plain_rows(estimator(discrete, rows, gains)),
+        correction=plain_rows(correction_matrix(discrete, rows, gains)),
         integral_gain=float(feedback[order]) if len(feedback) > order else 0.0,
         feedforward=gain_at_rest(discrete, plant.output, feedback[:order]),
         taken=len(setting.measures),

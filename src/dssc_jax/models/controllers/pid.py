@@ -51,7 +51,7 @@ class PidGains(NamedTuple):
 
 
 class PidState(NamedTuple):
-    """Integral part and derivative part [u], and the last c y_m - y."""
+    """The integral part and the derivative part [u], and c y_m - y at the sample before [y]."""
 
     integral: Scalar
     derivative: Scalar

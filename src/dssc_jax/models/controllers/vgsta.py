@@ -33,7 +33,7 @@ from dssc_jax.models.controllers.sta import K_N, LIMIT, twisting_controller
 
 
 class VgstaGains(NamedTuple):
-    """Gains of the VGSTA."""
+    """Gains of the VGSTA; ``limit`` clips the command but not the integrator."""
 
     l0: Annotated[Scalar, L0]
     phi_a: Annotated[Scalar, Quantity("(y/s)^(1/2)", "square-root part phi_a", at_least=0.0)]

@@ -14,19 +14,19 @@ from dssc_jax.models.disturbances.prescribed import held_value
 
 
 class NoiseParams(NamedTuple):
-    """Gaussian noise of the given standard deviation and correlation time (a first-order Gauss-Markov process)."""
+    """Coloured Gaussian noise: a first-order Gauss-Markov process."""
 
     std: Annotated[Scalar, Quantity("u", "standard deviation", at_least=0.0)]
     correlation_time: Annotated[Scalar, Quantity("s", "correlation time", above=0.0)]
 
 
 def noise_init(params: NoiseParams, key: jax.Array) -> Scalar:
-    """A draw from the stationary law, to avoid an initial transient."""
+    """The value at t = 0, drawn from the stationary law, so that there is no transient."""
     return params.std * standard_normal(key)
 
 
 def noise_step(params: NoiseParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Exact sampling of the Gauss-Markov process: variance and correlation do not depend on dt."""
+    """The value at the next sample, by exact sampling: variance and correlation do not depend on dt."""
     decay = jnp.exp(-dt / params.correlation_time)
     spread = params.std * jnp.sqrt(-jnp.expm1(-2.0 * dt / params.correlation_time))
     return decay * state + spread * standard_normal(key)

@@ -1,4 +1,4 @@
-"""A disturbance of the class (30), which depends on the output and attains its bounds."""
+"""A disturbance of the class (30), which depends on the output and attains the bounds of the class."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -35,7 +35,7 @@ class PartitionParams(NamedTuple):
 def partition_value(
     params: PartitionParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """d_1 + d_2 + d_3 of (30)."""
+    """The disturbance d_1 + d_2 + d_3 of (30); see :class:`PartitionParams`."""
     omega = 2.0 * math.pi / params.period
     s = jnp.sin(omega * t)
     growth = params.k_d1 * jnp.abs(measurement.y) + params.k_d2 * jnp.abs(measurement.y_dot) + params.k_d3

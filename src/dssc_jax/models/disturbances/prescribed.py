@@ -38,11 +38,11 @@ class SineDisturbanceParams(NamedTuple):
 
 
 class SplineParams(NamedTuple):
-    """A cubic spline with knots ``interval`` apart, the first at ``at``: any signal of bounded amplitude and slope.
+    """A cubic spline with knots ``interval`` apart, the first at the time ``at``.
 
-    d = sum of knots[i] B((t - at)/interval - i) with the cubic B-spline B: |d| is at most the largest |knot|, and
-    |d'| is at most the largest difference of consecutive knots divided by the interval. It begins and ends at 0, two
-    intervals outside the knots.
+    It can approximate any signal of bounded amplitude and slope. d = sum of knots[i] B((t - at)/interval - i) with the
+    cubic B-spline B: |d| is at most the largest |knot|, and |d'| at most the largest difference of consecutive knots
+    divided by the interval. The spline begins and ends at 0, two intervals before the first and after the last knot.
     """
 
     knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
@@ -51,31 +51,31 @@ class SplineParams(NamedTuple):
 
 
 def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The value held over the sample."""
+    """The value over the sample, which is the state."""
     return state
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of the step over [t, t + dt): the impulse of a jump within a sample is exact, its time to O(T_s)."""
+    """Mean of the step over [t, t + dt): the integral of a jump within a sample is exact, its time up to T_s."""
     return params.value * elapsed_share(params.at, t, dt)
 
 
 def sine_value(
     params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The sine at t."""
+    """The sine at t [s]."""
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """Check that there are knots; raises ConfigError."""
+    """Require at least one knot; raises ConfigError."""
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params
 
 
 def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The spline at t."""
+    """The spline at t [s]."""
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 
 

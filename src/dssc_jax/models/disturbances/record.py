@@ -10,14 +10,14 @@ from dssc_jax.core.smoothness import SMOOTH
 
 
 class RecordedDisturbanceParams(NamedTuple):
-    """Times and values; a study file gives ``file`` and ``column`` instead."""
+    """A recorded disturbance; a study file has ``file`` and ``column`` instead."""
 
     time: Annotated[Values, TIMES]
     value: Annotated[Values, Quantity("u", "values at these times", law=False, data=True)]
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
-    """The disturbance that follows a record by the given rule; one that holds its values holds them over a sample."""
+    """The disturbance that interpolates a record by a rule; with ``hold`` it is constant over each sample."""
 
     def prepare(params: RecordedDisturbanceParams) -> Pieces:
         return cubic_pieces(params.time, params.value, rule)

@@ -1,4 +1,4 @@
-"""What may happen to a vehicle at a time: one file each, one row here."""
+"""Registry of events, which change a loop at a time: one file each, one row here."""
 
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.models.events.growing_delay import GROWING_DELAY

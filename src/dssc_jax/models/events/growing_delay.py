@@ -16,7 +16,7 @@ MOST_SAMPLES = 200
 
 
 class GrowingParams(NamedTuple):
-    """The delay is rate times the time since the event, at most ``memory`` samples."""
+    """A delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
 
     at: Annotated[Scalar, AT]
     rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
@@ -26,7 +26,13 @@ class GrowingParams(NamedTuple):
 
 
 class GrowingState(NamedTuple):
-    """Time of the next sample [s], the last commands, newest first, and what reaches the plant in this sample."""
+    """State of the delay.
+
+    Args:
+        t: Time of the next sample [s].
+        commands: The last commands, newest first.
+        delayed: The command that reaches the plant in this sample.
+    """
 
     t: Scalar
     commands: tuple[Scalar, ...]
@@ -41,12 +47,16 @@ def prepare(params: GrowingParams) -> GrowingParams:
 
 
 def init(params: GrowingParams) -> GrowingState:
-    """Commands before t = 0 are zero."""
+    """The state at t = 0: all earlier commands were zero."""
     return GrowingState(0.0, (0.0,) * (int(params.memory) + 1), 0.0)
 
 
 def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax.Array, dt: Scalar) -> GrowingState:
-    """Store a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
+    """The state after a new command.
+
+    With a delay of n + f samples the plant gets the mean of the delayed command over the sample, (1 - f) u_n +
+    f u_(n+1), where u_n is the command n samples ago.
+    """
     commands = (command, *state.commands[:-1])
     samples = jnp.clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
     weights = [jnp.maximum(0.0, 1.0 - jnp.abs(samples - age)) for age in range(len(commands))]

@@ -10,9 +10,10 @@ from dssc_jax.core.vectors import Vec3
 
 
 class PayloadParams(NamedTuple):
-    """A point mass at a place of the vehicle; dropped where the mass is below 0, as the vehicle's own includes it then.
+    """A point mass that the vehicle picks up at a place or, if the mass is negative, drops from there.
 
-    Velocity and body rate do not jump: what is picked up moves with the vehicle already.
+    The mass of the vehicle includes a mass that it will drop. Velocity and body rate do not jump, since a mass that is
+    picked up is assumed to move with the vehicle already.
     """
 
     at: Annotated[Scalar, AT]
@@ -33,7 +34,7 @@ def prepare(params: PayloadParams) -> PayloadParams:
 
 
 def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition with the mass at its place."""
+    """The condition of the vehicle with a share of the mass at its place."""
     mass = share * params.mass
     x, y, z = params.offset
     load = Load(mass, Vec3(x, y, z) * mass, Vec3(x * x, y * y, z * z) * mass, Vec3(y * z, z * x, x * y) * mass)

@@ -11,9 +11,9 @@ from dssc_jax.core.signals import Scalar
 
 
 class RotorParams(NamedTuple):
-    """The rotor, as trajectories count it (``rotor_1`` is the first), and the share of thrust that it keeps.
+    """A rotor that keeps a share of its thrust; rotors count from 1, as ``rotor_1`` of trajectories.
 
-    It turns at the root of that share of its speed, so that thrust, drag torque, drag and gyroscopic torque follow.
+    It turns at its speed times the root of this share, so drag torque, drag and gyroscopic torque change as well.
     """
 
     at: Annotated[Scalar, AT]
@@ -25,7 +25,7 @@ class RotorParams(NamedTuple):
 
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition with less of a rotor's thrust."""
+    """The condition of the vehicle with a share of the rotor's loss of thrust."""
     shares = condition.effectiveness or (1.0,) * rotors
     remaining_share = 1.0 - share * (1.0 - params.effectiveness)
     effectiveness = []

@@ -14,23 +14,23 @@ ROUNDING = 1e-9  # samples
 
 
 class OutageParams(NamedTuple):
-    """When the sensor freezes, and for how long."""
+    """An outage: from ``at`` on and for ``duration``, the sensor shows its last reading."""
 
     at: Annotated[Scalar, AT]
     duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
 
 
 class OutageState(NamedTuple):
-    """State of the sensor, and its last reading."""
+    """State of a sensor with an outage: that of the sensor itself (``inner``), and the last reading (``shown``)."""
 
     inner: State
     shown: Measurement
 
 
 def wrap(sensor: Sensor) -> Sensor:
-    """The sensor with an outage: at a sample in [at, at + duration) it shows what it showed before.
+    """The sensor with an outage: at samples in [at, at + duration) it shows its last reading before them.
 
-    At the first sample it has shown nothing yet. It then shows its first reading.
+    An outage from t = 0 on repeats the first reading.
     """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:

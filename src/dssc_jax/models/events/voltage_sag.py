@@ -8,7 +8,7 @@ from dssc_jax.core.signals import Scalar
 
 
 class SagParams(NamedTuple):
-    """The share of the voltage that remains. Rotors turn at that share of their speed: thrust falls with its square."""
+    """A fall of the voltage to a share; rotors turn at this share of their speed, so thrust falls with its square."""
 
     at: Annotated[Scalar, AT]
     voltage: Annotated[Scalar, Quantity("1", "share of the voltage that remains", above=0.0, at_most=1.5)]
@@ -17,7 +17,7 @@ class SagParams(NamedTuple):
 
 
 def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition with less voltage."""
+    """The condition of the vehicle with a share of the fall of the voltage."""
     remaining = 1.0 - share * (1.0 - params.voltage)
     earlier = condition.voltage
     return condition._replace(voltage=remaining if earlier is None else earlier * remaining)

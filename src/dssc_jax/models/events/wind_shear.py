@@ -10,7 +10,7 @@ from dssc_jax.core.vectors import Vec3
 
 
 class ShearParams(NamedTuple):
-    """The wind of the study, and gradient times the height of the vehicle above ``height``."""
+    """A wind that is added to that of the study: ``gradient`` times the vehicle's height above ``height``."""
 
     at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
@@ -27,7 +27,7 @@ def prepare(params: ShearParams) -> ShearParams:
 
 
 def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition with the shear."""
+    """The condition of the vehicle with a share of the shear."""
     shear = Shear(Vec3(*params.gradient) * share, params.height)
     return condition._replace(shears=(*condition.shears, shear))
 

@@ -1,4 +1,4 @@
-"""A plant in an FMU: it makes a step of its own between two samples, with the command held."""
+"""A plant in an FMU, which makes a step between two samples by its own solver, with constant command."""
 
 from math import nan
 from typing import Annotated, Any, NamedTuple, NoReturn
@@ -38,19 +38,19 @@ RATE_KEY = "y_dot"
 
 
 class FmuPlantParams(NamedTuple):
-    """Numbers of a plant before its FMU is known; those of the FMU are in ``parameters``."""
+    """Parameters of a plant in an FMU; with a known FMU, its own parameters are a further field."""
 
     k_p: Annotated[Scalar | None, K_P] = None
 
 
 class FmuState(NamedTuple):
-    """State of a plant in an FMU, which keeps the rest itself.
+    """State of a plant in an FMU; all else is in the FMU's instance.
 
     Args:
-        words: The instance and the steps that it has made.
-        y: The output.
-        y_dot: Its derivative.
-        outputs: The further outputs.
+        words: Handle of the instance, and number of steps that it has made.
+        y: Output.
+        y_dot: Derivative of the output.
+        outputs: Additional outputs that the study reports.
     """
 
     words: tuple[Scalar, ...]
@@ -65,6 +65,9 @@ class FmuPlant:
     Args:
         fmu: The FMU.
         table: The table.
+
+    Raises:
+        ConfigError: A variable is not there or cannot be connected.
     """
 
     def __init__(self, fmu: NativeFmu, table: TomlTable) -> None:
@@ -77,52 +80,57 @@ class FmuPlant:
         self.outputs = reported_outputs(fmu, table)
         require_distinct(self.connected_inputs)
         self.parameters = parameter_connections(fmu, table, self.connected_inputs)
-        read = (self.y, *([self.rate] if self.rate else []), *self.outputs)
-        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.connected_inputs, read)))
+        outputs = (self.y, *([self.rate] if self.rate else []), *self.outputs)
+        ports = FmuPorts(
+            fmu,
+            parameters=value_references(self.parameters),
+            inputs=value_references(self.connected_inputs),
+            outputs=value_references(outputs),
+        )
         self.functions = FmuFunctions(ports)
 
     @property
     def connected_inputs(self) -> tuple[Connection, ...]:
-        """The connected inputs, which are set before each step."""
+        """The connections of the inputs that are set before each step."""
         return (self.command, *([self.disturbance] if self.disturbance else []), *self.inputs)
 
     @property
     def units(self) -> ChannelUnits:
-        """Units and meanings of output and command; the symbols y and u where the FMU states none."""
+        """Units and meanings of output and command; the symbols y and u stand for units that the FMU does not state."""
         output = self.y.variable.quantity
         command = self.command.variable.quantity
         return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
 
     def init(self, params: Params) -> FmuState:
-        """The state before an instance begins."""
+        """The state before the instance is started."""
         return FmuState(empty_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
-        """The state at t = 0 of a new instance with the draw's parameters."""
-        words, (y, *further) = self.functions.start(lane, steps, values_of(params))
-        y_dot, outputs = (further[0], further[1:]) if self.rate else (state.y_dot, further)
+        """Start an instance with the draw's parameters; return the state at t = 0."""
+        words, (y, *outputs) = self.functions.start(lane, steps, values_of(params))
+        y_dot = outputs.pop(0) if self.rate else state.y_dot
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def advance(self, params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar, h: float) -> FmuState:
-        """The state after a step of the FMU with the input held.
+        """The state after a step of the FMU with constant input.
 
         Without an output for y', y' is the difference quotient of y over the step.
         """
         command = drive.command if self.disturbance else drive.command + drive.disturbance
         inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
         disturbance = (drive.disturbance,) if self.disturbance else ()
-        words, (y, *further) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
-        y_dot, outputs = (further[0], further[1:]) if self.rate else ((y - state.y) / h, further)
+        words, (y, *outputs) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
+        y_dot = outputs.pop(0) if self.rate else (y - state.y) / h
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """The further outputs by their names in the study."""
+        """The additional outputs by their names in the study."""
         if not self.outputs:
             return ()
         return report_type(tuple(signal for signal, _ in self.outputs))(*state.outputs)
 
     def plant(self) -> Plant:
-        """The plant."""
+        """The plant, an instance of its contract."""
         return Plant(
             params_type(self.parameters, "k_p", K_P, None),
             self.init,
@@ -140,18 +148,18 @@ class FmuPlant:
         )
 
 
-def places(connected: tuple[Connection, ...]) -> tuple[int, ...]:
-    """Value references of connected variables."""
+def value_references(connected: tuple[Connection, ...]) -> tuple[int, ...]:
+    """The FMU's value references of connected variables."""
     return tuple(variable.reference for _, variable in connected)
 
 
 def input_gain(params: Params) -> Scalar:
-    """The gain k_p that the study states; NaN: it states none."""
+    """The gain k_p of the study; NaN if it gives none."""
     return nan if params.k_p is None else params.k_p
 
 
 def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar) -> NoReturn:
-    """Refuse the derivative of the state, which the FMU keeps to itself; raises ConfigError."""
+    """Refuse the derivative of the state, which an FMU does not give; raises ConfigError."""
     raise ConfigError("plant", WITHOUT_DERIVATIVE)
 
 
@@ -173,7 +181,7 @@ UNLOADED = Plant(
     smooth=not_smooth(WITHOUT_DERIVATIVE),
     native="a file",
 )
-"""Placeholder for an FMU in lists of kinds, where its file is not known; no study gets it."""
+"""Stands for the kind in lists of kinds, where no file is known; no study gets it."""
 
 FMU_KEYS: dict[str, Any] = {
     **FILE_KEYS,

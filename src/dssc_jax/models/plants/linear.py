@@ -1,7 +1,7 @@
 """Linear plants with one input and one output: state space, and transfer function.
 
 Both have the form x' = A x + b (u_p + d), y = c x, without feedthrough. The relative degree r is the smallest number
-with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what the controller may rely on:
+with c A^(r-1) b not zero, or the excess of poles over zeros. A controller can rely on the following:
 
 * r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
   (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
@@ -37,7 +37,7 @@ DELAYED_BY_A_SAMPLE = (
     "stands behind D as one more state, d/(T s + 1), such as the lag of a sensor; or keep y = c x, name the whole in "
     "[plant.outputs.NAME] with its `d`, and list NAME in [sensor] measures: it shows d u(k-1), the last command"
 )
-"""Why a plant has no feedthrough to y, and what to do."""
+"""The reason why a plant has no feedthrough to y, and the remedy."""
 INITIAL_STATE = Quantity("SI", "initial state; the rest of it is zero")
 
 MatrixRows = tuple[tuple[Scalar, ...], ...]
@@ -51,12 +51,12 @@ class StateSpaceParams(NamedTuple):
         b: Input column of the command.
         c: Output row.
         disturbance: Input column e of the disturbance; None: that of the command, so that the disturbance is matched.
-        x0: First entries of the initial state; all further ones are zero.
+        x0: First entries of the initial state; the others are zero.
         outputs: Signals beside y, by their names in the study.
-        inputs: Input columns of disturbances beside that of ``disturbance``, by their names in the study.
+        inputs: Input columns of additional disturbances, by their names in the study.
         d: Feedthrough of the command to y, which must be 0.
-        degree: Relative degree from the command to y; found before tracing.
-        disturbance_degree: Relative degree from the disturbance to y; found before tracing.
+        degree: Relative degree from the command to y, set by :func:`prepare_state_space`.
+        disturbance_degree: Relative degree from the disturbance to y, set by :func:`prepare_state_space`.
     """
 
     a: Annotated[MatrixRows, ENTRY]
@@ -71,13 +71,20 @@ class StateSpaceParams(NamedTuple):
     disturbance_degree: int | None = None
 
     @property
-    def disturbed(self) -> Column:
-        """The input column of the disturbance."""
+    def disturbance_column(self) -> Column:
+        """The input column of the disturbance, by default that of the command."""
         return self.b if self.disturbance is None else self.disturbance
 
 
 class RationalParams(NamedTuple):
-    """G(s) from the command to the output, in controllable canonical form; the state of a plant at rest is zero."""
+    """G(s) from the command to the output, in controllable canonical form.
+
+    Args:
+        numerator: Coefficients, highest power first.
+        denominator: Coefficients, highest power first.
+        x0: First entries of the initial state; the others are zero, as all are at rest.
+        degree: Relative degree, set by :func:`prepare_transfer_function`.
+    """
 
     numerator: Annotated[tuple[Scalar, ...], PLANT_NUMERATOR]
     denominator: Annotated[tuple[Scalar, ...], PLANT_DENOMINATOR]
@@ -86,36 +93,36 @@ class RationalParams(NamedTuple):
 
 
 class LinearState(NamedTuple):
-    """The state x."""
+    """The state x of a linear plant."""
 
     x: tuple[Scalar, ...]
 
 
 def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """The initial state, filled up with zeros."""
+    """The initial state of a plant with ``order`` states: x0, filled up with zeros."""
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
 def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
-    """A, b for the command, e for the disturbance, and the columns of the named inputs."""
+    """The plant's matrices: A, the columns of command and disturbance, and the columns of the named inputs."""
     columns = tuple(item.column for _, item in by_names(params.inputs))
-    return LinearDynamics(params.a, (params.b,), (params.disturbed,), columns)
+    return LinearDynamics(params.a, (params.b,), (params.disturbance_column,), columns)
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and y' = c A x + c b u + c e d with the named inputs."""
+    """y = c x, and y' = c A x + c b u + c e d + the effect of the named inputs."""
     slope = dot(params.c, tuple(dot(row, state.x) for row in params.a))
     if params.degree == 1:
         slope = slope + dot(params.c, params.b) * drive.command
     if params.disturbance_degree == 1:
-        slope = slope + dot(params.c, params.disturbed) * drive.disturbance
+        slope = slope + dot(params.c, params.disturbance_column) * drive.disturbance
     for (_, item), value in zip(by_names(params.inputs), drive.inputs, strict=False):  # () stands for zeros
         slope = slope + dot(params.c, item.column) * value
     return Measurement(dot(params.c, state.x), slope)
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """The named outputs."""
+    """The outputs that the study names, for metrics and plots."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
@@ -128,7 +135,7 @@ def state_space_gain(params: StateSpaceParams) -> Scalar:
 
 
 def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
-    """Check the sizes, and find the relative degree of the nominal plant; raises ConfigError."""
+    """Check the sizes of all matrices, and set the relative degrees of the nominal plant; raises ConfigError."""
     order = len(params.a)
     if params.d != 0.0:
         raise ConfigError("d", f"must be 0, got {params.d:g}: {DELAYED_BY_A_SAMPLE}")
@@ -142,21 +149,28 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
             raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(getattr(params, name))}")
     require_start(params.x0, order)
     require_named(params.outputs, params.inputs, order)
-    a, b, c, disturbed = (nominal_values(part) for part in (params.a, params.b, params.c, params.disturbed))
-    return params._replace(
-        degree=required(relative_degree(RealisedSystem(a, b, c)), "c"),
-        disturbance_degree=relative_degree(RealisedSystem(a, disturbed, c)),
-    )
+    a = nominal_values(params.a)
+    b = nominal_values(params.b)
+    c = nominal_values(params.c)
+    degree = relative_degree(RealisedSystem(a, b, c))
+    if degree is None:
+        raise ConfigError("c", "the command does not reach the output: c A^k b is zero for every k")
+    disturbance_column = nominal_values(params.disturbance_column)
+    disturbance_degree = relative_degree(RealisedSystem(a, disturbance_column, c))
+    return params._replace(degree=degree, disturbance_degree=disturbance_degree)
 
 
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
-    """The last state's slope without the command: -(a_0 x_1 + a_1 x_2 + ...)/a_n."""
+    """Derivative of the last state without command and disturbance: -(a_0 x_1 + a_1 x_2 + ...)/a_n."""
     leading, *lower = params.denominator
     return -dot(tuple(reversed(lower)), state.x) / leading
 
 
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
-    """Controllable canonical form: x_i' = x_(i+1), and the last state's slope takes command and disturbance."""
+    """The plant's matrices in controllable canonical form.
+
+    x_i' = x_(i+1), and command and disturbance act on the derivative of the last state.
+    """
     leading, *lower = params.denominator
     order = len(lower)
     rows: list[tuple[Scalar, ...]] = [tuple(1.0 if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
@@ -166,7 +180,7 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope."""
+    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative."""
     rising = tuple(reversed(params.numerator))
     slope = (*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance)
     count = len(rising)
@@ -180,7 +194,11 @@ def transfer_function_gain(params: RationalParams) -> Scalar:
 
 
 def prepare_transfer_function(params: RationalParams) -> RationalParams:
-    """Check that the plant is strictly proper and that its leading coefficients cannot vanish; raises ConfigError."""
+    """Require a strictly proper plant with leading coefficients that are not zero, and set its relative degree.
+
+    Raises:
+        ConfigError: The plant is not of this kind.
+    """
     order = len(params.denominator) - 1
     if not 1 <= order <= MOST_STATES:
         raise ConfigError("denominator", f"must have 2 to {MOST_STATES + 1} coefficients, got {order + 1}")
@@ -198,13 +216,6 @@ def require_start(x0: tuple[Scalar, ...], order: int) -> None:
     """Require an initial state with at most as many numbers as the plant has states; raises ConfigError."""
     if len(x0) > order:
         raise ConfigError("x0", f"must have at most {order} numbers, one for each state, got {len(x0)}")
-
-
-def required(degree: int | None, place: str) -> int:
-    """The relative degree; raises ConfigError."""
-    if degree is None:
-        raise ConfigError(place, "the command does not reach the output: c A^k b is zero for every k")
-    return degree
 
 
 def nominal_values(values: Any) -> Any:

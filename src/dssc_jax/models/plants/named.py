@@ -1,4 +1,4 @@
-"""Outputs and disturbance inputs that a study names: rows of C and D, and columns beside that of the command."""
+"""Outputs and disturbance inputs of a linear plant that a study names, by rows of C and D and by input columns."""
 
 from collections.abc import Mapping
 from typing import Annotated, NamedTuple
@@ -17,7 +17,7 @@ COLUMN = Quantity("SI", "entry of the input's column")
 
 
 class OutputRow(NamedTuple):
-    """A named output c x + d u_p + the sum of ``inputs`` times the disturbances at these inputs."""
+    """A named output: c x + d u_p + the sum of feedthroughs (``inputs``) times the disturbances at these inputs."""
 
     c: Annotated[tuple[Scalar, ...], ROW]
     d: Annotated[Scalar, THROUGH] = 0.0
@@ -27,7 +27,7 @@ class OutputRow(NamedTuple):
 
 
 class InputColumn(NamedTuple):
-    """The column of a named disturbance input."""
+    """A named disturbance input, which adds its column times the disturbance to x'."""
 
     column: Annotated[tuple[Scalar, ...], COLUMN]
     unit: Text = Text("")
@@ -39,19 +39,19 @@ Inputs = dict[str, InputColumn] | None
 
 
 def named_signals(items: Mapping[str, OutputRow] | Mapping[str, InputColumn] | None) -> tuple[NamedSignal, ...]:
-    """Name, unit and meaning of each output or input, in the order of their names."""
+    """The named outputs or inputs as signals with unit and meaning, sorted by name."""
     return tuple(NamedSignal(name, str(item.unit), str(item.meaning)) for name, item in by_names(items))
 
 
 def output_report(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: PlantInput, is_matched: bool) -> Info:
-    """The named outputs; () without any.
+    """The values of the named outputs, as a report of the plant; () if there are none.
 
     Args:
-        outputs: Their rows.
+        outputs: The named outputs.
         inputs: The named inputs.
-        x: The state.
+        x: State of the plant.
         drive: The plant's input.
-        is_matched: Whether the disturbance beside the command acts as the command does, and passes through as it does.
+        is_matched: Whether the disturbance acts as the command does, so that it passes through ``d``, too.
     """
     if not outputs:
         return ()
@@ -84,13 +84,13 @@ def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
 
 
 def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:
-    """Require one number for each state; raises ConfigError."""
+    """Require a row or column with one number for each of ``order`` states; raises ConfigError."""
     if len(numbers) != order:
         raise ConfigError(place, f"must have {order} numbers, one for each state, got {len(numbers)}")
 
 
 def require_unit(unit: str) -> None:
-    """Require a unit that is a product of powers, or none; raises ConfigError."""
+    """Require an empty unit, or one that is a product of powers; raises ConfigError."""
     try:
         parse_unit(unit or "1")
     except ValueError as error:

@@ -13,10 +13,7 @@ from dssc_jax.core.zero_dynamics import ZeroDynamics, require_hurwitz
 
 
 class NormalFormParams(NamedTuple):
-    """Parameters of (5)-(8).
-
-    ``zero_dynamics`` holds A_eta's characteristic coefficients and C_eta; absent, the order is two.
-    """
+    """Parameters of the class (5)-(8); without ``zero_dynamics`` the order is two."""
 
     k_p: Annotated[Scalar, Quantity("y/(s^2 u)", "high-frequency gain k_p", above=0.0)] = 1.0
     a_p: Annotated[Scalar, Quantity("1/s", "damping a_p")] = 1.0
@@ -33,14 +30,17 @@ class NormalFormState(NamedTuple):
 
 
 def init(params: NormalFormParams) -> NormalFormState:
-    """State at t = 0; components of eta that ``initial`` does not give are zero."""
+    """The state at t = 0; components of eta beyond those of ``initial`` are zero."""
     x1, x2, *eta = params.initial
     order = 0 if params.zero_dynamics is None else len(params.zero_dynamics.a)
     return NormalFormState(x1, x2, tuple(eta) + (0.0,) * (order - len(eta)))
 
 
 def linear(params: NormalFormParams) -> LinearDynamics:
-    """Matrices of (5)-(7) for x = (x1, x2, eta); A_eta in controllable canonical form, B_eta = [0 ... 0 1]^T."""
+    """The matrices of (5)-(7) for x = (x1, x2, eta).
+
+    A_eta has the controllable canonical form, with B_eta = (0, ..., 0, 1).
+    """
     zero_dynamics = params.zero_dynamics
     order = 0 if zero_dynamics is None else len(zero_dynamics.a)
     coupling = () if zero_dynamics is None else tuple(-c for c in zero_dynamics.c)

@@ -18,14 +18,14 @@ from dssc_jax.models.references.steps import AT, BASELINE, has_reached
 
 
 class Spacing(StrEnum):
-    """How a chirp's frequency moves from its first to its last value."""
+    """Whether a chirp's frequency changes by equal amounts or by equal factors in equal times."""
 
     LINEAR = "linear"
     LOGARITHMIC = "logarithmic"
 
 
 class ChirpParams(NamedTuple):
-    """amplitude sin(phase) from ``at``; after ``duration`` the last frequency is kept."""
+    """y_m = offset + amplitude sin(phase) from ``at`` on; after ``duration`` the frequency stays at its last value."""
 
     amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
     start: Annotated[Scalar, Quantity("Hz", "first frequency", above=0.0)]
@@ -36,7 +36,7 @@ class ChirpParams(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """Phase [rad], angular frequency [rad/s] and its rate [rad/s^2]."""
+    """Phase of a chirp: ``angle`` [rad], its ``rate`` [rad/s] and the rate of change of that, ``sweep`` [rad/s^2]."""
 
     angle: Scalar
     rate: Scalar
@@ -44,7 +44,7 @@ class Phase(NamedTuple):
 
 
 def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase of a frequency that moves from ``start`` to ``end`` [Hz] by equal amounts in equal times."""
+    """The phase at a time since the start [s], with a frequency that changes by equal amounts in equal times."""
     slope = (params.end - params.start) / params.duration
     angle = math.tau * elapsed * (params.start + 0.5 * slope * elapsed)
     rate = math.tau * (params.start + slope * elapsed)
@@ -52,9 +52,9 @@ def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 
 
 def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase of a frequency that moves from ``start`` to ``end`` [Hz] by equal factors in equal times.
+    """The phase at a time since the start [s], with a frequency that changes by equal factors in equal times.
 
-    (e^x - 1)/x is 1 + x/2 near x = 0.
+    Near x = 0, where (e^x - 1)/x cancels, it is taken as 1 + x/2.
     """
     growth = jnp.log(params.end / params.start) / params.duration
     exponent = growth * elapsed
@@ -65,7 +65,7 @@ def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 
 
 def chirp(spacing: Spacing) -> Reference:
-    """The chirp whose frequency moves in the given way."""
+    """The chirp with a spacing of its frequencies."""
     sweep_phase = linear_sweep if spacing is Spacing.LINEAR else logarithmic_sweep
 
     def at(params: ChirpParams, t: Scalar) -> ReferencePoint:

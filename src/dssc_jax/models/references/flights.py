@@ -12,7 +12,7 @@ from dssc_jax.models.references.sine import MISSION, sine_at
 
 
 class HoverParams(NamedTuple):
-    """A fixed position and yaw."""
+    """Parameters of a hover: a fixed position and yaw."""
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "desired position x, y, z")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "desired yaw")] = 0.0
@@ -27,7 +27,7 @@ class StepsParams(NamedTuple):
 
 
 Flight: TypeAlias = tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]
-"""Desired x, y, z and psi."""
+"""Desired points of x, y, z [m] and psi [rad]."""
 
 Placed = TypeVar("Placed", HoverParams, StepsParams)
 
@@ -40,19 +40,22 @@ def three_values(params: Placed) -> Placed:
 
 
 def fixed_point(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
-    """A fixed point."""
+    """The flight that stays at a position x, y, z [m] and a yaw [rad]."""
     x, y, z, psi = (ReferencePoint(value, 0.0, 0.0) for value in (*position, yaw))
     return x, y, z, psi
 
 
 def steps_at(params: StepsParams, t: Scalar) -> Flight:
-    """Zero before the step, the given point afterwards; exact to rounding at samples t = k T_s."""
+    """The flight at t [s]: at zero before the step, at its point afterwards.
+
+    The step's time has a tolerance, because t = k T_s is rounded.
+    """
     on = jnp.where(t >= params.at * (1.0 - 1e-12), 1.0, 0.0)
     return fixed_point(tuple(on * value for value in params.position), on * params.yaw)
 
 
 def whole_mission(params: NoParams, t: Scalar) -> Flight:
-    """The mission of all four axes."""
+    """The article's mission in all four axes at t [s]."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 

@@ -18,7 +18,10 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class MultisineParams(NamedTuple):
-    """The sum of a_k sin(2 pi f_k t + phi_k). Without phases, Schroeder's keep the peak low for equal amplitudes."""
+    """y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
+
+    Absent phases are those of Schroeder, with which equal amplitudes have a low peak.
+    """
 
     amplitudes: Annotated[tuple[Scalar, ...], Quantity("y", "amplitude of each sine")]
     frequencies: Annotated[tuple[Scalar, ...], Quantity("Hz", "frequency of each sine", above=0.0)]
@@ -27,7 +30,7 @@ class MultisineParams(NamedTuple):
 
 
 def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
-    """The multisine at t."""
+    """The multisine and its derivatives at t [s]."""
     y = params.offset
     y_dot = 0.0
     y_ddot = 0.0

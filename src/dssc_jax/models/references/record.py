@@ -13,15 +13,15 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class RecordParams(NamedTuple):
-    """Times and values; before the first time and after the last, the first and the last value hold.
+    """A recorded desired output; the first value holds before the first time, the last one after the last time.
 
-    The derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate by the same rule of
-    interpolation, and y_ref'' its slope.
+    Derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
+    rule, and y_ref'' its slope.
 
-    The record of an angle may jump by a turn, as where it is within (-pi, pi]: it goes by the shorter way.
+    The record of an angle may jump by a turn, such as one in (-pi, pi]; the reference then takes the shorter way.
 
-    A study file gives ``file`` and ``column`` instead, and ``rate_column``, with ``rate_file`` if that is another file;
-    the values become part of the study when it is read.
+    A study file has ``file`` and ``column`` instead, and ``rate_column``, with ``rate_file`` if that is another file.
+    The values become part of the study when it is read.
     """
 
     time: Annotated[Values, TIMES]
@@ -33,7 +33,7 @@ class RecordParams(NamedTuple):
 
 
 class RatedPieces(NamedTuple):
-    """A recorded value, and its recorded rate."""
+    """A recorded value and its recorded rate as functions of time."""
 
     value: Pieces
     rate: Pieces
@@ -55,7 +55,7 @@ def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPi
 
 
 def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
-    """The value at t with its derivatives."""
+    """The reference at t [s]; its derivatives are those of the value, or come from the recorded rate."""
     if isinstance(pieces, RatedPieces):
         rate = piece_at(pieces.rate, t)
         return ReferencePoint(piece_at(pieces.value, t).y, rate.y, rate.y_dot)
@@ -63,12 +63,12 @@ def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
 
 
 def unwrapped(params: RecordParams) -> RecordParams:
-    """The record of an angle without its jumps by a turn, so that it goes from value to value by the shorter way."""
+    """The record of an angle with whole turns added, so that it goes from value to value by the shorter way."""
     return params._replace(value=tuple(np.unwrap(np.array(params.value, float)).tolist()))
 
 
 def record(rule: Interpolation) -> Reference:
-    """The reference that follows a record by the given rule."""
+    """The reference that interpolates a record by a rule."""
     of_angle = Reference(RecordParams, record_at, lambda params: record_pieces(unwrapped(params), rule))
     return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), of_angle=of_angle)
 

@@ -31,7 +31,7 @@ class Axis(StrEnum):
 
 
 def sine_at(params: SineParams, t: Scalar) -> ReferencePoint:
-    """The sine and its derivatives at t."""
+    """The sine and its derivatives at t [s]."""
     rate = 2.0 * math.pi / params.period
     angle = rate * t + params.phase
     swing = params.amplitude * jnp.sin(angle)
@@ -49,7 +49,7 @@ MISSION = {
 
 
 def mission(axis: Axis) -> Reference:
-    """One axis of the mission, with the article's numbers."""
+    """The reference of one axis of the article's mission."""
     return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
 
 

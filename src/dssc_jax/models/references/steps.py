@@ -18,7 +18,7 @@ BASELINE = Quantity("y", "value before it begins")
 
 
 def has_reached(t: Scalar, at: Scalar) -> Scalar:
-    """Whether t >= at, up to the rounding of t = k T_s."""
+    """Whether t >= at [s], with a tolerance for the rounding of t = k T_s."""
     return t >= at - 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
 
 
@@ -31,12 +31,12 @@ class StepReferenceParams(NamedTuple):
 
 
 def step_at(params: StepReferenceParams, t: Scalar) -> ReferencePoint:
-    """The step at t."""
+    """The step at t [s]."""
     return ReferencePoint(params.offset + jnp.where(has_reached(t, params.at), params.size, 0.0), 0.0, 0.0)
 
 
 class RampParams(NamedTuple):
-    """A ramp from ``at``, for ``rise`` seconds; without ``rise``, it does not end."""
+    """A ramp that begins at the time ``at`` and lasts for ``rise``; without ``rise`` it does not end."""
 
     slope: Annotated[Scalar, Quantity("y/s", "slope")]
     at: Annotated[Scalar, AT] = 0.0
@@ -45,7 +45,7 @@ class RampParams(NamedTuple):
 
 
 def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
-    """The ramp at t."""
+    """The ramp at t [s]."""
     elapsed = jnp.maximum(t - params.at, 0.0)
     rising = has_reached(t, params.at)
     if params.rise is not None:
@@ -55,7 +55,7 @@ def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
 
 
 class PulseParams(NamedTuple):
-    """A train of rectangular pulses from ``at``, each ``width`` long, one every ``period``."""
+    """A train of rectangular pulses from the time ``at`` on: one every ``period``, each ``width`` long."""
 
     size: Annotated[Scalar, Quantity("y", "size of a pulse")]
     period: Annotated[Scalar, Quantity("s", "time from one pulse to the next", above=0.0)]
@@ -65,7 +65,7 @@ class PulseParams(NamedTuple):
 
 
 def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
-    """The pulse train at t."""
+    """The pulse train at t [s]."""
     rounding = 8.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
     elapsed = t - params.at + rounding
     phase = elapsed - params.period * jnp.floor(elapsed / params.period)
@@ -83,17 +83,17 @@ def prepare_pulse(params: PulseParams) -> PulseParams:
 
 
 def step_level(params: StepReferenceParams) -> Scalar:
-    """The value after the step."""
+    """The level of the reference: its value after the step."""
     return params.offset + params.size
 
 
 def ramp_level(params: RampParams) -> Scalar:
-    """The value after the ramp; that before it, if it does not end."""
+    """The level of the reference: its value after the ramp, or before it if the ramp does not end."""
     return params.offset + (0.0 if params.rise is None else params.slope * params.rise)
 
 
 def pulse_level(params: PulseParams) -> Scalar:
-    """The value between the pulses."""
+    """The level of the reference: its value between the pulses."""
     return params.offset
 
 

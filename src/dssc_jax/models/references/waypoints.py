@@ -44,11 +44,12 @@ ALTITUDE = Quantity(
 
 
 class WaypointParams(NamedTuple):
-    """Waypoints in the order of flight; the first is the origin of east (x) and north (y), the ground there of up (z).
+    """Waypoints in the order of flight.
 
-    Yaw is measured from east towards north, as psi of the model (not a compass heading), and turns the shorter way
-    from one waypoint to the next; None means zero throughout. Heights are ellipsoidal differences. The ground is
-    assumed to lie on the ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
+    The origin of x (east), y (north) and z (up) is the ground at the first waypoint. Yaw is measured from east towards
+    north, as psi of the model (not as a compass heading), and turns the shorter way from one waypoint to the next;
+    without yaw, psi is 0. Heights are differences of ellipsoidal heights. The ground is assumed to lie on the
+    ellipsoid, which shortens lengths by 1.6e-7 for each metre of its true height.
     """
 
     latitude_deg: Annotated[tuple[Scalar, ...], LATITUDE]
@@ -78,7 +79,16 @@ class Curve(NamedTuple):
 
 
 def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Earth-centred, Earth-fixed position of geodetic coordinates [rad], [rad], [m]; shape (..., 3) [m]."""
+    """Earth-centred, Earth-fixed (ECEF) positions from geodetic coordinates.
+
+    Args:
+        latitude: Latitudes [rad], any shape (...).
+        longitude: Longitudes [rad], shape (...).
+        height: Ellipsoidal heights [m], shape (...).
+
+    Returns:
+        Positions [m], shape (..., 3).
+    """
     eccentricity2 = FLATTENING * (2.0 - FLATTENING)
     normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - eccentricity2 * np.sin(latitude) ** 2)  # prime vertical radius
     axis_distance = (normal + height) * np.cos(latitude)
@@ -87,7 +97,7 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
 
 
 def enu(params: WaypointParams) -> np.ndarray:
-    """East, north and up of the waypoints in the tangent plane at the first one's ground; shape (n, 3) [m]."""
+    """East, north and up of the waypoints in the tangent plane at the ground of the first one [m], shape (n, 3)."""
     latitude, longitude = (np.radians(np.asarray(x, float)) for x in (params.latitude_deg, params.longitude_deg))
     east = np.array([-np.sin(longitude[0]), np.cos(longitude[0]), 0.0])
     up = np.array([east[1] * np.cos(latitude[0]), -east[0] * np.cos(latitude[0]), np.sin(latitude[0])])
@@ -97,7 +107,7 @@ def enu(params: WaypointParams) -> np.ndarray:
 
 
 def check_path(params: WaypointParams) -> None:
-    """Check the waypoints before a path is computed; raises ConfigError."""
+    """Check the numbers of the waypoints, and that these are distinct and near each other; raises ConfigError."""
     count = len(params.latitude_deg)
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
@@ -138,18 +148,25 @@ def spline(params: WaypointParams) -> CubicSpline:
 
 
 def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|: length of the path per unit of u."""
+    """|dr/du|, the length of the path per unit of its parameter u, at each u."""
     return np.linalg.norm(path(u, 1)[..., :3], axis=-1)
 
 
 def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Length of the path between start and end [m], by Gauss's rule of five points (intervals are short)."""
+    """Length of the path between parameters start and end [m], by Gauss's rule of five points; for short intervals."""
     half = 0.5 * (end - start)
     return half * (path_speed(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
 
 
 def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
-    """Check that the path can be flown at the speed: it must be long and smooth enough; raises ConfigError."""
+    """Check that the path is long and smooth enough to be flown at the speed; raises ConfigError.
+
+    Args:
+        params: Speed and acceleration.
+        path: The path.
+        u: Parameters at which the path is checked, rising.
+        total: Length of the path [m].
+    """
     slope = path(u, 1)[:, :3]
     bend = path(u, 2)[:, :3]
     size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
@@ -175,8 +192,20 @@ def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, tota
 
 
 def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance [m], speed and its rate at t: up a ramp 10 x^3 - 15 x^4 + 6 x^5 (so the speed is C^2), cruise, down."""
-    sooner = np.minimum(t, total / speed + ramp - t)  # from the start or to the end
+    """The motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
+
+    The ramp is 10 x^3 - 15 x^4 + 6 x^5, so that the speed is twice continuously differentiable.
+
+    Args:
+        t: Times [s], shape (n,).
+        total: Length of the path [m].
+        speed: Cruise speed [m/s].
+        ramp: Duration of a ramp [s].
+
+    Returns:
+        Distance [m], speed [m/s] and acceleration [m/s^2] at each time, shape (n,) each.
+    """
+    sooner = np.minimum(t, total / speed + ramp - t)  # time from the start or to the end
     x = np.clip(sooner / ramp, 0.0, 1.0)
     distance = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
     rate = speed * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
@@ -185,7 +214,17 @@ def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.n
 
 
 def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) -> np.ndarray:
-    """Hermite quintics between equidistant nodes, and a constant after the last; (n, 4) to (n, 4, 6)."""
+    """Quintic Hermite polynomials between equidistant nodes, and a constant after the last node.
+
+    Args:
+        y: Values at the nodes, shape (n, 4).
+        y_dot: First derivatives, shape (n, 4).
+        y_ddot: Second derivatives, shape (n, 4).
+        step: Time between two nodes [s].
+
+    Returns:
+        Coefficients in ascending powers of the time over ``step``, shape (n, 4, 6).
+    """
     low = np.stack([y[:-1], step * y_dot[:-1], 0.5 * step**2 * y_ddot[:-1]], axis=-1)
     slope = step * y_dot[1:] - low @ [0.0, 1.0, 2.0]
     mismatch = np.stack([y[1:] - low.sum(axis=-1), slope, step**2 * y_ddot[1:] - 2.0 * low[..., 2]], axis=-1)
@@ -195,7 +234,14 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 
 
 def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The u at which the path has the lengths ``distances`` [m], by Newton's method from the grid (u, s)."""
+    """The parameters at which the path has reached some lengths, by Newton's method.
+
+    Args:
+        path: The path.
+        u: Parameters of a grid, rising.
+        s: Length of the path up to each of them [m].
+        distances: The lengths [m].
+    """
     k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
     parameters = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
@@ -205,7 +251,16 @@ def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.nda
 
 
 def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """The step with which the table keeps both bounds, also between its nodes (usually longer by 1e-5)."""
+    """The step with which the motion keeps the bounds of speed and acceleration between the nodes, too.
+
+    Args:
+        step: Time between two nodes [s].
+        coefficients: The motion, from :func:`quintics`.
+        params: The bounds.
+
+    Returns:
+        A step [s] that is usually longer by a factor of 1 + 1e-5.
+    """
     powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
     slope = polyder(coefficients[:, :3], axis=-1)
     velocity = slope @ powers / step
@@ -214,14 +269,14 @@ def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> 
     tangential = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
     root_ratio = math.sqrt(tangential.max() / float(params.acceleration))
     factor = max(1.0, speed.max() / float(params.speed), root_ratio)
-    return float(step * (factor + 0.01 * (factor - 1.0) + 1e-5))  # more, for a peak between the 17 points
+    return float(step * (factor + 0.01 * (factor - 1.0) + 1e-5))  # a little more, for peaks between the 17 points
 
 
 def curve(params: WaypointParams) -> Curve:
-    """Compute the motion along the path, on the host and before tracing: the table that :func:`at` evaluates.
+    """Compute the motion along the path on the host, before tracing; :func:`at` evaluates it.
 
     Raises:
-        ConfigError: too few, repeated or scattered waypoints, numbers out of range, or an impossible speed.
+        ConfigError: Waypoints are too few, repeated or scattered, numbers are out of range, or the speed is impossible.
     """
     check_path(params)
     path = spline(params)
@@ -247,7 +302,7 @@ def curve(params: WaypointParams) -> Curve:
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:
-    """x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi."""
+    """The desired x, y, z [m] and psi [rad] at t [s], in the precision of t; psi is continuous and may pass +-pi."""
     dtype = jnp.result_type(t, float)
     step = jnp.asarray(curve.step, dtype)
     phase = jnp.clip(jnp.asarray(t, dtype) / step, 0, curve.coefficients.shape[0] - 1)

@@ -18,21 +18,24 @@ class SensorLagParams(NamedTuple):
 
 
 class LagState(NamedTuple):
-    """The previous measurement and the previous reading."""
+    """State of the lag: the previous true measurement, and the previous reading (``shown``)."""
 
     true: Measurement
     shown: Measurement
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
-    """Start at the first measurement, as after a constant past."""
+    """The state at the first measurement, as if it had been constant before."""
     return LagState(measurement, measurement)
 
 
 def lag_step(
     params: SensorLagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[LagState, Measurement]:
-    """Exact solution of mu z' = y - z over dt, for y linear between the samples: a small mu is no delay."""
+    """The next state and the reading, by the exact solution of mu z' = y - z for y linear between the samples.
+
+    So a small mu causes no delay.
+    """
     steps = dt / params.mu
     share = -jnp.expm1(-steps)
 

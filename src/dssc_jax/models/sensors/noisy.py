@@ -12,8 +12,8 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 
-EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
-MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
+EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are those of noise
+MOST_DELAY = 200  # samples; each costs two scalars of the state, which are copied at every sample
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0, leading=True)
 VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
 POSITION_BIAS = Quantity("y", "constant error of y")
@@ -29,11 +29,10 @@ PERIOD = Quantity("1", "controller samples from one reading to the next", at_lea
 class NoisyParams(NamedTuple):
     """A sensor with white Gaussian noise, constant errors, a delay and its own sampling period.
 
-    A reading may also be taken early by a random time (``jitter``), be rounded to a resolution, or be lost: then the
-    last one holds. What the table does not give is left out of the program.
+    A reading may also be taken early by a random time (``jitter``), be rounded to a resolution, or be lost, so that the
+    last one stays. An absent number leaves its effect out of the program.
 
-    The two counts of samples determine the shape of the state, so they are integers known before tracing. If a
-    channel's output is an angle, units have rad instead of m.
+    Delay and period are whole numbers of samples without laws, because they determine the shape of the state.
     """
 
     position_std: Annotated[Scalar, POSITION_STD] = 0.0
@@ -49,9 +48,13 @@ class NoisyParams(NamedTuple):
 
 
 class NoisyState(NamedTuple):
-    """The last reading with its age in controller samples, and the readings in the delay queue, oldest first.
+    """State of the sensor.
 
-    With jitter, ``previous`` holds the plant's own output at the sample before.
+    Args:
+        age: Controller samples since the last reading was due.
+        held: The last reading.
+        queue: Readings that the delay holds back, oldest first.
+        previous: The true measurement at the last sample, with jitter; else ().
     """
 
     age: Scalar
@@ -61,7 +64,7 @@ class NoisyState(NamedTuple):
 
 
 def sample_count(name: str, value: object) -> int:
-    """A count of samples; raises ConfigError."""
+    """The value of the field ``name`` as a whole number of samples; raises ConfigError."""
     if not isinstance(value, int | float):
         raise ConfigError(name, "decides the shape of the state: must be a plain number, neither law nor swept")
     if not float(value).is_integer():
@@ -70,14 +73,14 @@ def sample_count(name: str, value: object) -> int:
 
 
 def prepare(params: NoisyParams) -> NoisyParams:
-    """Check the counts of samples; raises ConfigError."""
+    """Require whole numbers of samples for delay and period; raises ConfigError."""
     sample_count("delay_samples", params.delay_samples)
     sample_count("period_samples", params.period_samples)
     return params
 
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
-    """The measurement with the constant errors and fresh noise, rounded to the resolution."""
+    """A new reading of a measurement: with constant errors and noise, rounded to the resolution."""
     noise = standard_normals(key, 2)
     return Measurement(
         round_reading(
@@ -92,14 +95,20 @@ def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Me
 
 
 def round_reading(value: Scalar, resolution: Scalar | None) -> Scalar:
-    """The nearest multiple of the resolution; the value itself if there is none."""
+    """The nearest multiple of the resolution; the value itself if there is no resolution."""
     return value if resolution is None else resolution * jnp.round(value / resolution)
 
 
 def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: Scalar) -> Measurement:
-    """The measurement ``age`` before now, from the cubic through both samples and their derivatives.
+    """The measurement at a time ``age`` before the present sample [s], by cubic Hermite interpolation.
 
-    The error is of order dt^4 in y and dt^3 in y', as smooth as the plant's output is.
+    The error is of order dt^4 in y and dt^3 in y' if the plant's output is smooth.
+
+    Args:
+        present: Measurement at the present sample.
+        previous: Measurement at the sample before.
+        age: Age in [0, dt] [s].
+        dt: Length of a sample [s].
     """
     s = 1.0 - age / dt
     rise = present.y - previous.y
@@ -112,7 +121,7 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
 
 
 def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) -> NoisyState:
-    """Assume a constant past: one reading of the first measurement fills the queue, and a new one is due."""
+    """The state at the first measurement: a reading of it fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
     period = sample_count("period_samples", params.period_samples)
     previous = () if params.jitter is None else (measurement,)
@@ -122,8 +131,11 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
 def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
-    """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago."""
-    is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
+    """The next state, and the reading that was taken ``delay_samples`` ago.
+
+    A reading is taken if one is due and is not lost; else the last one stays.
+    """
+    is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # age is a whole number
     true = measurement
     is_received = is_due
     if params.loss is not None or params.jitter is not None:
@@ -141,7 +153,7 @@ def noisy_step(
 
 
 def noisy_smoothness(params: NoisyParams) -> Smoothness:
-    """Linear, but for its own period, lost readings, jitter and a resolution."""
+    """The declaration: the sensor is linear, except for a period of its own, losses, jitter and a resolution."""
     if params.period_samples != 1.0:
         return not_smooth(
             f"has period_samples = {params.period_samples:g}, which must be 1 for a frequency response: the loop is "
@@ -158,7 +170,7 @@ def noisy_smoothness(params: NoisyParams) -> Smoothness:
 
 
 def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
-    """The sensor for signals that are large against its resolution; with the jitter of the draw."""
+    """The substitute for signals that are large compared with the resolution: the sensor without a resolution."""
     return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
 
 

@@ -14,11 +14,11 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import SMOOTH
 
-AHEAD = 0.01  # share of a step by which held noise begins early: rounding of k T_s must not show the value before
+AHEAD = 0.01  # share of a step by which each value begins early, because t = k T_s is rounded
 
 
 class RecordedNoiseParams(NamedTuple):
-    """The recorded noise of a sensor; a study file gives ``file`` and the ``columns`` of y and y' instead."""
+    """The recorded noise of a sensor; a study file has ``file`` and the ``columns`` of y and y' instead."""
 
     time: Annotated[Values, TIMES]
     position: Annotated[Values, Quantity("y", "noise on y at these times", law=False, data=True)]
@@ -26,7 +26,10 @@ class RecordedNoiseParams(NamedTuple):
 
 
 class RecordedNoise(NamedTuple):
-    """Noise on y and y', and the length of the record with the step of its last value [s]."""
+    """Noise on y (``position``) and y' (``velocity``) as functions of time, and the record's length [s].
+
+    The length includes a step after the last value.
+    """
 
     position: Pieces
     velocity: Pieces
@@ -34,14 +37,14 @@ class RecordedNoise(NamedTuple):
 
 
 class NoiseStart(StrEnum):
-    """Where in the record a draw begins."""
+    """Whether a draw begins at a random time of the record, or at its first value."""
 
     RANDOM = "random"
     FIRST = "first"
 
 
 def prepare(params: RecordedNoiseParams) -> RecordedNoise:
-    """The record as functions of time, the first value at t = 0."""
+    """The record as functions of time, shifted so that the first value is at t = 0."""
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)
     start = params.time[0]
@@ -55,7 +58,10 @@ def prepare(params: RecordedNoiseParams) -> RecordedNoise:
 def step(
     noise: RecordedNoise, start_time: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[Scalar, Measurement]:
-    """The measurement with the noise of the record, which is repeated after its end."""
+    """The state, which is the time of the record at t = 0 [s], and the measurement with the record's noise.
+
+    The record is repeated after its end.
+    """
     at = start_time + t
     at = at - noise.length * jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
     position = piece_at(noise.position, at).y
@@ -64,7 +70,7 @@ def step(
 
 
 def recorded_sensor(start: NoiseStart) -> Sensor:
-    """The sensor whose noise is a record, held between its times."""
+    """The sensor whose noise is a record, with values that hold until the next time."""
 
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
         return noise.length * uniforms(key, 1)[0] if start == NoiseStart.RANDOM else 0.0

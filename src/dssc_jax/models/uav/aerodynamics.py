@@ -13,7 +13,7 @@ from dssc_jax.models.uav.vehicle import Vehicle
 
 
 class Drag(NamedTuple):
-    """F_drag, inertial [N], and tau_drag, body frame [N m]."""
+    """Force F_drag in the inertial frame [N], and torque tau_drag in the body frame [N m]."""
 
     force: Vec3
     torque: Vec3
@@ -51,7 +51,17 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
 
 
 def drag_of_rotors(vehicle: Vehicle, rate: Vec3, in_body: Vec3, speeds: tuple[Scalar, ...]) -> tuple[Vec3, Vec3]:
-    """Force [N] and torque [N m] of the drag of propellers anywhere, in body axes; ``in_body`` is v_r there [m/s]."""
+    """Drag of the propellers of a vehicle that lists its rotors, in body axes.
+
+    Args:
+        vehicle: K_Fdi and the places of the rotors.
+        rate: Body rate Omega [rad/s].
+        in_body: v_r = v - v_w in body axes [m/s].
+        speeds: |thetadot_i| of each rotor [rad/s].
+
+    Returns:
+        Force [N] and torque [N m].
+    """
     force = Vec3(0.0, 0.0, 0.0)
     torque = Vec3(0.0, 0.0, 0.0)
     for rotor, speed in zip(vehicle.rotor, speeds, strict=True):

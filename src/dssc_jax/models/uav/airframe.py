@@ -1,4 +1,4 @@
-"""Vehicles from PX4: geometry (CA_), mass properties (SIH_), gains (MC_, MPC_) of a parameter file as table [plant].
+"""Table [plant] of a PX4 vehicle, from the geometry (CA_), mass properties (SIH_) and gains (MC_, MPC_) of its file.
 
 PX4's body axes point forward, right and down; here they point forward, left and up. A rotor at (CA_ROTORi_PX,
 CA_ROTORi_PY) therefore sits at the angle atan2(-PY, PX). A positive CA_ROTORi_KM means a rotor that turns
@@ -32,13 +32,18 @@ LINE = re.compile(
     r"[ \t]*(?:param[ \t]+(?:set|set-default)[ \t]+(?P<set>\w+)[ \t]*(?P<to>[^\s#]*)"  # an airframe's start-up script
     r"|\d+\s+\d+\s+(?P<name>\w+)\s+(?P<value>\S+)\s+\d+\s*$)",  # a ground station's file: vehicle, component, .., type
 )
+"""A line that sets a parameter."""
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
-READ = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
+"""Names of PX4's gains."""
+PREFIXES = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
+"""Beginnings of the names of the parameters that are read."""
 LARGEST_PARAMETER = 1e6
 """Largest size of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
-PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
 INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
-SIMULATED: dict[str, float] = {
+"""The moments of inertia."""
+PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
+"""The products of inertia."""
+SIH_DEFAULTS: dict[str, float] = {
     "SIH_MASS": 1.0,
     "SIH_IXX": 0.025,
     "SIH_IYY": 0.025,
@@ -50,35 +55,36 @@ SIMULATED: dict[str, float] = {
     "SIH_L_PITCH": 0.2,
     "SIH_KDV": 1.0,
 }
-"""PX4's defaults, which hold in a file that is made for the simulation in hardware (it sets SIH_VEHICLE_TYPE)."""
+"""PX4's defaults in a file for the simulation in hardware, which is one that sets SIH_VEHICLE_TYPE."""
 GYRATION = (0.45, 0.45, 0.6)
-"""Radii of gyration over the rotors' distance: means of the package's sourced vehicles, which differ by a third."""
+"""Radii of gyration over the arm: means of the package's vehicles with sources, which differ by a third."""
 HOVER_SPEED = 500.0
-"""Rotor speed in hover [rad/s], a scale alone: PX4 knows no rotor speed, and nothing else follows from it here."""
+"""Assumed rotor speed in hover [rad/s]. It only sets a scale, because PX4's parameters contain no rotor speed."""
 AIRMODES = (Desaturation.AIRMODE_DISABLED, Desaturation.AIRMODE_ROLL_PITCH, Desaturation.AIRMODE_ROLL_PITCH_YAW)
 """The modes of MC_AIRMODE, from 0."""
-TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
-TAKEN_BY_CASCADE = ("MC_AIRMODE", "MPC_XY_P", "MPC_Z_P", *GAIN_PARAMETERS)
-"""Parameters that the inner loop takes: the article's, and PX4's cascade."""
+ARTICLE_PARAMETERS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
+"""Parameters that the article's inner loop uses."""
+CASCADE_PARAMETERS = ("MC_AIRMODE", "MPC_XY_P", "MPC_Z_P", *GAIN_PARAMETERS)
+"""Parameters that PX4's cascade uses."""
 
 OUTER_GAINS = ("MPC_XY_P", "MPC_Z_P", "MC_YAW_P")
-"""Gains of position and yaw, which are those of the controllers around the vehicle."""
+"""Gains of position and yaw, which belong to the controllers outside of the vehicle."""
 LOOP_RATE = "IMU_GYRO_RATEMAX"
 """Rate of PX4's attitude and rate loops [Hz]."""
 LIMITS = ("THR_MDL_FAC", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_XY_CRUISE", "MPC_YAWRAUTO_MAX")
-"""Parameters that shape a flight and that no field of ``[plant]`` takes; the velocity limits belong to a controller."""
+"""Parameters that shape a flight but have no field in ``[plant]``; the velocity limits belong to a controller."""
 CASCADE_LIMITS = (LOOP_RATE, "MPC_TILTMAX_AIR", "MPC_THR_MIN", "MPC_THR_MAX", "MPC_THR_XY_MARG", "IMU_GYRO_CUTOFF")
-"""Parameters that only PX4's cascade takes."""
+"""Parameters that only PX4's cascade uses."""
 
 
 class Airframe(NamedTuple):
-    """A vehicle as a study's table.
+    """The tables of a study for a vehicle.
 
     Args:
         vehicle: The table ``[plant.vehicle]``.
-        notes: What the file does not give, or gives in another form than the model has.
+        notes: What the file does not give, or gives in another form than the model needs.
         plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
-        warnings: Numbers outside of the range that multirotors usually have.
+        warnings: Numbers outside of the usual range of multirotors.
     """
 
     vehicle: TomlTable
@@ -88,10 +94,10 @@ class Airframe(NamedTuple):
 
 
 def parameters_in(text: str) -> dict[str, float]:
-    """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts.
+    """The numeric parameters by name that the text of a file sets; the last setting counts.
 
     Raises:
-        ConfigError: the value of a parameter that is read is no number.
+        ConfigError: A parameter that the model reads is not a number.
     """
     values: dict[str, float] = {}
     for number, text_line in enumerate(text.splitlines(), start=1):
@@ -102,16 +108,16 @@ def parameters_in(text: str) -> dict[str, float]:
         try:
             values[name] = float(value)
         except ValueError:
-            if name.startswith(READ) and not value.startswith("$"):  # a variable of the shell is not known
+            if name.startswith(PREFIXES) and not value.startswith("$"):  # $ marks a variable of the shell
                 raise ConfigError(name, f"must be a number, got {value!r} in line {number}") from None
             values.pop(name, None)
     return values
 
 
 def require_finite(values: Mapping[str, float]) -> None:
-    """Require that every parameter that is read is finite, and no larger than any length, mass or gain; ConfigError."""
+    """Require that every parameter that is read is finite and at most ``LARGEST_PARAMETER``; raises ConfigError."""
     for name, value in values.items():
-        if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
+        if name.startswith(PREFIXES) and not abs(value) <= LARGEST_PARAMETER:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
 
 
@@ -131,22 +137,24 @@ def note_unused_limits(parameters: Mapping[str, float], cascade: bool, notes: li
 
 
 def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
-    """A warning of coordinates that the file gives for some rotors only; the others count as 0, PX4's default."""
+    """A warning if the file gives a coordinate for some rotors only; the others get 0, PX4's default."""
     missing = []
     count = int(parameters["CA_ROTOR_COUNT"])
     for axis in "XYZ":
         names = [f"CA_ROTOR{index}_P{axis}" for index in range(count)]
-        absent = [name for name in names if name not in parameters]
-        if len(absent) < count:
-            missing += absent
-    return [f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}"] if missing else []
+        unset = [name for name in names if name not in parameters]
+        if len(unset) < count:
+            missing += unset
+    if not missing:
+        return []
+    return [f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}"]
 
 
 def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
-    """Require a mass, and lengths for positions that are ratios.
+    """Require a mass, and arm lengths if the rotors' positions are ratios.
 
     Raises:
-        ConfigError: One is missing, and the message names all that are missing; or the mass is not positive.
+        ConfigError: The mass is not positive, or sizes are missing; the message names all that are missing.
     """
     if not parameters.get("SIH_MASS", 1.0) > 0.0:
         raise ConfigError("SIH_MASS", f"must be > 0, got {parameters['SIH_MASS']:g} kg")
@@ -159,11 +167,46 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
         raise ConfigError("SIH_MASS" if "SIH_MASS" not in parameters else "CA_ROTORi_PX, _PY", "; ".join(missing))
 
 
-def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
-    """Mass, inertia, largest thrust, lag and drag; what is estimated gets a note.
+def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
+    """The moments of inertia of the file [kg m^2], or an estimate with a note; ``arm`` is in metres."""
+    if all(name in parameters for name in INERTIA):
+        return [parameters[name] for name in INERTIA]
+    notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
+    return [parameters["SIH_MASS"] * (radius * arm) ** 2 for radius in GYRATION]
 
-    The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
-    thrust is linear in speed, the speed has the same. SIH_KDV v is the propellers' drag at their speed in hover.
+
+def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
+    """The entries of the vehicle for the largest thrust, if the file gives one, and the torque that belongs to it.
+
+    Args:
+        parameters: The file's parameters.
+        lift: Thrust of a rotor in hover [N].
+        notes: The list to which a note is added.
+
+    Raises:
+        ConfigError: MPC_THR_HOVER is not in (0, 1].
+    """
+    if "SIH_T_MAX" in parameters:
+        entries: TomlTable = {"max_thrust": parameters["SIH_T_MAX"]}
+        if "SIH_Q_MAX" in parameters:  # of the simulated plant; CA_ROTORi_KM is the allocation's assumption
+            entries["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
+        return entries
+    if "MPC_THR_HOVER" not in parameters:
+        notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
+        return {}
+    hover_command = parameters["MPC_THR_HOVER"]
+    if not 0.0 < hover_command <= 1.0:
+        raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {hover_command:g}")
+    notes.append("max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX")
+    return {"max_thrust": lift / hover_command}
+
+
+def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
+    """Entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
+
+    The inertia is that of the whole vehicle, so the rotors' inertia is zero. PX4's lag is one of the thrust; near
+    hover, where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag
+    at their speed in hover.
     """
     mass = parameters["SIH_MASS"]
     listed_rotors = geometry.get("rotor", [])
@@ -171,35 +214,18 @@ def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: l
     upward = sum(entry["axis"][2] / math.hypot(*entry["axis"]) for entry in listed_rotors if "axis" in entry)
     lift = mass * GRAVITY / (upward if upward > 0.0 else count)  # tilted rotors push more than they lift
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
-    if all(name in parameters for name in INERTIA):
-        properties["body_inertia"] = [parameters[name] for name in INERTIA]
-    else:
-        properties["body_inertia"] = [mass * (share * geometry["arm"]) ** 2 for share in GYRATION]
-        notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
+    properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
     properties["thrust_coefficient"] = lift / HOVER_SPEED**2
     notes.append(
         f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
     )
     properties["structure_drag"] = [0.0, 0.0, 0.0]
     properties["propeller_drag"] = parameters.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
-    notes.append(
-        "drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out"
-        if "SIH_KDV" in parameters
-        else "drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it"
-    )
-    if "SIH_T_MAX" in parameters:
-        properties["max_thrust"] = parameters["SIH_T_MAX"]
-        if "SIH_Q_MAX" in parameters:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
-            properties["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
-    elif "MPC_THR_HOVER" in parameters:
-        if not 0.0 < parameters["MPC_THR_HOVER"] <= 1.0:
-            raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {parameters['MPC_THR_HOVER']:g}")
-        properties["max_thrust"] = lift / parameters["MPC_THR_HOVER"]
-        notes.append(
-            "max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX"
-        )
+    if "SIH_KDV" in parameters:
+        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
     else:
-        notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
+        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    properties |= thrust_entries(parameters, lift, notes)
     if "SIH_T_TAU" in parameters:
         properties["motor_lag"] = parameters["SIH_T_TAU"]
     else:
@@ -209,32 +235,26 @@ def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: l
     return properties
 
 
-def control_of(parameters: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
-    """Desaturation from MC_AIRMODE, by default 0, and gains of the inner loops from MC_ and MPC_ that the file sets.
+def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
+    """The table ``[plant.inner_loop]`` of PX4's cascade."""
+    gains = gains_from(parameters)
+    if parameters.get(LOOP_RATE, 0.0) > 0.0:
+        gains["frequency"] = parameters[LOOP_RATE]
+        notes.append(f"frequency is {LOOP_RATE}; frequency times loop.sample_time must be a whole number")
+    else:
+        notes.append(f"frequency is 400 Hz: the file does not set {LOOP_RATE}")
+    notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
+    outer = [f"{name} = {parameters[name]:g}" for name in OUTER_GAINS if name in parameters]
+    notes.append(f"k_p of [controller], of its .z and of its .psi: {', '.join(outer or OUTER_GAINS)}")
+    return gains
+
+
+def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
+    """The table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
 
     MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
     fast rate loop; the model's second-order loop with p = k_p/k_d and a double pole has k_d = 4 p and k_p = 4 p^2.
-
-    Raises:
-        ConfigError: MC_AIRMODE is none of PX4's.
     """
-    mode = parameters.get("MC_AIRMODE", 0.0)
-    if mode not in range(len(AIRMODES)):
-        raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
-    if "MC_AIRMODE" not in parameters:
-        notes.append("desaturation is that of MC_AIRMODE = 0, PX4's default: the file does not set it")
-    control: TomlTable = {"desaturation": AIRMODES[int(mode)].value}
-    if cascade:
-        inner = gains_from(parameters)
-        if parameters.get(LOOP_RATE, 0.0) > 0.0:
-            inner["frequency"] = parameters[LOOP_RATE]
-            notes.append(f"frequency is {LOOP_RATE}; frequency times loop.sample_time must be a whole number")
-        else:
-            notes.append(f"frequency is 400 Hz: the file does not set {LOOP_RATE}")
-        notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
-        outer = [f"{name} = {parameters[name]:g}" for name in OUTER_GAINS if name in parameters]
-        notes.append(f"k_p of [controller], of its .z and of its .psi: {', '.join(outer or OUTER_GAINS)}")
-        return control | {"inner_loop": inner}
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in parameters:
         gains["kd_velocity"] = parameters["MPC_XY_VEL_P_ACC"]
@@ -243,7 +263,23 @@ def control_of(parameters: Mapping[str, float], notes: list[str], cascade: bool)
     if "MC_ROLL_P" in parameters:
         gains |= {"kp_attitude": 4.0 * parameters["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * parameters["MC_ROLL_P"]}
         notes.append("kp_attitude and kd_attitude follow from MC_ROLL_P; MC_.._RATE gains have no counterpart")
-    return control | ({"inner_loop": gains} if gains else {})
+    return gains
+
+
+def control_entries(parameters: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
+    """The entries of ``[plant]`` for the desaturation, by default that of MC_AIRMODE = 0, and for the inner loop.
+
+    Raises:
+        ConfigError: MC_AIRMODE has another value than PX4's.
+    """
+    mode = parameters.get("MC_AIRMODE", 0.0)
+    if mode not in range(len(AIRMODES)):
+        raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
+    if "MC_AIRMODE" not in parameters:
+        notes.append("desaturation is that of MC_AIRMODE = 0, PX4's default: the file does not set it")
+    control: TomlTable = {"desaturation": AIRMODES[int(mode)].value}
+    gains = cascade_gains(parameters, notes) if cascade else article_gains(parameters, notes)
+    return control | {"inner_loop": gains} if gains else control
 
 
 def read_airframe(
@@ -254,12 +290,12 @@ def read_airframe(
     Args:
         file: The file's text, or parameters by name.
         mass: Mass of the vehicle [kg]; None: that of the file.
-        arm: Length by which positions that are ratios are multiplied [m]; None: positions that are those of PX4's
-            generic airframes are multiplied by SIH_L_PITCH and SIH_L_ROLL of the file, others are metres.
+        arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
+            ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
         cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
 
     Raises:
-        ConfigError: the file gives no mass, or has something that the model has no part for.
+        ConfigError: The file gives no mass, or describes something that the model cannot represent.
     """
     parameters = parameters_in(file) if isinstance(file, str) else dict(file)
     require_finite(parameters)
@@ -267,18 +303,17 @@ def read_airframe(
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
     notes: list[str] = []
     if "SIH_VEHICLE_TYPE" in parameters:
-        absent = [name for name in SIMULATED if name not in parameters]
-        parameters = SIMULATED | parameters
-        if absent:
-            notes.append(f"{', '.join(absent)} are PX4's defaults of the simulation in hardware")
+        unset = [name for name in SIH_DEFAULTS if name not in parameters]
+        parameters = SIH_DEFAULTS | parameters
+        if unset:
+            notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")
     if mass is not None and parameters.get("SIH_MASS", mass) != mass:
         notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
     stated_values = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
     parameters |= {name: value for name, value in stated_values.items() if value is not None}
     rotors = placed_rotors(parameters)
-    relative = arm is not None or are_ratios(rotors)
     require_sizes(rotors, parameters)
-    if relative:
+    if arm is not None or are_ratios(rotors):
         rotors = in_metres(rotors, parameters)
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
@@ -287,8 +322,8 @@ def read_airframe(
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
-    control = control_of(parameters, notes, cascade)
-    note_unmatched_gains(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
+    control = control_entries(parameters, notes, cascade)
+    note_unmatched_gains(parameters, CASCADE_PARAMETERS if cascade else ARTICLE_PARAMETERS, notes)
     note_unused_limits(parameters, cascade, notes)
     warnings += missing_coordinates(parameters)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))

@@ -1,6 +1,6 @@
-"""The rotors of a PX4 file: CA_ROTORi_ in the model's axes, as entries of [plant.vehicle], and whether they can fly.
+"""The rotors of a PX4 file: from CA_ROTORi_ to entries of [plant.vehicle], and the check that they can fly.
 
-The axes are told in :mod:`dssc_jax.models.uav.airframe`.
+:mod:`dssc_jax.models.uav.airframe` describes PX4's axes and the model's.
 """
 
 import math
@@ -13,11 +13,14 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.allocation import flying_allocation
 from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, Vehicle
 
-SIMILAR = 0.01  # relative difference of rotors that count as equal
+SIMILAR = 0.01
+"""Largest relative deviation from the mean at which rotors count as equal."""
 RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
-"""Positions of generic airframes, which are ratios."""
-MULTIROTOR = 0  # value of CA_AIRFRAME
-MOST_ROTORS = 12  # number that PX4's control allocation takes
+"""Coordinates that occur in PX4's generic airframes, which give ratios in place of metres."""
+MULTIROTOR = 0
+"""Value of CA_AIRFRAME for a multirotor."""
+MOST_ROTORS = 12
+"""Largest number of rotors that PX4's control allocation supports."""
 MOMENT_COEFFICIENT = 0.05
 THRUST_COEFFICIENT = 6.5
 AXIS = (0.0, 0.0, -1.0)
@@ -27,7 +30,7 @@ REFUSED = {
     "CA_R_REV": "has reversible rotors, and a rotor of the model pushes one way",
     "CA_SV_TL_COUNT": "has servos that tilt rotors, and a rotor of the model is fixed",
 }
-"""Parameters that the model has no part for, if they are not 0."""
+"""Parameters that must be 0, because the model lacks what they describe, with the reason for the message."""
 
 PX4_NAMES = {
     "spins": "CA_ROTORi_KM",
@@ -36,11 +39,17 @@ PX4_NAMES = {
     "max_thrust": "SIH_T_MAX, MPC_THR_HOVER",
     "body_inertia": "SIH_IXX, SIH_IYY, SIH_IZZ",
 }
-"""Parameters that entries of the vehicle follow from."""
+"""PX4's parameters behind each entry of the vehicle, for messages."""
 
 
 class PlacedRotor(NamedTuple):
-    """A rotor in the model's axes: place [m or ratio], axis, and KM."""
+    """A rotor in the model's axes.
+
+    Args:
+        place: Position relative to the centre of mass [m], or as ratios of a generic airframe.
+        axis: Direction of the thrust.
+        moment: CA_ROTORi_KM, the torque over the thrust with the sign of the spin [m].
+    """
 
     place: tuple[float, float, float]
     axis: tuple[float, float, float]
@@ -48,20 +57,20 @@ class PlacedRotor(NamedTuple):
 
 
 def are_similar(values: list[float]) -> bool:
-    """Whether values count as equal."""
+    """Whether the values differ little enough from their mean to count as equal."""
     mean = sum(values) / len(values)
     return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
 
 
 def require_common(values: list[float], subject: str) -> None:
-    """Require that a number is the same for all rotors; raises ConfigError."""
+    """Require that all rotors have the same value of a parameter; raises ConfigError."""
     if not are_similar(values):
         values_text = ", ".join(f"{value:g}" for value in values)
         raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {values_text}")
 
 
 def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors of CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
+    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe; raises ConfigError."""
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
@@ -72,12 +81,12 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
         rule = f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}"
         reason = ": fewer fixed rotors than 4 cannot hold thrust and three moments" if count < 4 else ""
         raise ConfigError("CA_ROTOR_COUNT", f"{rule}{reason}")
-    rotors = []
     unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
     if 0 < len(unplaced) < count:
         names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
         rule = f"must be set, to 0 for a rotor at the centre: CA_ROTOR_COUNT is {count:g}, and the file gives no place"
         raise ConfigError(names, rule)
+    rotors = []
     for i in range(int(count)):
         ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
         px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
@@ -92,15 +101,13 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
 
 
 def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
-    """The entries of the vehicle that place its rotors: those of a circle where they are on one, else a list."""
+    """The entries of the vehicle that place its rotors: those of a circle for equal rotors on one, else a list."""
     moments = [rotor.moment for rotor in rotors]
     is_upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
     distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
     arm = sum(distances) / len(distances)
     size = sum(map(abs, moments)) / len(moments)
-    is_regular = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
-        abs(abs(m) - size) <= SIMILAR * size for m in moments
-    )
+    is_regular = are_similar(distances) and are_similar([abs(moment) for moment in moments])
     is_level = all(rotor.place[2] == 0.0 for rotor in rotors)
     signs = [-math.copysign(1.0, moment) for moment in moments]
     if is_upright and is_regular and is_level:
@@ -118,11 +125,11 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
-    """The vehicle of a table; raises ConfigError in PX4's names if it cannot command all axes, or hover.
+    """The vehicle of a table; raises ConfigError with PX4's names if it cannot hover or command all axes.
 
     Args:
         table: The table ``[plant.vehicle]``.
-        parameters: The file's, from which it follows.
+        parameters: PX4's parameters from which the table was made.
     """
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
     rotor_list = tuple(
@@ -138,7 +145,7 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
 
 
 def default_text(parameters: Mapping[str, float]) -> str:
-    """A note that rotors have PX4's default KM where the file does not set theirs; empty if it sets all."""
+    """The end of a message that names the rotors whose KM is PX4's default; empty if the file sets them all."""
     names = [f"CA_ROTOR{i}_KM" for i in range(int(parameters.get("CA_ROTOR_COUNT", 0)))]
     missing = [name for name in names if name not in parameters]
     if not missing:
@@ -153,6 +160,6 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
 
 
 def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
+    """The rotors in metres: ratios of a generic airframe times the arm lengths SIH_L_PITCH and SIH_L_ROLL."""
     forward, lateral = parameters["SIH_L_PITCH"], parameters["SIH_L_ROLL"]
     return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * lateral, 0.0)) for rotor in rotors]

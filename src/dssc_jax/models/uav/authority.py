@@ -1,9 +1,9 @@
-"""Control authority: what of thrust, roll, pitch and yaw the rotors of a vehicle can command independently.
+"""Control authority: whether the rotors of a vehicle can command thrust, roll, pitch and yaw independently.
 
-The matrix B takes the rotors' thrusts to net thrust and moments. A combination of these four that B' maps to zero is
-the same for all thrusts, so what takes part in it cannot be commanded independently. Rotors push one way: hover needs
-positive thrusts of the pseudo-inverse, which allocates. A rotor at rest in hover could only be asked for more, so that
-it commands one way.
+The matrix B maps the rotors' thrusts to net thrust and moments. A combination of these four that B' maps to zero is the
+same for all thrusts, so the axes in it cannot be commanded independently. Rotors push one way only, so hover needs
+positive thrusts from the pseudo-inverse, which allocates. A rotor at rest in hover could only increase its thrust, so
+it would command in one direction only.
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ from dssc_jax.core.quantities import nominal
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 AXES = ("thrust", "roll", "pitch", "yaw")
-SMALLEST_SHARE = 1e-9  # of the largest singular value, or of the weight: below, a value is rounding
-SMALLEST_PART = 1e-6  # of a combination of axes: below, an axis takes no part
+SMALLEST_SHARE = 1e-9  # smallest share of the largest singular value, or of the weight, that is not rounding
+SMALLEST_PART = 1e-6  # smallest entry of a combination of axes with which an axis takes part in it
 
 
 def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
-    """The combinations of axes that no thrusts change, each of length 1, shape (4 - rank, 4).
+    """The combinations of axes that are the same for all thrusts: vectors of length 1, shape (4 - rank, 4).
 
     Args:
-        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r); its rows count by their sizes.
+        matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r); its rows are scaled to length 1.
     """
     sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
     directions, values, _ = np.linalg.svd(matrix / np.where(sizes > 0.0, sizes, 1.0))
@@ -30,10 +30,10 @@ def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
 
 
 def dependent_axes(matrix: np.ndarray) -> list[str]:
-    """The axes that cannot be commanded independently of each other; a single one cannot be commanded at all.
+    """The axes that cannot be commanded independently of each other; a single axis cannot be commanded at all.
 
     Args:
-        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
+        matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
 
     Example:
         >>> turning_alike = np.array([[1.0] * 4, [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.05] * 4])
@@ -45,11 +45,14 @@ def dependent_axes(matrix: np.ndarray) -> list[str]:
 
 
 def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
-    """Require rotors that command thrust, roll, pitch and yaw independently; raises ConfigError with what they cannot.
+    """Require rotors that command thrust, roll, pitch and yaw independently.
 
     Args:
         vehicle: The vehicle.
-        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r), nominal.
+        matrix: Nominal matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
+
+    Raises:
+        ConfigError: They do not; the message names the axes and a remedy.
     """
     dependent = dependent_axes(matrix)
     if not dependent:
@@ -72,11 +75,14 @@ def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
 
 
 def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
-    """Require that every rotor that controls pushes in hover, and no more than it can; raises ConfigError.
+    """Require that in hover every used rotor has a positive thrust within its limit.
 
     Args:
         vehicle: The vehicle; laws count with their medians.
-        allocation: From thrust and moments to the rotors' thrusts, shape (n_r, 4), nominal.
+        allocation: Nominal matrix from thrust and moments to the rotors' thrusts, shape (n_r, 4).
+
+    Raises:
+        ConfigError: A rotor would have to pull, or to exceed its limit.
     """
     weight = nominal(vehicle.mass) * GRAVITY
     thrusts = weight * allocation[:, 0]
@@ -97,7 +103,7 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
 
 
 def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
-    """Advice for a vehicle whose hover needs negative thrusts of some rotors."""
+    """Advice for a vehicle whose hover needs negative thrusts of some rotors, whose indices are ``pulling``."""
     downward = [i for i, rotor in enumerate(vehicle.rotor) if nominal(rotor.axis[2]) < 0.0]
     if len(downward) == vehicle.rotors:
         return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"
@@ -107,7 +113,7 @@ def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
 
 
 def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, float]:
-    """The angular accelerations about x, y and z [rad/s^2] that can be commanded in hover, both ways, without limits.
+    """The largest angular accelerations in hover [rad/s^2], in both directions, with no rotor at a limit, by axis.
 
     Args:
         vehicle: Mass, inertia and largest thrust; laws count with their medians.

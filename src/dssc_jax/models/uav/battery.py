@@ -29,14 +29,14 @@ class Battery(NamedTuple):
 
 
 class Supply(NamedTuple):
-    """What a battery gives: the voltage r relative to full, and the current I [A]."""
+    """Voltage r, relative to that of the full battery, and current I [A] of a battery."""
 
     voltage: Scalar
     current: Scalar
 
 
 def require_voltages(battery: Battery) -> Battery:
-    """Require that an empty battery has less voltage than a full one; raises ConfigError."""
+    """The battery itself, whose empty voltage must be below the full one; raises ConfigError."""
     empty = extent(battery.empty_voltage)[1]
     full = extent(battery.full_voltage)[0]
     if not empty < full:
@@ -45,7 +45,13 @@ def require_voltages(battery: Battery) -> Battery:
 
 
 def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence[Scalar]) -> Scalar:
-    """Electrical power P of rotors that turn at the given speeds [rad/s] at full voltage [W]."""
+    """Electrical power P of the rotors at full voltage [W].
+
+    Args:
+        vehicle: The coefficients of the rotors.
+        efficiency: Efficiency of motors and controllers.
+        speeds: Speed of each rotor at full voltage [rad/s].
+    """
     coefficients = zip(vehicle.torque_coefficients, vehicle.thrust_coefficients, speeds, strict=True)
     power: Scalar = 0.0
     for torque, thrust, speed in coefficients:
@@ -54,11 +60,11 @@ def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence
 
 
 def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
-    """Voltage, relative to full, and current [A], of rotors whose power goes with the cube of the voltage.
+    """Voltage and current of a battery under the load of the rotors, whose power goes with the cube of the voltage.
 
     Args:
         battery: The battery.
-        charge: Its charge s, relative to full.
+        charge: Charge s, relative to that of the full battery.
         power: Power P that the rotors would take at full voltage [W].
     """
     full = battery.full_voltage

@@ -1,4 +1,4 @@
-"""What events have made of the vehicle: speeds of its rotors, and the wind at its height."""
+"""Effects of events on the vehicle: the speeds of its rotors, and the wind at its height."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,15 @@ from dssc_jax.models.uav.rotors import RotorMotion
 
 
 def voltage_of(condition: Condition | None) -> Scalar:
-    """The voltage that events leave, relative to what it would be."""
+    """The voltage after events, relative to the voltage without them."""
     return 1.0 if condition is None or condition.voltage is None else condition.voltage
 
 
 def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
-    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
+    """The motion of rotors after events: speeds go with the root of the effectiveness, and with the voltage.
+
+    Thrust goes with the square of the speed, hence the root.
+    """
     if condition is None or (not condition.effectiveness and condition.voltage is None):
         return motion
     shares = condition.effectiveness or (1.0,) * len(motion.speeds)
@@ -23,7 +26,7 @@ def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> Roto
 
 
 def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion:
-    """The motion of rotors that turn at shares of their speeds."""
+    """The motion of rotors whose speeds and accelerations are multiplied by a factor for each rotor."""
     speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
     if not motion.accelerations:
         return RotorMotion(speeds, ())
@@ -31,7 +34,7 @@ def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion
 
 
 def wind_at(wind: Vec3, height: Scalar, condition: Condition | None) -> Vec3:
-    """The wind at a height, with the shears of the condition [m/s]."""
+    """The wind at a height [m], with the shears that events have added [m/s]."""
     for shear in condition.shears if condition is not None else ():
         wind = wind + shear.gradient * (height - shear.height)
     return wind

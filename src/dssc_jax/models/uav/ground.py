@@ -18,16 +18,16 @@ from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 SINK = 0.01
-"""Depth by which a standing vehicle sinks in where no stiffness is given [m]; assumed."""
+"""Depth by which the feet of a standing vehicle sink in if no stiffness is given [m]; assumed."""
 SLOW = 0.05
-"""Speed below which friction fades [m/s]; assumed."""
+"""Speed v_s below which friction fades [m/s]; assumed."""
 LOWEST_HEIGHT = 0.5
-"""Least height over radius at which the effect of the ground is counted: below, the formula is not valid."""
+"""Height over rotor radius below which the ground effect stays constant, because its formula is not valid there."""
 FEET = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
 
 class Ground(NamedTuple):
-    """The plane z = height with the feet of the vehicle, and the radius of its rotors for the effect of the ground."""
+    """The ground, a plane z = ``height``, with the feet of the vehicle and the radius of its rotors."""
 
     height: Annotated[Scalar, Quantity("m", "height z of the ground")] = 0.0
     gear_height: Annotated[Scalar, Quantity("m", "feet below the centre of mass", above=0.0)] = 0.2
@@ -40,14 +40,17 @@ class Ground(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Force [N], inertial, and torque about the centre of mass [N m], body axes."""
+    """Force of the ground in the inertial frame [N], and its torque about the centre of mass in body axes [N m]."""
 
     force: Vec3
     torque: Vec3
 
 
 def prepared_ground(ground: Ground, mass: Scalar) -> Ground:
-    """The ground with stiffness and critical damping of a foot for the nominal mass, where they are not given."""
+    """The ground with stiffness and damping of a foot, by default those for the nominal mass.
+
+    The default stiffness lets a standing vehicle sink in by :data:`SINK`; the default damping is critical.
+    """
     share = nominal(mass) / len(FEET)
     stiffness = ground.stiffness if ground.stiffness is not None else share * GRAVITY / SINK
     damping = ground.damping if ground.damping is not None else 2.0 * (nominal(stiffness) * share) ** 0.5
@@ -58,9 +61,9 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
     """Force and torque of the ground on all feet.
 
     Args:
-        ground: The plane and the feet, prepared.
+        ground: The plane and the feet, from :func:`prepared_ground`.
         position: Place of the centre of mass [m].
-        velocity: Its velocity, inertial [m/s].
+        velocity: Velocity of the centre of mass, inertial [m/s].
         rotation: R, body to inertial.
         rate: Body rate [rad/s].
     """
@@ -91,7 +94,7 @@ def lift_factor(ground: Ground, height: Scalar) -> Scalar:
 
 
 def lowest_foot(ground: Ground, rotation: Mat3) -> Scalar:
-    """Height of the lowest foot over the centre of mass [m], a negative number where the vehicle is upright."""
+    """Height of the lowest foot over the centre of mass [m], which is negative for an upright vehicle."""
     tilted = ground.gear_width * (jnp.abs(rotation.c.x) + jnp.abs(rotation.c.y))
     return -ground.gear_height * rotation.c.z - tilted
 
@@ -108,9 +111,9 @@ def has_crashed(
     Args:
         ground: The plane and the feet.
         height: Height z of the centre of mass at the sample [m].
-        foot: Height of the lowest foot over it, from :func:`lowest_foot` [m].
-        climb: Rate of the centre of mass [m/s].
-        acceleration: Its vertical acceleration [m/s^2].
+        foot: Height of the lowest foot over the centre of mass, from :func:`lowest_foot` [m].
+        climb: Vertical velocity of the centre of mass [m/s].
+        acceleration: Vertical acceleration of the centre of mass [m/s^2].
         dt: Duration of the sample [s].
     """
     gap = height + foot - ground.height

@@ -1,4 +1,4 @@
-"""What the vehicle reports at a sample."""
+"""Types of the vehicle's report at a sample, for metrics and trajectories."""
 
 from typing import Annotated, NamedTuple
 
@@ -8,7 +8,7 @@ from dssc_jax.core.vectors import Quaternion, Vec3
 
 
 class EstimateErrors(NamedTuple):
-    """Errors of the estimate at a sample.
+    """Errors of the vehicle's estimate at a sample.
 
     ``nees`` is the normalised squared error of position, velocity and attitude: chi-squared with 9 degrees of freedom
     for a consistent filter, and 0 where the estimator has no covariance.
@@ -21,12 +21,10 @@ class EstimateErrors(NamedTuple):
 
 
 class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
+    """The vehicle's report at a sample.
 
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
-    ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
-    ``rotor_speed`` the speeds |thetadot_i| [rad/s]. Without a battery its charge stays at 1. ``estimate`` has
-    the errors of the estimate, () without an estimator.
+    ``rotor`` are the commanded thrusts f_i after they were limited to ``rotor_limit``, ``rotor_speed`` the speeds
+    |thetadot_i|. Without a battery ``battery_charge`` stays at 1. ``estimate`` is () without an estimator.
     """
 
     phi: Annotated[Scalar, Quantity("rad", "roll", periodic=True)]

@@ -29,17 +29,17 @@ from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.trim import trim
 
 SMALL_BUMP = 1e-3
-"""Largest change of a rotor's thrust at a takeover that counts as none, as a share of the largest thrust."""
+"""Largest change of a rotor's thrust that a takeover may cause, as a fraction of the largest thrust."""
 
 
 class HeldLoop(NamedTuple):
-    """A sampled inner loop between its samples.
+    """State and results of a sampled inner loop; they are constant between two ticks.
 
     Args:
         software: State of the inner loop.
-        thrust: Held wanted net thrust [N].
-        rotor: Held commanded thrusts f_i [N].
-        limited: Whether a rotor is at a limit.
+        thrust: Demanded net thrust [N].
+        rotor: Commanded thrusts f_i [N].
+        limited: 1 if a rotor is at a limit, else 0.
     """
 
     software: State
@@ -49,11 +49,17 @@ class HeldLoop(NamedTuple):
 
 
 class UavState(NamedTuple):
-    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
+    """State of the vehicle.
 
-    ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
-    ``error`` is the :class:`EstimationError` at the last sample; () without an estimator. ``charge`` is that of the
-    battery, relative to full; () without a battery.
+    Args:
+        position: Position, inertial axes [m].
+        velocity: Velocity, inertial axes [m/s].
+        attitude: Rotation from the body axes to the inertial axes.
+        rate: Angular rate, body axes [rad/s].
+        inner: :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
+        speeds: Rotor speeds |thetadot_i| [rad/s]; () without a motor lag.
+        error: :class:`EstimationError` at the last sample; () without an estimator.
+        charge: Charge of the battery, relative to full; () without a battery.
     """
 
     position: Vec3
@@ -67,9 +73,14 @@ class UavState(NamedTuple):
 
 
 class EstimationError(NamedTuple):
-    """Error of an estimate: estimated minus true, and that of the attitude as a rotation on the inertial side.
+    """Error of an estimate: the estimate minus the true value.
 
-    ``nees`` is the normalised squared error of position, velocity and attitude, 0 without a covariance.
+    Args:
+        position: Error of the position, inertial axes [m].
+        velocity: Error of the velocity, inertial axes [m/s].
+        attitude: Rotation in inertial axes that turns the true attitude into the estimated one.
+        rate: Error of the angular rate, body axes [rad/s].
+        nees: Normalised squared error of position, velocity and attitude; 0 without a covariance.
     """
 
     position: Vec3
@@ -245,7 +256,7 @@ def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
 
 
 def rotor_sentences(params: UavParams) -> tuple[str, ...]:
-    """A sentence on each rotor of the generated code: its place and the sense in which it turns."""
+    """Sentences for the generated code's README: the commands, the axes, and each rotor's place and turning sense."""
     vehicle = params.vehicle
     if vehicle.rotor:
         places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]

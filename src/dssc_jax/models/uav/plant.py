@@ -52,7 +52,8 @@ from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_de
 from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
 
 CHANNELS = ("x", "y", "z", "psi")
-LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
+LEAST_UPRIGHT = math.cos(math.radians(85.0))
+"""Smallest cos phi cos theta: with less, the Euler angles are near their singularity."""
 
 
 def init(params: UavParams) -> UavState:
@@ -101,7 +102,14 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
 
 
 class RotorCommands(NamedTuple):
-    """What the inner loop gives: net thrust [N], rotor thrusts, whether the lift is bounded, slope of its state."""
+    """Results of the inner loop and the allocation.
+
+    Args:
+        thrust: Demanded net thrust [N].
+        rotors: Commanded thrusts of the rotors.
+        bounded: Whether the inner loop bounds the lift.
+        slope: Derivative of the inner loop's state; 0 for a sampled one.
+    """
 
     thrust: Scalar
     rotors: Thrusts
@@ -133,7 +141,13 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 
 class Turning(NamedTuple):
-    """The rotors at a time: as commanded, and as they turn at the voltage that they have, in their condition."""
+    """Motion of the rotors.
+
+    Args:
+        commanded: Motion that the commands ask for.
+        actual: Motion with the battery's voltage and the rotors' faults.
+        supply: Voltage and current of the battery.
+    """
 
     commanded: RotorMotion
     actual: RotorMotion

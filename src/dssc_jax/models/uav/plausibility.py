@@ -12,21 +12,21 @@ from dssc_jax.models.uav.authority import largest_accelerations
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 GEOMETRY = ("rotor", "rotor_angles", "spins", "torque_coefficient", "arm")
-"""Fields of a vehicle that its control authority follows from."""
+"""Fields of a vehicle that determine its control authority."""
 LEAST_ACCELERATIONS = {"roll": 2.0, "pitch": 2.0, "yaw": 0.3}
-"""Angular accelerations in hover [rad/s^2] that the slowest of large multirotors have; assumed."""
+"""Largest angular accelerations in hover [rad/s^2] of the slowest large multirotors; assumed."""
 
 
 class UsualRange(NamedTuple):
     """A number of a vehicle and the range that multirotors usually have.
 
     Args:
-        name: What the number is.
-        fields: The vehicle's fields that it follows from.
-        value: Its value.
+        name: Meaning of the number.
+        fields: Fields of the vehicle from which it follows.
+        value: Value of the number.
         low: Lower end of the usual range.
-        high: Upper end.
-        unit: Unit of all three.
+        high: Upper end of the usual range.
+        unit: Unit of value and range.
     """
 
     name: str
@@ -38,7 +38,9 @@ class UsualRange(NamedTuple):
 
 
 def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
-    """The numbers that are compared; a law counts with its median. All ranges are assumed.
+    """The numbers of a vehicle that are compared with usual ranges; laws count with their medians.
+
+    All ranges are assumed.
 
     Hover throttle is the share of the largest thrust that carries the weight. Torque over thrust of a propeller is a
     few per cent of its diameter. The radius of gyration is that about a horizontal axis. Mass over the square of the
@@ -80,11 +82,11 @@ def distance_of_rotors(vehicle: Vehicle) -> float:
 
 
 def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
-    """One line for each number outside of its usual range, if it follows from fields that the user gave.
+    """A warning for each number outside of its usual range, if it follows from a field that the study gives.
 
     Args:
         vehicle: The vehicle.
-        fields: Names of the fields that the study gives; the others are a base vehicle's own.
+        fields: Names of the fields that the study gives; the others are those of a known vehicle.
     """
     lines = []
     for number in usual_ranges(vehicle):

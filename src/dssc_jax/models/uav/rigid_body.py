@@ -9,7 +9,14 @@ from dssc_jax.models.uav.vehicle import GRAVITY
 
 
 class BodyState(NamedTuple):
-    """Position p [m] and velocity v [m/s], inertial, z up; attitude, body to inertial; body rate Omega [rad/s]."""
+    """State of a rigid body.
+
+    Args:
+        position: p, inertial, z up [m].
+        velocity: v, inertial [m/s].
+        attitude: Rotation from body to inertial frame.
+        rate: Angular velocity Omega in body axes [rad/s].
+    """
 
     position: Vec3
     velocity: Vec3
@@ -20,7 +27,7 @@ class BodyState(NamedTuple):
 def body_derivative(
     state: BodyState, mass: Scalar, inertia: Vec3, thrust: Scalar, drag: Vec3, torque: Vec3, rotation: Mat3
 ) -> BodyState:
-    """Right-hand side of (1).
+    """The derivative of the body's state, the right-hand side of (1).
 
     Args:
         state: The body's state.
@@ -46,17 +53,17 @@ def turning_moment(inertia: Vec3, rate: Vec3) -> Vec3:
 def loaded_derivative(
     state: BodyState, mass: Scalar, inertia: Vec3, load: Load, force: Vec3, torque: Vec3, rotation: Mat3
 ) -> BodyState:
-    """Right-hand side of (1) for a vehicle with further masses, so that its centre of mass is not the state's point.
+    """The derivative of the body's state with additional masses, which move the centre of mass.
 
-    The state is that of the vehicle's own centre of mass O. With the total mass M, the centre of mass c = sum m r/M and
-    the inertia J_c about it, Newton and Euler give R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and
-    J_c Omega' = tau - c x F - Omega x J_c Omega.
+    The state is that of the point O, the centre of mass without them. With the total mass M, the centre of mass
+    c = sum m r/M and the inertia J_c about it, Newton and Euler give
+    R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and J_c Omega' = tau - c x F - Omega x J_c Omega.
 
     Args:
-        state: The body's state.
+        state: The state of the point O.
         mass: Mass of the vehicle without the load [kg].
         inertia: Diagonal of its inertia about O [kg m^2].
-        load: The further masses.
+        load: The additional masses.
         force: All forces but the weight, body frame [N].
         torque: All torques about O but that of the weight, body frame [N m].
         rotation: R of the state's attitude.

@@ -23,7 +23,7 @@ from dssc_jax.models.uav.rotors import wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 ROUNDS = 24
-"""Rounds of the substitution, each of which lessens the error by the square of the tilt at least."""
+"""Rounds of the substitution, each of which multiplies the error by at most the square of the tilt."""
 
 
 class Guess(NamedTuple):
@@ -35,19 +35,19 @@ class Guess(NamedTuple):
 
 
 def trim(params: UavParams, wind: Vec3) -> Trim:
-    """The equilibrium of a draw at its place in a steady wind, at its initial yaw.
+    """The equilibrium of a draw at its initial position and yaw in a steady wind.
 
     Args:
         params: The prepared parameters.
         wind: Velocity of the air, inertial [m/s].
     """
 
-    def nearer(_: Scalar, guess: Guess) -> Guess:
+    def substitution(_: Scalar, guess: Guess) -> Guess:
         return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
     first = Guess(Vec3(0.0, 0.0, 1.0), weight, Vec3(0.0, 0.0, 0.0))
-    guess = jax.lax.fori_loop(0, ROUNDS, nearer, as_arrays(first))
+    guess = jax.lax.fori_loop(0, ROUNDS, substitution, as_arrays(first))
     thrusts = commanded_thrusts(params, guess)
     return Trim(body_angles(guess.upward, params.yaw), guess.thrust, guess.moment, thrusts)
 

@@ -11,17 +11,20 @@ from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 
-GRAVITY = 9.81  # m/s^2
-ROUNDED_TO_ZERO = 1e-15  # cos(pi/2) is 6e-17
+GRAVITY = 9.81
+"""Standard gravity [m/s^2]."""
+ROUNDED_TO_ZERO = 1e-15
+"""Smaller sines and cosines count as 0; cos(pi/2) is 6e-17 in double precision."""
 UP = (0.0, 0.0, 1.0)
 SHORTEST_AXIS = 1e-3
+"""Smallest size of an axis' largest component."""
 
 
 class Rotor(NamedTuple):
-    """A rotor anywhere on the vehicle.
+    """A rotor at any place and in any direction.
 
-    Its thrust is f a along its axis a, and its drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
-    clockwise as seen from where its thrust points. Absent coefficients are those of the vehicle.
+    The thrust is f a along the axis a, and the drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
+    clockwise when one looks against its thrust. A coefficient that is None is that of the vehicle.
     """
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "place from the centre of mass, body axes")]
@@ -42,11 +45,11 @@ class Rotor(NamedTuple):
 
 
 class Vehicle(NamedTuple):
-    """A multirotor with equal rotors on a circle around the centre of mass, or with rotors anywhere.
+    """A multirotor with equal rotors on a circle around the centre of mass, or with rotors at any place.
 
     Rotor i = 1..n_r sits at ``rotor_angles[i]`` counter-clockwise from body x, at the distance ``arm``; ``spins`` s_i =
-    -sgn(thetadot_i) is the sign of its drag torque about body z. Where ``rotor`` lists rotors, it alone gives their
-    places and signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect.
+    -sgn(thetadot_i) is the sign of its drag torque about body z. If ``rotor`` is not empty, it gives the places and
+    signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect.
     """
 
     mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0, leading=True)]
@@ -77,8 +80,8 @@ class Vehicle(NamedTuple):
         common = self.thrust_coefficient
         if not self.rotor:
             return (common,) * self.rotors
-        own_values = (rotor.thrust_coefficient for rotor in self.rotor)
-        return tuple(common if value is None else value for value in own_values)
+        coefficients = (rotor.thrust_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in coefficients)
 
     @property
     def torque_coefficients(self) -> tuple[Scalar, ...]:
@@ -86,8 +89,8 @@ class Vehicle(NamedTuple):
         common = self.torque_coefficient
         if not self.rotor:
             return (common,) * self.rotors
-        own_values = (rotor.torque_coefficient for rotor in self.rotor)
-        return tuple(common if value is None else value for value in own_values)
+        coefficients = (rotor.torque_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in coefficients)
 
     @property
     def inertia(self) -> Vec3:
@@ -98,26 +101,31 @@ class Vehicle(NamedTuple):
 
     @property
     def thrust_limit(self) -> Scalar:
-        """f_max; 2 M g/n_r (assumed) unless the vehicle defines it [N]."""
+        """Largest thrust f_max of a rotor [N]; without ``max_thrust``, 2 M g/n_r (assumed)."""
         return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
 
     @property
     def has_drag(self) -> bool:
-        """Whether the air acts on the vehicle, for at least one value of its laws."""
+        """Whether a drag coefficient is positive, for at least one value of its law."""
         return any(extent(drag)[1] > 0.0 for drag in (*self.structure_drag, self.propeller_drag))
 
     @property
     def nominal_thrust_limit(self) -> float:
-        """f_max with laws at their medians, as the inner loop knows it [N]."""
+        """f_max that the inner loop assumes [N]; laws count with their medians."""
         if self.max_thrust is None:
             return 2.0 * nominal(self.mass) * GRAVITY / self.rotors
         return nominal(self.max_thrust)
 
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """x and y of every rotor for an arm of length 1; values that are 0 up to rounding are 0."""
-        exact = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))
-        x, y = (tuple(0.0 if abs(value) < ROUNDED_TO_ZERO else value for value in values) for values in exact)
+        x = tuple(cleaned(math.cos(angle)) for angle in self.rotor_angles)
+        y = tuple(cleaned(math.sin(angle)) for angle in self.rotor_angles)
         return x, y
+
+
+def cleaned(value: float) -> float:
+    """The value, or 0 if it is 0 up to rounding."""
+    return 0.0 if abs(value) < ROUNDED_TO_ZERO else value
 
 
 def ring(rotors: int) -> tuple[float, ...]:
@@ -126,7 +134,7 @@ def ring(rotors: int) -> tuple[float, ...]:
 
 
 def alternating(rotors: int) -> tuple[float, ...]:
-    """Spin signs +1, -1, ...; with four rotors on a ring, other orders of these signs lose yaw control."""
+    """Spin signs +1, -1, ...; with other orders of these signs, four rotors on a ring cannot control the yaw."""
     return tuple(1.0 if i % 2 == 0 else -1.0 for i in range(rotors))
 
 
@@ -150,7 +158,7 @@ HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
 
 
 def check_circle(vehicle: Vehicle) -> None:
-    """Require a sign for each of at least four rotors on a circle; raises ConfigError."""
+    """Require at least four rotors on a circle and a sign for each; raises ConfigError."""
     if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
         raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
     if any(abs(s) != 1.0 for s in vehicle.spins):
@@ -176,7 +184,7 @@ def check_rotors(vehicle: Vehicle) -> None:
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Check rules that span several fields, for every value within the laws' supports; raises ConfigError."""
+    """Check the rules between fields, for every value in the supports of the laws; raises ConfigError."""
     for name in ("body_inertia", "structure_drag"):
         if len(getattr(vehicle, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(vehicle, name))}")

@@ -1,4 +1,4 @@
-"""Switching wind within bounds: an adversary that jumps, or turns at a bounded rate, from one extreme to another."""
+"""Switching wind within bounds: it jumps, or moves at a bounded rate, from one extreme to another at random times."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -34,7 +34,7 @@ class BoundedWindParams(NamedTuple):
 
 
 class BoundedWindState(NamedTuple):
-    """The wind at the last sample, its time [s], and the extreme towards which the wind moves [m/s]."""
+    """State of the wind: its value at the last sample [m/s], the time of that [s], and the extreme ahead [m/s]."""
 
     wind: Vec3
     since: Scalar
@@ -42,13 +42,19 @@ class BoundedWindState(NamedTuple):
 
 
 def bounded_limits(params: BoundedWindParams) -> WindBounds:
-    """The bounds that the parameters state."""
+    """The bounds of the wind, with the default of the vertical one."""
     vertical = VERTICAL_SHARE * params.speed if params.vertical is None else params.vertical
     return WindBounds(params.speed, vertical, params.rate)
 
 
 def extreme(params: BoundedWindParams, turn: Scalar, side: Scalar) -> Vec3:
-    """The extreme wind of two numbers in [0, 1): its direction as a share of the circle, and below 1/2 downwards."""
+    """An extreme wind [m/s].
+
+    Args:
+        params: The bounds.
+        turn: Direction of the horizontal wind as a share of the circle, in [0, 1).
+        side: Number in [0, 1); below 1/2 the vertical wind points down, else up.
+    """
     limits = bounded_limits(params)
     angle = 2.0 * math.pi * turn
     vertical = jnp.where(side < 0.5, -1.0, 1.0) * limits.vertical
@@ -56,7 +62,13 @@ def extreme(params: BoundedWindParams, turn: Scalar, side: Scalar) -> Vec3:
 
 
 def towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
-    """The wind after a straight way of the given length towards the target, horizontally and vertically [m/s]."""
+    """The wind after it has moved in a straight line towards a target, but not beyond it.
+
+    Args:
+        wind: The wind before [m/s].
+        target: The target [m/s].
+        distance: Length of the move [m/s], for the horizontal vector and for the vertical component each.
+    """
     way = target - wind
     horizontal = travelled_share(Vec3(way.x, way.y, 0.0).norm(), distance)
     vertical = travelled_share(jnp.abs(way.z), distance)
@@ -69,13 +81,13 @@ def towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
 
 
 def travelled_share(length: Scalar, distance: Scalar) -> Scalar:
-    """Share of a way of the given length that a distance covers, at most 1."""
+    """Share of a way's length that a distance covers, at most 1."""
     arrives = length <= distance
     return jnp.where(arrives, 1.0, distance / jnp.where(arrives, 1.0, length))
 
 
 def bounded_init(params: BoundedWindParams, key: jax.Array) -> BoundedWindState:
-    """A random extreme."""
+    """The state at t = 0: at a random extreme."""
     start = extreme(params, *uniforms(key, 2))
     return BoundedWindState(start, 0.0, start)
 
@@ -83,9 +95,9 @@ def bounded_init(params: BoundedWindParams, key: jax.Array) -> BoundedWindState:
 def bounded_step(
     params: BoundedWindParams, state: BoundedWindState, key: jax.Array, t: Scalar, dt: Scalar
 ) -> BoundedWindState:
-    """Switch to another extreme with the probability 1 - exp(-dt/period) that a Poisson process has an event.
+    """The state at the next sample, where the wind may switch to another random extreme.
 
-    The times between switches are whole samples; their law is that of a Poisson process seen at the samples.
+    The probability of a switch, 1 - exp(-dt/period), is that of an event of a Poisson process within the sample.
     """
     turn, side, chance = uniforms(key, 3)
     switches = chance < -jnp.expm1(-dt / params.period)
@@ -95,14 +107,14 @@ def bounded_step(
 
 
 def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar) -> Vec3:
-    """The wind at t: the extreme itself without a rate, else on the straight way there."""
+    """The wind at t [m/s]: the extreme itself without a rate, else a point on the straight way to it."""
     if params.rate is None:
         return state.target
     return towards(state.wind, state.target, params.rate * (t - state.since))
 
 
 def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:
-    """No wind: all directions are equally likely."""
+    """The expected wind over the first sample: 0, because all directions are equally likely."""
     return Vec3(0.0, 0.0, 0.0)
 
 

@@ -43,7 +43,15 @@ class DrydenParams(NamedTuple):
 
 
 class DrydenLaw(NamedTuple):
-    """Mean speed and intensities sigma [m/s], scale lengths L [m]; u along and v across the mean wind, w vertical."""
+    """The turbulence at a height: u is along the mean wind, v across it, w vertical.
+
+    Args:
+        mean: Mean wind speed [m/s].
+        sigma_uv: Intensity of u and v [m/s].
+        sigma_w: Intensity of w [m/s].
+        length_uv: Scale length of u and v [m].
+        length_w: Scale length of w [m].
+    """
 
     mean: Scalar
     sigma_uv: Scalar
@@ -53,19 +61,26 @@ class DrydenLaw(NamedTuple):
 
 
 class Transverse(NamedTuple):
-    """State of the filter of v or w: a' = -a + n, b' = -b + a, in units of L/V, with unit white noise n."""
+    """State of the filter of v or w: a' = -a + n, b' = -b + a, with unit white noise n and L/V as the unit of time."""
 
     a: Scalar
     b: Scalar
 
     @property
     def output(self) -> Scalar:
-        """The filtered noise, of variance 1: (1 + sqrt(3) s)/(1 + s)^2 in partial fractions."""
+        """The output of the filter (1 + sqrt(3) s)/(1 + s)^2, in partial fractions; its variance is 1."""
         return ROOT3 * self.a + (1.0 - ROOT3) * self.b
 
 
 class DrydenState(NamedTuple):
-    """Values held over a sample: u over sigma_u, the filters of v and w, and the share of the sample with wind."""
+    """Turbulence over a sample.
+
+    Args:
+        u: u over its intensity.
+        v: Filter of v.
+        w: Filter of w.
+        on: Share of the sample with wind.
+    """
 
     u: Scalar
     v: Transverse
@@ -74,7 +89,7 @@ class DrydenState(NamedTuple):
 
 
 def dryden_law(params: DrydenParams) -> DrydenLaw:
-    """The low-altitude model at the given height; its formulas use feet.
+    """The low-altitude model of MIL-F-8785C at the height of the parameters; its formulas are in feet.
 
     Mean W20 ln(h/z_0)/ln(20 ft/z_0) with z_0 = 0.15 ft; L_w = h, L_u = L_v = h/(0.177 + 0.000823 h)^1.2,
     sigma_w = 0.1 W20, sigma_u = sigma_v = sigma_w/(0.177 + 0.000823 h)^0.4, times ``turbulence``.
@@ -94,7 +109,7 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
 
 
 def decayed_sinh_excess(h: Scalar) -> Scalar:
-    """exp(-h) (sinh h - h), the scaled excess of sinh h over h; for h >= 0, without cancellation or overflow."""
+    """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow."""
     small = jnp.minimum(h, 1.0)
     square = small * small
     series = 1.0
@@ -105,7 +120,7 @@ def decayed_sinh_excess(h: Scalar) -> Scalar:
 
 
 def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Cholesky factor of the noise that :class:`Transverse` accumulates over h = V dt/L.
+    """Cholesky factor of the covariance of the noise that enters :class:`Transverse` over h = V dt/L.
 
     The covariance is that of int_0^h (1, s) exp(-s) dW: with S = exp(-h) sinh h, Q_aa = S,
     Q_ab = (exp(-h) (sinh h - h) - h exp(-h) expm1(-h))/2, and det Q = exp(-2 h) (sinh^2 h - h^2)/4. Every term is
@@ -124,25 +139,37 @@ def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def transverse_init(n1: Scalar, n2: Scalar) -> Transverse:
-    """A draw from the stationary law, of covariance ((1/2, 1/4), (1/4, 1/4)), from two normal numbers."""
+    """The filter at t = 0, drawn from the stationary law, of covariance ((1/2, 1/4), (1/4, 1/4)).
+
+    Args:
+        n1: Standard normal number.
+        n2: Another, independent one.
+    """
     return Transverse(math.sqrt(0.5) * n1, math.sqrt(0.125) * (n1 + n2))
 
 
 def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Transverse:
-    """Exact sampling over h = V dt/L: the law of the samples does not depend on the step."""
+    """The filter after h = V dt/L, by exact sampling: the law of the samples does not depend on the step.
+
+    Args:
+        state: The filter before.
+        h: Length of the sample in units of L/V.
+        n1: Standard normal number.
+        n2: Another, independent one.
+    """
     decay = jnp.exp(-h)
     a_a, b_a, b_b = noise_factor(h)
     return Transverse(decay * state.a + a_a * n1, decay * (state.b + h * state.a) + b_a * n1 + b_b * n2)
 
 
 def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
-    """A draw from the stationary law, to avoid an initial transient."""
+    """The state at t = 0, drawn from the stationary law, so that there is no transient."""
     n = standard_normals(key, 5)
     return DrydenState(n[0], transverse_init(n[1], n[2]), transverse_init(n[3], n[4]), 0.0)
 
 
 def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
-    """Exact sampling of the filters driven by white noise; before ``at`` they run without effect.
+    """The state at the next sample, by exact sampling of the filters; before ``at`` they run without effect.
 
     H_u = sigma_u sqrt(2 L_u/(pi V))/(1 + L_u s/V) and, for v and w,
     H = sigma sqrt(L/(pi V)) (1 + sqrt(3) L s/V)/(1 + L s/V)^2. Their squared moduli are the one-sided spectra of the
@@ -163,7 +190,7 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
 
 
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
-    """Mean wind and turbulence, turned from the mean wind's axes to the inertial ones."""
+    """The wind, mean and turbulence, in inertial axes [m/s]."""
     law = dryden_law(params)
     longitudinal = law.mean + law.sigma_uv * state.u
     lateral = law.sigma_uv * state.v.output
@@ -173,7 +200,7 @@ def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
 
 
 def dryden_mean(params: DrydenParams, dt: Scalar) -> Vec3:
-    """The mean wind over the first sample."""
+    """The expected wind over the first sample, of length dt [m/s]."""
     speed = dryden_law(params).mean * elapsed_share(params.at, 0.0, dt)
     return Vec3(speed * jnp.cos(params.direction), speed * jnp.sin(params.direction), 0.0)
 

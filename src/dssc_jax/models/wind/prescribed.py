@@ -39,7 +39,7 @@ class ConstantWindParams(NamedTuple):
 
 
 class PiecewiseParams(NamedTuple):
-    """Row i of the table holds from ``times[i]`` to the next time, the last row for ever; before the first, no wind."""
+    """A table of winds: row i is the wind from ``times[i]`` to the next time; before the first there is no wind."""
 
     times: Annotated[tuple[Scalar, ...], Quantity("s", "time at which the row begins", at_least=0.0)]
     x: Annotated[tuple[Scalar, ...], X]
@@ -61,10 +61,11 @@ class GustParams(NamedTuple):
 
 
 class SplineWindParams(NamedTuple):
-    """Cubic splines with knots ``interval`` apart, the first at ``at``: any wind of bounded speed and acceleration.
+    """Cubic splines with knots ``interval`` apart, the first at the time ``at``.
 
-    Each component is at most its largest |knot|. Its rate is at most the largest difference of consecutive knots
-    divided by the interval. The wind begins and ends at 0, two intervals outside the knots.
+    They can approximate any wind of bounded speed and acceleration. Each component is at most its largest |knot|, and
+    its rate at most the largest difference of consecutive knots divided by the interval. The wind begins and ends at 0,
+    two intervals before the first and after the last knot.
     """
 
     interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
@@ -75,7 +76,7 @@ class SplineWindParams(NamedTuple):
 
 
 def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBounds:
-    """Bounds of a wind that is always a weighted mean of some vectors, and of its rate.
+    """The bounds of a wind that is always a weighted mean of some vectors.
 
     Args:
         winds: The vectors [m/s].
@@ -86,35 +87,35 @@ def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBound
 
 
 def largest_norms(vectors: Iterable[Vec3]) -> tuple[float, float]:
-    """The largest horizontal norm, and the largest vertical magnitude, of some vectors without laws."""
+    """The largest horizontal norm and the largest vertical magnitude of some vectors of plain numbers."""
     columns = [(math.hypot(float(vector.x), float(vector.y)), abs(float(vector.z))) for vector in vectors]
     horizontal, vertical = zip(*columns, strict=True)
     return max(horizontal), max(vertical)
 
 
 def calm(params: Params, key: jax.Array) -> Vec3:
-    """No wind before the first sample."""
+    """The state before the first sample: no wind."""
     return Vec3(0.0, 0.0, 0.0)
 
 
 def held_wind(params: Params, state: Vec3, t: Scalar) -> Vec3:
-    """The wind held over the sample."""
+    """The wind over the sample, which is the state [m/s]."""
     return state
 
 
 def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
-    """Mean over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
+    """The mean wind over [t, t + dt), so that a jump within a sample does not reduce the integrator's order."""
     return Vec3(params.x, params.y, params.z) * elapsed_share(params.at, t, dt)
 
 
 def constant_bounds(params: ConstantWindParams) -> WindBounds:
-    """The wind's own norms; unless it blows from the start, it jumps."""
+    """The bounds of the wind: its norms; unless it blows from t = 0 on, it jumps."""
     wind = Vec3(params.x, params.y, params.z)
     return enclosing([wind], [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
-    """Check lengths and order of the table; raises ConfigError."""
+    """Require a row for each time, and strictly rising times; raises ConfigError."""
     rows = len(params.times)
     if rows == 0:
         raise ConfigError("times", "needs at least one time, got none")
@@ -131,7 +132,7 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
 
 
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
-    """Mean of the table over [t, t + dt): at each instant the last row that has begun."""
+    """The mean wind over [t, t + dt); at each instant, the last row that has begun counts."""
     wind = Vec3(0.0, 0.0, 0.0)
     covered_share = 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
@@ -142,39 +143,42 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
 
 
 def piecewise_bounds(params: PiecewiseParams) -> WindBounds:
-    """The largest norms of the rows, between which the wind jumps."""
+    """The bounds of the wind: the largest norms of the rows, between which it jumps."""
     return enclosing(map(Vec3, params.x, params.y, params.z), None)
 
 
 def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
-    """Mean plus peak times (1 - cos(2 pi (t - at)/duration))/2, as the square of a sine."""
+    """The wind at t [m/s]: the mean plus the peak times (1 - cos(2 pi (t - at)/duration))/2, the square of a sine."""
     phase = jnp.clip((t - params.at) / params.duration, 0.0, 1.0)
     swell = jnp.square(jnp.sin(math.pi * phase))
     return Vec3(params.mean_x, params.mean_y, params.mean_z) + Vec3(params.x, params.y, params.z) * swell
 
 
 def gust_bounds(params: GustParams) -> WindBounds:
-    """The mean and the mean with the peak enclose the wind; the steepest slope is peak pi/duration."""
+    """The bounds of the wind, which is between mean and mean plus peak; its largest rate is peak pi/duration."""
     mean = Vec3(params.mean_x, params.mean_y, params.mean_z)
     peak = Vec3(params.x, params.y, params.z)
     return enclosing([mean, mean + peak], [peak * (math.pi / params.duration)])
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
-    """Check that there are knots; raises ConfigError."""
+    """Require at least one knot; raises ConfigError."""
     if not (params.x or params.y or params.z):
         raise ConfigError("x", "needs at least one knot in x, y or z, got none")
     return params
 
 
 def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
-    """The splines at t; a component without knots is 0."""
+    """The wind at t [m/s]: a spline for each component, or 0 for one without knots."""
     place = (t - params.at) / params.interval
     return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
 
 
 def spline_bounds(params: SplineWindParams) -> WindBounds:
-    """A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval."""
+    """The bounds of the wind from its knots.
+
+    A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval.
+    """
     count = max(len(params.x), len(params.y), len(params.z))
     columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
     knots = [Vec3(*row) for row in zip(*columns, strict=True)]
@@ -183,7 +187,7 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
 
 
 def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
-    """Knots with zeros up to a count, and one zero on each side."""
+    """Knots, filled up with zeros to a count, and with another zero at both ends."""
     return [0.0, *knots, *[0.0] * (count - len(knots)), 0.0]
 
 

@@ -15,7 +15,7 @@ from dssc_jax.models.wind.prescribed import enclosing
 
 
 class RecordedWindParams(NamedTuple):
-    """A recorded wind; a study file gives ``file`` and the ``columns`` of x, y and z instead."""
+    """A recorded wind; a study file has ``file`` and the ``columns`` of x, y and z instead."""
 
     time: Annotated[Values, TIMES]
     x: Annotated[Values, Quantity("m/s", "wind velocity along x", law=False, data=True)]
@@ -24,33 +24,33 @@ class RecordedWindParams(NamedTuple):
 
 
 def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
-    """The three components at t."""
+    """The wind at t [s]: the three components of the record [m/s]."""
     x, y, z = pieces
     return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
 
 
 def held_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
-    """The largest norms of the recorded values, between which the wind jumps."""
+    """Bounds of a wind that holds its values and jumps between them: the largest norms of the values."""
     return enclosing(coefficient_rows(pieces, 0), None)
 
 
 def line_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
-    """The largest norms of the recorded values and of the slopes between them."""
+    """Bounds of a wind that goes in straight lines: the largest norms of the values and of the slopes between them."""
     return enclosing(coefficient_rows(pieces, 0), coefficient_rows(pieces, 1))
 
 
 def coefficient_rows(pieces: tuple[Pieces, ...], power: int) -> list[Vec3]:
-    """The coefficient of one power of time in each piece, of the three components."""
+    """The coefficients of one power of time in all pieces, as a vector of the three components for each piece."""
     columns = [np.asarray(component.coefficients)[:, power].tolist() for component in pieces]
     return [Vec3(*row) for row in zip(*columns, strict=True)]
 
 
 BOUNDS = {Interpolation.HOLD: held_bounds, Interpolation.LINEAR: line_bounds}
-"""Bounds of the rules under which the wind stays between the recorded values; a cubic spline overshoots them."""
+"""Bounds of the wind by the rule of interpolation; a cubic spline overshoots the recorded values, so it has none."""
 
 
 def recorded_wind(rule: Interpolation) -> Wind:
-    """The wind that follows a record of its three components by the given rule."""
+    """The wind that interpolates a record of its three components by a rule."""
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)

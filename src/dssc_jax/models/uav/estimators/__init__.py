@@ -1,4 +1,4 @@
-"""Estimators of a vehicle, from the readings of its sensors to what its controllers see: one file each."""
+"""Estimators of the vehicle's motion, which the controllers see in place of the true one: one file each."""
 
 from typing import NamedTuple, Protocol, TypeVar
 
@@ -12,7 +12,7 @@ M = TypeVar("M")
 
 
 class Estimator(Protocol[M]):
-    """Parameters of an estimator with its functions; the memory has the ``estimate``, a :class:`Motion`."""
+    """Parameters of an estimator, with its functions; ``memory.estimate`` is the estimated :class:`Motion`."""
 
     def start(self, motion: Motion, random: Random) -> M:
         """The memory at t = 0."""

@@ -5,8 +5,8 @@
     position: p by 2 w T_p (p_m - p), v by w^2 T_p (p_m - p), T_p the time between positions
     bias:     b_g by -k_bias T of the same corrections of the attitude
 
-In accelerated flight a is not vertical, so the tilt is wrong by what the gain lets in: that is its error, not the
-program's.
+In accelerated flight a is not vertical, which disturbs the estimate of the tilt in proportion to k_tilt. A real filter
+has this error too.
 
 Reference:
     R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear complementary filters on the special orthogonal group (2008).
@@ -16,6 +16,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -24,18 +25,17 @@ from dssc_jax.models.uav.estimators.sensors import (
     Random,
     SensorMemory,
     Sensors,
-    carried,
-    heading_difference,
     heading_of,
     rotation_of,
     sense,
     start_sensors,
+    strapdown_step,
 )
 from dssc_jax.models.uav.inner_loops.sampled import product
 
 
 class ComplementaryMemory(NamedTuple):
-    """The filter with its sensors."""
+    """State of the filter and of its sensors; ``gyro_bias`` is the estimated bias [rad/s]."""
 
     estimate: Motion
     gyro_bias: Vec3
@@ -43,7 +43,7 @@ class ComplementaryMemory(NamedTuple):
 
 
 class ComplementaryFilter(NamedTuple):
-    """Sensors and gains."""
+    """Parameters of a complementary filter: its sensors and gains."""
 
     sensors: Sensors = Sensors()
     tilt_gain: Annotated[Scalar, Quantity("1/s", "gain of the tilt k_tilt", at_least=0.0)] = 0.2
@@ -52,7 +52,7 @@ class ComplementaryFilter(NamedTuple):
     position_bandwidth: Annotated[Scalar, Quantity("rad/s", "bandwidth w of position and velocity", at_least=0.0)] = 2.0
 
     def start(self, motion: Motion, random: Random) -> ComplementaryMemory:
-        """The true motion; only the biases are unknown."""
+        """The filter at t = 0: it knows the true motion, but not the biases."""
         sensors = start_sensors(self.sensors, motion, random)
         estimate = motion._replace(rate=motion.rate + sensors.gyro_bias)
         return ComplementaryMemory(estimate, Vec3(0.0, 0.0, 0.0), sensors)
@@ -60,31 +60,31 @@ class ComplementaryFilter(NamedTuple):
     def step(
         self, memory: ComplementaryMemory, motion: Motion, random: Random, k: Scalar, dt: float
     ) -> ComplementaryMemory:
-        """Integrate the inertial unit, and lean on the other sensors."""
+        """Integrate the inertial unit, and correct the result with the other sensors."""
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         attitude = memory.estimate.attitude
         rotation = attitude.matrix()
-        position, velocity = carried(memory.estimate, rotation, increments.velocity, increments.position, dt)
+        position, velocity = strapdown_step(memory.estimate, rotation, increments.velocity, increments.position, dt)
         size = jnp.maximum(increments.velocity.norm(), 1e-9)
-        leaning = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
+        correction = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
         if self.sensors.heading is not None:
-            difference = heading_difference(aids.heading, heading_of(attitude))
+            innovation = wrap_angle(aids.heading - heading_of(attitude))
             gain = self.heading_gain * round(self.sensors.heading_period)
-            leaning = leaning + rotation.c * jnp.where(aids.has_heading, gain * difference, 0.0)
-        turned = rotation_of(increments.rotation + (leaning - memory.gyro_bias) * dt)
+            correction = correction + rotation.c * jnp.where(aids.has_heading, gain * innovation, 0.0)
+        rotation_step = rotation_of(increments.rotation + (correction - memory.gyro_bias) * dt)
         if self.sensors.position is not None:
             period = dt * round(self.sensors.position_period)
-            miss = aids.position - (position - velocity * (self.sensors.delayed * dt))
+            innovation = aids.position - (position - velocity * (self.sensors.delay_samples * dt))
             weight = jnp.where(aids.has_position, self.position_bandwidth * period, 0.0)
-            position = position + miss * (2.0 * weight)
-            velocity = velocity + miss * (weight * self.position_bandwidth)
+            position = position + innovation * (2.0 * weight)
+            velocity = velocity + innovation * (weight * self.position_bandwidth)
         if self.sensors.height is not None:
-            miss = aids.height - position.z
+            innovation = aids.height - position.z
             weight = jnp.where(aids.has_height, self.position_bandwidth * dt * round(self.sensors.height_period), 0.0)
-            position = position._replace(z=position.z + 2.0 * weight * miss)
-            velocity = velocity._replace(z=velocity.z + weight * self.position_bandwidth * miss)
-        bias = memory.gyro_bias - leaning * (self.bias_gain * dt)
-        estimate = Motion(position, velocity, product(attitude, turned).normalised(), increments.rate - bias)
+            position = position._replace(z=position.z + 2.0 * weight * innovation)
+            velocity = velocity._replace(z=velocity.z + weight * self.position_bandwidth * innovation)
+        bias = memory.gyro_bias - correction * (self.bias_gain * dt)
+        estimate = Motion(position, velocity, product(attitude, rotation_step).normalised(), increments.rate - bias)
         return ComplementaryMemory(estimate, bias, sensors)
 
     def nees(self, memory: ComplementaryMemory, motion: Motion) -> Scalar:

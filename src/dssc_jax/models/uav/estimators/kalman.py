@@ -4,8 +4,8 @@
     error x = (dp, dv, dtheta, db_g, db_a), the attitude's on the inertial side: R_true = exp([dtheta]x) R
     dp' = dv,  dv' = -[f]x dtheta - R db_a - R n_a,  dtheta' = -R db_g - R n_g,  f = R (dv/T - b_a)
 
-Each measured number is an update of its own, which needs no inverse. A delayed position is compared with p - v tau. The
-filter knows the standard deviations of its sensors, and not the errors of their scale.
+Each measured number makes a separate update, which needs no inverse of a matrix. A delayed position is compared with
+p - v tau. The filter knows the standard deviations of its sensors, but not their scale errors.
 
 Reference:
     J. Sola, Quaternion kinematics for the error-state Kalman filter (2017), sections 5 to 7.
@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
@@ -25,32 +26,39 @@ from dssc_jax.models.uav.estimators.sensors import (
     Random,
     SensorMemory,
     Sensors,
-    carried,
-    heading_difference,
     heading_of,
     rotation_of,
     rotation_vector,
     sense,
     start_sensors,
+    strapdown_step,
 )
 from dssc_jax.models.uav.inner_loops.sampled import conjugate, product
 
 STATES = 15
 POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
-"""Places of the parts of the error state."""
+"""Index of the first component of each part of the error state."""
 NAVIGATION = 9
-"""Leading error states whose consistency is measured: position, velocity, attitude."""
+"""Number of leading error states in the normalised squared error: position, velocity, attitude."""
 LEAST_VARIANCE = 1e-30
-"""Below it an innovation counts as certain, and changes nothing."""
+"""Innovations with a smaller variance are ignored, which keeps the division finite."""
 
 Covariance = tuple[tuple[Scalar, ...], ...]
 """Lower triangle of a symmetric matrix, by rows."""
 Sparse = tuple[tuple[int, Scalar], ...]
-"""Entries of a row that are not 0, with their places."""
+"""The entries of a row that are not 0, each with the index of its column."""
 
 
 class KalmanMemory(NamedTuple):
-    """The filter with its sensors."""
+    """State of the filter and of its sensors.
+
+    Args:
+        estimate: Estimated motion.
+        gyro_bias: Estimated bias of the gyroscopes [rad/s].
+        accel_bias: Estimated bias of the accelerometers [m/s^2].
+        covariance: Covariance of the error state.
+        sensors: State of the sensors.
+    """
 
     estimate: Motion
     gyro_bias: Vec3
@@ -60,7 +68,7 @@ class KalmanMemory(NamedTuple):
 
 
 class KalmanFilter(NamedTuple):
-    """Sensors, and the standard deviations of the first estimate."""
+    """Parameters of a Kalman filter: its sensors, and the standard deviations of the first estimate."""
 
     sensors: Sensors = Sensors()
     initial_position: Annotated[Scalar, Quantity("m", "standard deviation at first", at_least=0.0)] = 0.0
@@ -79,19 +87,19 @@ class KalmanFilter(NamedTuple):
         rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]
         for i, std in enumerate(stds):
             rows[i][i] = std * std
-        turn = random.vector(2, self.initial_attitude)
+        attitude_error = random.vector(2, self.initial_attitude)
         zero = Vec3(0.0, 0.0, 0.0)
         sensors = start_sensors(self.sensors, motion, random)
         estimate = Motion(
             motion.position - random.vector(3, self.initial_position),
             motion.velocity - random.vector(4, self.initial_velocity),
-            product(rotation_of(-turn), motion.attitude),
+            product(rotation_of(-attitude_error), motion.attitude),
             motion.rate + sensors.gyro_bias,
         )
         return KalmanMemory(estimate, zero, zero, tuple(map(tuple, rows)), sensors)
 
     def step(self, memory: KalmanMemory, motion: Motion, random: Random, k: Scalar, dt: float) -> KalmanMemory:
-        """Predict with the inertial unit, and correct by what the other sensors show."""
+        """Predict with the inertial unit, and correct with the other sensors."""
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         predicted = self.predict(memory, increments, dt)
         corrected = self.correct(predicted, aids, dt)
@@ -99,69 +107,78 @@ class KalmanFilter(NamedTuple):
         return corrected._replace(estimate=estimate, sensors=sensors)
 
     def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
-        """Strapdown integration, and the covariance after it."""
+        """The estimate one sample later by strapdown integration, with its covariance."""
         previous = memory.estimate
         rotation = previous.attitude.matrix()
-        pushed = increments.velocity - memory.accel_bias * dt
-        shifted = increments.position - memory.accel_bias * (0.5 * dt * dt)
-        force = rotation @ (pushed / dt)
-        position, velocity = carried(previous, rotation, pushed, shifted, dt)
-        turned = rotation_of(increments.rotation - memory.gyro_bias * dt)
+        velocity_step = increments.velocity - memory.accel_bias * dt
+        position_step = increments.position - memory.accel_bias * (0.5 * dt * dt)
+        force = rotation @ (velocity_step / dt)
+        position, velocity = strapdown_step(previous, rotation, velocity_step, position_step, dt)
+        rotation_step = rotation_of(increments.rotation - memory.gyro_bias * dt)
         noises = (
             (VELOCITY, self.sensors.accel_noise),
             (ATTITUDE, self.sensors.gyro_noise),
             (GYRO_BIAS, self.sensors.gyro_walk),
             (ACCEL_BIAS, self.sensors.accel_walk),
         )
-        spread = propagated(memory.covariance, transition(rotation, force, dt))
-        added = [list(row) for row in spread]
-        for place, density in noises:
-            for i in range(place, place + 3):
-                added[i][i] = added[i][i] + density * density * dt
-        estimate = Motion(position, velocity, product(previous.attitude, turned).normalised(), previous.rate)
-        return memory._replace(estimate=estimate, covariance=tuple(map(tuple, added)))
+        covariance = [list(row) for row in transformed(memory.covariance, transition(rotation, force, dt))]
+        for first, density in noises:
+            for i in range(first, first + 3):
+                covariance[i][i] = covariance[i][i] + density * density * dt
+        estimate = Motion(position, velocity, product(previous.attitude, rotation_step).normalised(), previous.rate)
+        return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
 
     def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:
-        """All updates of a sample: position, height, heading."""
+        """The estimate after the updates by position, height and heading."""
         update = Update(memory.covariance, (0.0,) * STATES)
         estimate = memory.estimate
-        delay = self.sensors.delayed * dt
+        delay = self.sensors.delay_samples * dt
         if self.sensors.position is not None:
             difference = aids.position - (estimate.position - estimate.velocity * delay)
             for i, value in enumerate(difference):
-                row: Sparse = ((POSITION + i, 1.0), *(((VELOCITY + i, -delay),) if delay else ()))
-                update = update.by(row, value, self.sensors.position, aids.has_position)
+                row: Sparse = ((POSITION + i, 1.0),)
+                if delay:
+                    row = (*row, (VELOCITY + i, -delay))
+                update = update.with_reading(row, value, self.sensors.position, aids.has_position)
         if self.sensors.height is not None:
             difference = aids.height - estimate.position.z
-            update = update.by(((POSITION + 2, 1.0),), difference, self.sensors.height, aids.has_height)
+            update = update.with_reading(((POSITION + 2, 1.0),), difference, self.sensors.height, aids.has_height)
         if self.sensors.heading is not None:
-            difference = heading_difference(aids.heading, heading_of(estimate.attitude))
+            difference = wrap_angle(aids.heading - heading_of(estimate.attitude))
             row = heading_row(estimate.attitude.matrix())
-            update = update.by(row, difference, self.sensors.heading, aids.has_heading)
-        p, v, turn, gyro, accel = (Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3))
+            update = update.with_reading(row, difference, self.sensors.heading, aids.has_heading)
+        position, velocity, attitude, gyro_bias, accel_bias = (
+            Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3)
+        )
         corrected = Motion(
-            estimate.position + p,
-            estimate.velocity + v,
-            product(rotation_of(turn), estimate.attitude).normalised(),
+            estimate.position + position,
+            estimate.velocity + velocity,
+            product(rotation_of(attitude), estimate.attitude).normalised(),
             estimate.rate,
         )
         return memory._replace(
             estimate=corrected,
-            gyro_bias=memory.gyro_bias + gyro,
-            accel_bias=memory.accel_bias + accel,
+            gyro_bias=memory.gyro_bias + gyro_bias,
+            accel_bias=memory.accel_bias + accel_bias,
             covariance=update.covariance,
         )
 
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
         """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
         estimate = memory.estimate
-        turn = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
-        error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *turn)
-        return weighted_square(memory.covariance, error)
+        attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
+        error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *attitude_error)
+        return normalised_square(memory.covariance, error)
 
 
 def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
-    """Rows of F - I, the transition of the error state over a sample."""
+    """The rows of F - I, where F is the transition matrix of the error state over a sample.
+
+    Args:
+        rotation: R of the estimated attitude, body to inertial.
+        force: Specific force f, inertial axes [m/s^2].
+        dt: Length of the sample [s].
+    """
     rows: list[list[tuple[int, Scalar]]] = [[] for _ in range(STATES)]
     cross = ((0.0, -force.z, force.y), (force.z, 0.0, -force.x), (-force.y, force.x, 0.0))
     for i in range(3):
@@ -175,19 +192,19 @@ def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Scalar:
-    """An entry of a symmetric matrix."""
+    """Entry (i, j) of the symmetric matrix."""
     return covariance[i][j] if i >= j else covariance[j][i]
 
 
-def propagated(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
-    """F P F' for F = I + the sparse rows."""
+def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
+    """F P F' for the covariance P, with the sparse rows of F - I."""
     left = []
     for i in range(STATES):
         line = []
         for j in range(STATES):
             value = entry(covariance, i, j)
-            for place, weight in rows[i]:
-                value = value + weight * entry(covariance, place, j)
+            for column, weight in rows[i]:
+                value = value + weight * entry(covariance, column, j)
             line.append(value)
         left.append(line)
     result = []
@@ -195,62 +212,65 @@ def propagated(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
         line = []
         for j in range(i + 1):
             value = left[i][j]
-            for place, weight in rows[j]:
-                value = value + weight * left[i][place]
+            for column, weight in rows[j]:
+                value = value + weight * left[i][column]
             line.append(value)
         result.append(tuple(line))
     return tuple(result)
 
 
 def heading_row(rotation: Mat3) -> Sparse:
-    """Slope of the yaw with the attitude's error: e3, and tan theta of it about the horizontal axis."""
+    """Derivative of the yaw by the attitude error.
+
+    It is 1 about the vertical axis, and tan theta about the horizontal direction of the body's x axis.
+    """
     flat = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x
     lean = -rotation.c.x / jnp.maximum(flat, 1e-12)
     return (ATTITUDE, rotation.a.x * lean), (ATTITUDE + 1, rotation.b.x * lean), (ATTITUDE + 2, 1.0)
 
 
 class Update(NamedTuple):
-    """The covariance and the estimated error after some updates."""
+    """The covariance and the estimated error state while the readings of a sample are taken in."""
 
     covariance: Covariance
     error: tuple[Scalar, ...]
 
-    def by(self, row: Sparse, difference: Scalar, std: Scalar, measured: Scalar) -> "Update":
-        """The update by one measured number; where it was not measured, nothing changes.
+    def with_reading(self, row: Sparse, difference: Scalar, std: Scalar, is_taken: Scalar) -> "Update":
+        """The update by one measured number; without a reading at this sample, nothing changes.
 
         Args:
-            row: The entries of its derivative h by the error state that are not 0.
-            difference: Measured minus estimated.
-            std: Standard deviation of its noise.
-            measured: Whether it was measured.
+            row: Derivative h of the number by the error state: the entries that are not 0.
+            difference: The reading minus the estimate.
+            std: Standard deviation of the reading's noise.
+            is_taken: Whether there is a reading at this sample.
         """
-        shares = []  # P h'
+        cross_covariance = []  # P h'
         for i in range(STATES):
             value: Scalar = 0.0
-            for place, weight in row:
-                value = value + weight * entry(self.covariance, i, place)
-            shares.append(value)
+            for column, weight in row:
+                value = value + weight * entry(self.covariance, i, column)
+            cross_covariance.append(value)
         variance: Scalar = std * std
         innovation = difference
-        for place, weight in row:
-            variance = variance + weight * shares[place]
-            innovation = innovation - weight * self.error[place]
+        for column, weight in row:
+            variance = variance + weight * cross_covariance[column]
+            innovation = innovation - weight * self.error[column]
         inverse = jnp.where(
-            jnp.logical_and(measured, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
+            jnp.logical_and(is_taken, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
         )
-        gains = [value * inverse for value in shares]
+        gains = [value * inverse for value in cross_covariance]
         rows = []
         for i in range(STATES):
-            rows.append(tuple(self.covariance[i][j] - gains[i] * shares[j] for j in range(i + 1)))
+            rows.append(tuple(self.covariance[i][j] - gains[i] * cross_covariance[j] for j in range(i + 1)))
         error = tuple(value + gain * innovation for value, gain in zip(self.error, gains, strict=True))
         return Update(tuple(rows), error)
 
 
-def weighted_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scalar:
-    """e' P^-1 e by the factors L D L' of the leading block of P."""
+def normalised_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scalar:
+    """e' P^-1 e for the leading block of P, by its factors L D L'."""
     factor: list[list[Scalar]] = []
-    inverse: list[Scalar] = []
-    solved: list[Scalar] = []
+    inverse: list[Scalar] = []  # of D
+    solution: list[Scalar] = []  # L^-1 e
     total: Scalar = 0.0
     for i in range(NAVIGATION):
         line: list[Scalar] = []
@@ -264,9 +284,9 @@ def weighted_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scalar
         value = error[i]
         for j in range(i):
             pivot = pivot - scaled[j] * line[j]
-            value = value - scaled[j] * solved[j]
+            value = value - scaled[j] * solution[j]
         factor.append(scaled)
         inverse.append(1.0 / jnp.maximum(pivot, LEAST_VARIANCE))
-        solved.append(value)
+        solution.append(value)
         total = total + value * value * inverse[i]
     return total

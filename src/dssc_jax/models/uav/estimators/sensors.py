@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.numerics import is_zero, standard_normals, wrap_angle
+from dssc_jax.core.numerics import is_zero, standard_normals
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3
@@ -25,7 +25,14 @@ UP = Vec3(0.0, 0.0, GRAVITY)
 
 
 class Motion(NamedTuple):
-    """Position [m] and velocity [m/s], inertial; attitude, body to inertial; body rate [rad/s]."""
+    """Motion of the vehicle, true or estimated.
+
+    Args:
+        position: Position in the inertial frame [m].
+        velocity: Velocity in the inertial frame [m/s].
+        attitude: Rotation from the body frame to the inertial frame.
+        rate: Angular rate in the body frame [rad/s].
+    """
 
     position: Vec3
     velocity: Vec3
@@ -34,9 +41,10 @@ class Motion(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Sensors; a standard deviation of 0 is a perfect sensor, and an absent one is none.
+    """The sensors of a vehicle and their errors.
 
-    Periods and delays are in samples of the loop. During the outage no position is measured.
+    A standard deviation of 0 means a perfect sensor; None means that the vehicle does not have the sensor. Periods and
+    delays are in samples of the loop. During the outage no position is measured.
     """
 
     gyro_noise: Annotated[Scalar, Quantity("rad/s^0.5", "noise density of the gyroscopes", at_least=0.0)] = 0.0
@@ -64,19 +72,19 @@ class Sensors(NamedTuple):
     heading_period: Annotated[float, Quantity("samples", "period of headings", at_least=1.0, law=False)] = 1.0
 
     @property
-    def delayed(self) -> int:
+    def delay_samples(self) -> int:
         """Delay of a position [samples]."""
         return round(self.position_delay)
 
 
 class SensorMemory(NamedTuple):
-    """What the sensors remember.
+    """State of the sensors between two samples.
 
     Args:
         previous: The true motion at the last sample.
-        gyro_bias: True bias [rad/s].
-        accel_bias: True bias [m/s^2].
-        positions: True positions at the last samples, the newest first, as many as the delay.
+        gyro_bias: True bias of the gyroscopes [rad/s].
+        accel_bias: True bias of the accelerometers [m/s^2].
+        positions: True positions at the last samples [m], the newest first, as many as the delay.
     """
 
     previous: Motion
@@ -86,7 +94,14 @@ class SensorMemory(NamedTuple):
 
 
 class Increments(NamedTuple):
-    """What the inertial unit gives: rotation [rad], velocity [m/s] and position [m] over a sample; rate [rad/s]."""
+    """Readings of the inertial unit: increments over a sample in the body frame at its start, and the angular rate.
+
+    Args:
+        rotation: Rotation vector [rad].
+        velocity: Integral of the specific force [m/s].
+        position: Double integral of the specific force [m].
+        rate: Angular rate at the end of the sample [rad/s].
+    """
 
     rotation: Vec3
     velocity: Vec3
@@ -95,7 +110,7 @@ class Increments(NamedTuple):
 
 
 class Aids(NamedTuple):
-    """What the other sensors give, and whether it is there."""
+    """Readings of position [m], height [m] and heading [rad] at a sample, each with whether it was taken then."""
 
     position: Vec3
     has_position: Scalar
@@ -106,27 +121,27 @@ class Aids(NamedTuple):
 
 
 class Random(NamedTuple):
-    """Independent standard normal numbers of a sample, from a key; zero noise takes none."""
+    """Independent normal numbers of a sample; ``place`` tells its draws apart. Zero noise draws none."""
 
     key: jax.Array
 
     def numbers(self, place: int, std: Scalar | None, count: int) -> tuple[Scalar, ...]:
-        """Some numbers with a standard deviation."""
+        """``count`` numbers with mean 0 and standard deviation ``std``."""
         if std is None or is_zero(std):
             return (0.0,) * count
         return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, place), count))
 
     def vector(self, place: int, std: Scalar | None) -> Vec3:
-        """Three numbers with a standard deviation."""
+        """Three numbers with mean 0 and standard deviation ``std``."""
         return Vec3(*self.numbers(place, std, 3))
 
     def number(self, place: int, std: Scalar | None) -> Scalar:
-        """One number with a standard deviation."""
+        """One number with mean 0 and standard deviation ``std``."""
         return self.numbers(place, std, 1)[0]
 
 
 def rotation_vector(q: Quaternion) -> Vec3:
-    """The vector [rad] of a rotation of less than half a turn."""
+    """The rotation vector [rad] of a unit quaternion; of q and -q, the shorter rotation counts."""
     q = canonical(q)
     imaginary = Vec3(q.x, q.y, q.z)
     square = imaginary.dot(imaginary)
@@ -136,7 +151,7 @@ def rotation_vector(q: Quaternion) -> Vec3:
 
 
 def rotation_of(vector: Vec3) -> Quaternion:
-    """The rotation of a vector [rad]; its inverse is :func:`rotation_vector`."""
+    """The unit quaternion of a rotation vector [rad]; the inverse of :func:`rotation_vector`."""
     square = vector.dot(vector)
     size = jnp.sqrt(jnp.maximum(square, 1e-24))
     small = square < 1e-16
@@ -145,84 +160,91 @@ def rotation_of(vector: Vec3) -> Quaternion:
 
 
 def heading_of(attitude: Quaternion) -> Scalar:
-    """Yaw [rad]."""
+    """The yaw angle of an attitude [rad]."""
     rotation = attitude.matrix()
     return atan2(rotation.b.x, rotation.a.x)
 
 
 def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMemory:
-    """The sensors at t = 0, with biases drawn."""
+    """The sensors at t = 0, with random biases."""
     return SensorMemory(
         motion,
         random.vector(0, sensors.gyro_bias),
         random.vector(1, sensors.accel_bias),
-        (motion.position,) * sensors.delayed,
+        (motion.position,) * sensors.delay_samples,
     )
 
 
 def sense(
     sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, k: Scalar, dt: float
 ) -> tuple[SensorMemory, Increments, Aids]:
-    """What the sensors show at sample k, with the increments since the sample before it."""
+    """The readings at sample k.
+
+    Args:
+        sensors: Parameters of the sensors.
+        memory: State of the sensors at the sample before.
+        motion: The true motion at the sample.
+        random: Noise of the sample.
+        k: Index of the sample.
+        dt: Length of a sample [s].
+
+    Returns:
+        The state of the sensors, the increments since the sample before, and the other readings.
+    """
     previous = memory.previous
     to_body = previous.attitude.matrix().transpose
     rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
     velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
     position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
-    turned = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
-    pushed = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
+    rotation_error = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
+    velocity_error = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
     increments = Increments(
-        rotation * (1.0 + sensors.gyro_scale) + turned,
-        velocity * (1.0 + sensors.accel_scale) + pushed,
-        position * (1.0 + sensors.accel_scale) + pushed * (0.5 * dt),
-        motion.rate * (1.0 + sensors.gyro_scale) + turned / dt,
+        rotation * (1.0 + sensors.gyro_scale) + rotation_error,
+        velocity * (1.0 + sensors.accel_scale) + velocity_error,
+        position * (1.0 + sensors.accel_scale) + velocity_error * (0.5 * dt),
+        motion.rate * (1.0 + sensors.gyro_scale) + rotation_error / dt,
     )
     positions = (motion.position, *memory.positions)
-    shown = positions[-1] + random.vector(2, sensors.position)
-    after = SensorMemory(
+    measured_position = positions[-1] + random.vector(2, sensors.position)
+    next_memory = SensorMemory(
         motion,
         memory.gyro_bias + random.vector(3, sensors.gyro_walk) * math.sqrt(dt),
         memory.accel_bias + random.vector(4, sensors.accel_walk) * math.sqrt(dt),
         positions[:-1],
     )
     t = k * dt
-    has_position = due(k, sensors.position_period)
+    has_position = is_reading_time(k, sensors.position_period)
     if sensors.outage_start is not None:
-        begun = t >= sensors.outage_start
-        out = jnp.logical_and(begun, t < sensors.outage_start + sensors.outage_duration)
-        has_position = jnp.logical_and(has_position, jnp.logical_not(out))
+        has_begun = t >= sensors.outage_start
+        is_outage = jnp.logical_and(has_begun, t < sensors.outage_start + sensors.outage_duration)
+        has_position = jnp.logical_and(has_position, jnp.logical_not(is_outage))
     aids = Aids(
-        position=shown,
+        position=measured_position,
         has_position=has_position,
         height=motion.position.z + random.number(5, sensors.height),
-        has_height=due(k, sensors.height_period),
+        has_height=is_reading_time(k, sensors.height_period),
         heading=heading_of(motion.attitude) + random.number(6, sensors.heading),
-        has_heading=due(k, sensors.heading_period),
+        has_heading=is_reading_time(k, sensors.heading_period),
     )
-    return after, increments, aids
+    return next_memory, increments, aids
 
 
-def carried(motion: Motion, rotation: Mat3, pushed: Vec3, shifted: Vec3, dt: float) -> tuple[Vec3, Vec3]:
-    """Position [m] and velocity [m/s] a sample later, by strapdown integration.
+def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+    """Position [m] and velocity [m/s] one sample later, by strapdown integration.
 
     Args:
-        motion: The estimate before.
-        rotation: Its R, body to inertial.
-        pushed: Increment of the velocity, body axes [m/s].
-        shifted: Increment of the position, body axes [m].
+        motion: The estimate at the sample before.
+        rotation: Matrix R of its attitude, body to inertial.
+        velocity: Increment of the velocity, body axes [m/s].
+        position: Increment of the position, body axes [m].
         dt: Length of the sample [s].
     """
-    velocity = motion.velocity + rotation @ pushed - UP * dt
-    position = motion.position + motion.velocity * dt + rotation @ shifted - UP * (0.5 * dt * dt)
-    return position, velocity
+    next_velocity = motion.velocity + rotation @ velocity - UP * dt
+    next_position = motion.position + motion.velocity * dt + rotation @ position - UP * (0.5 * dt * dt)
+    return next_position, next_velocity
 
 
-def due(k: Scalar, period: float) -> Scalar:
-    """Whether a sensor with a period in samples shows something at sample k."""
+def is_reading_time(k: Scalar, period: float) -> Scalar:
+    """Whether a sensor with a period [samples] takes a reading at sample k."""
     count = round(period)
     return k >= 0 if count == 1 else k % count == 0
-
-
-def heading_difference(measured: Scalar, estimated: Scalar) -> Scalar:
-    """Difference of two headings, in (-pi, pi] [rad]."""
-    return wrap_angle(measured - estimated)

@@ -1,6 +1,7 @@
 """Inner loops of the vehicle, from commands of velocity and yaw rate to thrust and moment: one file each.
 
-The article's is continuous in time: it is evaluated in every stage of the integrator. Those of autopilots are sampled.
+The article's inner loop is continuous in time, so that every stage of the integrator evaluates it. The autopilots'
+inner loops are sampled.
 """
 
 from typing import Protocol, TypeVar
@@ -35,19 +36,19 @@ class SampledInnerLoop(Protocol[S]):
 
     @property
     def start(self) -> Start:
-        """Where its integrals start."""
+        """The choice of the integrals at the start."""
         ...
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> S:
-        """The state in hover, where the wanted thrust ``carrying`` carries the weight of the draw [N]."""
+        """The state in hover; ``carrying`` is the thrust that carries the weight of the draw [N]."""
         ...
 
     def trimmed(self, craft: Craft, state: S, trim: Trim) -> S:
-        """The state with integrals that hold a trim, to which their numbers in the study add."""
+        """The state with integrals that hold a trim; the study's start values add to them."""
         ...
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
-        """The wanted thrust at the start without an error of velocity [N]."""
+        """The demanded thrust at the start without an error of velocity [N]."""
         ...
 
     def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:

@@ -41,7 +41,7 @@ GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).v
 
 
 def gains_from(parameters: Mapping[str, float]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` of PX4's parameters, MC_ and MPC_; what they do not set has its default."""
+    """The table ``[plant.inner_loop]`` for PX4's parameters MC_ and MPC_; entries that they do not set are left out."""
     table: TomlTable = {"kind": "px4"}
     for field, name in PARAMETERS.items():
         if name in parameters:

@@ -1,4 +1,4 @@
-"""What sampled inner loops share: what they know and give, their limits, and the filters of autopilots."""
+"""Common parts of the sampled inner loops: inputs, results, limits, and the filters of autopilots."""
 
 import math
 from typing import NamedTuple, Protocol
@@ -16,7 +16,13 @@ from dssc_jax.models.uav.inner_loops.start import Start
 
 
 class Readings(NamedTuple):
-    """What an inner loop measures: velocity [m/s], inertial; attitude, body to inertial; body rate [rad/s]."""
+    """Measurements of an inner loop.
+
+    Args:
+        velocity: Velocity in the inertial frame [m/s].
+        attitude: Rotation from the body frame to the inertial frame.
+        rate: Angular rate in the body frame [rad/s].
+    """
 
     velocity: Vec3
     attitude: Quaternion
@@ -24,13 +30,13 @@ class Readings(NamedTuple):
 
 
 class Craft(NamedTuple):
-    """The vehicle as an inner loop knows it.
+    """The vehicle's parameters that an inner loop uses.
 
     Args:
-        mass: M [kg].
-        inertia: Diagonal of J [kg m^2].
-        allocation: Rows (f, M_x, M_y, M_z) -> f_i, one for each rotor.
-        moments: Rows f_i -> M_x, M_y, M_z.
+        mass: Mass M [kg].
+        inertia: Diagonal of the inertia J [kg m^2].
+        allocation: Matrix of (f, M_x, M_y, M_z) -> f_i, with a row for each rotor.
+        moments: Matrix of f_i -> (M_x, M_y, M_z), with a row for each axis.
         rotor_limit: Largest thrust of a rotor [N].
     """
 
@@ -62,13 +68,13 @@ class Angles(NamedTuple):
 
 
 class Trim(NamedTuple):
-    """The equilibrium that an inner loop has to hold.
+    """An equilibrium of the vehicle.
 
     Args:
-        angles: The attitude.
-        thrust: Wanted net thrust [N].
-        moment: Wanted moment, body frame [N m].
-        rotor: Commanded thrusts of the rotors [N].
+        angles: Angles of the attitude.
+        thrust: Net thrust [N].
+        moment: Moment in the body frame [N m].
+        rotor: Thrusts of the rotors [N].
     """
 
     angles: Angles
@@ -104,16 +110,16 @@ def angles_of(rotation: Mat3) -> Vec3:
 
 
 class StartsSettled(Protocol):
-    """An inner loop that may start settled."""
+    """The gains of an inner loop that may start in an equilibrium."""
 
     @property
     def start(self) -> Start:
-        """Where its integrals start."""
+        """The choice of the integrals at the start."""
         ...
 
     @property
     def velocity_integral(self) -> tuple[Scalar, ...]:
-        """The first integrals of velocity of the study."""
+        """The integrals of velocity at the start that the study states."""
         ...
 
 

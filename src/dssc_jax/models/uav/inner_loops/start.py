@@ -1,4 +1,4 @@
-"""How the integrals of an inner loop start: at their numbers, or at the equilibrium of the draw."""
+"""The start of an inner loop's integrals: the study's numbers alone, or added to the equilibrium of the draw."""
 
 from enum import StrEnum
 
@@ -7,7 +7,7 @@ import jax
 
 @jax.tree_util.register_static
 class Start(StrEnum):
-    """Where the integrals start; their numbers in the study add to it."""
+    """The values to which the study's start values of the integrals are added: zero, or those in the equilibrium."""
 
     ZERO = "zero"
     SETTLED = "settled"
