@@ -60,7 +60,7 @@ def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
 
 
 def sampling_entry(study: Study) -> dict[str, object]:
-    """The manifest's entry on the sampling design and on correlations, of ranks and of normal variables of the copula."""
+    """The entry of the manifest on the sampling design and on correlations, of ranks and of the normal variables."""
     config = study.config
     return {
         "kind": config.sampling,
