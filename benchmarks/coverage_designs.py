@@ -8,7 +8,7 @@ from scipy import special, stats
 from dssc_jax.analyses.probability.strata import stratified_probability
 from dssc_jax.analyses.slacks import SlackFunction
 from dssc_jax.engine.sampling import latin_design, sobol_points
-from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
+from dssc_jax.runs.design_choice import LEAST_CASES, PILOT, PILOT_NETS, nets_of
 from dssc_jax.statistics import FixedCount, Replicated
 from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 
@@ -61,7 +61,7 @@ def automatic(p: float, fails: Callable[[np.ndarray, float], np.ndarray], draws:
     def trial(seed: int) -> np.ndarray:
         points = [sobol_points(3, 0, PILOT // PILOT_NETS, (seed, 1, r)) for r in range(PILOT_NETS)]
         expected = (np.count_nonzero(fails(np.concatenate(points), p)) + 0.5) / (PILOT + 1) * draws
-        if min(expected, draws - expected) >= SEEN:
+        if min(expected, draws - expected) >= LEAST_CASES:
             return nets(p, lambda cube: fails(cube, p), replicates, size)(seed)
         return side(FixedCount().interval(fails(np.random.default_rng(seed).random((draws, 3)), p)), p)
 

@@ -52,7 +52,7 @@ def test_addresses(study, tmp_path, address):
 
 
 def test_nobody_answers(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(cluster, "CONNECT", 0.5)
+    monkeypatch.setattr(cluster, "CONNECTION_TIMEOUT", 0.5)
     assert guarded(["run", "mu_robustness", "--cluster", "tcp://127.0.0.1:9", "--out", str(tmp_path / "r")]) == 2
     assert "no scheduler with workers answers at tcp://127.0.0.1:9" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="out: is needed on a cluster"):

@@ -30,10 +30,10 @@ SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
 RESTING = {64: 1e-12, 32: 1e-6}  # most size of a metric at rest over that of the largest metric, by precision
-ONLY_ROUNDING = 0.05  # relative change by rounding beyond which a metric at rest consists of rounding errors
 COPIES = 4  # copies of a lane, moved in different directions
 ROUNDING_FACTOR = 100.0  # allowed deviation over that of the copies, because rounding acts in every operation
 UNDECIDED_BEYOND = 1e-2  # allowed deviation beyond which a lane is no evidence
+MOST_CHANGE = UNDECIDED_BEYOND / ROUNDING_FACTOR  # by rounding, of a lane that is evidence
 
 VERDICTS = {
     "agrees": "agrees with the stored values (largest relative deviation {:.1g})",
@@ -156,7 +156,7 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
 def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
     """The metrics that consist of rounding errors only, such as those of a channel at rest.
 
-    They are far smaller than other metrics, whatever the units, and rounding changes them completely.
+    They are far smaller than other metrics, whatever the units, and rounding changes them too much for any evidence.
 
     Args:
         study: The study.
@@ -168,7 +168,7 @@ def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[s
     resting = []
     for name in names:
         is_tiny = sizes[name] <= RESTING[study.config.loop.precision] * largest
-        if is_tiny and np.max(spreads[name]) > ONLY_ROUNDING:
+        if is_tiny and np.max(spreads[name]) > MOST_CHANGE:
             resting.append(name)
     return resting
 

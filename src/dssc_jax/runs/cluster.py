@@ -1,7 +1,7 @@
 """Runs on several processes or machines by dask.distributed; each task computes and writes a range of blocks.
 
-A worker compiles once and writes its own chunks to the common results folder, which all workers must be able to
-access. Blocks are independent, and writing one twice gives the same data, so a worker that dies costs only time.
+A worker compiles once, and writes its chunks to the results folder, which all workers must be able to access. Blocks
+are independent, and a block that is written twice has the same data, so a worker that dies costs only time.
 """
 
 import importlib
@@ -33,24 +33,24 @@ from dssc_jax.study.native import NativeFile, native_files
 GO_ON = "finished blocks are kept, `resume` continues from them"
 LOCAL_SCHEME = "local:"
 OPTION = "cluster"
-CONNECT = 30.0  # s for the scheduler to answer
-DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
-PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time
-POLL = 1.0  # s between looks at who is there
-TASKS = 8  # least number of tasks of a worker
-MOST_BLOCKS = 16  # blocks of a task
+CONNECTION_TIMEOUT = 30.0  # s, for an answer of the scheduler
+IGNORE_INTERRUPTS = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches workers, too
+WORKER_TIMEOUT = 600.0  # s without a worker, after which a run gives up: a job queue may take minutes
+POLL = 1.0  # s between two checks of the workers
+TASKS = 8  # tasks of a worker, if there are enough blocks
+MOST_BLOCKS = 16  # of a task
 
 
 @dataclass(frozen=True)
 class Job:
-    """The data that a worker needs; sent with every task and cached by the worker.
+    """A run as a worker needs to know it; sent with every task, and cached by the worker.
 
     Args:
         table: The study's table as JSON.
-        folder: The results folder, absolute.
-        block: Shape of its blocks.
-        local: Folder from which the study's ``module:object`` names may be imported.
-        native: The native code that the study's run may load, by absolute files and digests.
+        folder: Absolute path of the results folder.
+        block: Shape of a block.
+        local: Folder from which the study's ``module:object`` names may be imported; None: none.
+        native: Native code that the study may load, by absolute paths and digests.
     """
 
     table: str
@@ -62,14 +62,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Share:
-    """The work done by a worker in one task.
+    """The work of a worker in one task.
 
     Args:
-        worker: Its address.
-        lanes: Lanes computed and written.
-        seconds: Time spent running them.
-        compile_seconds: Time that the worker has spent compiling since it started.
-        traces: How often it has traced the loop since then.
+        worker: Address of the worker.
+        lanes: Number of lanes that it computed and wrote.
+        seconds: Time in which the lanes ran [s].
+        compile_seconds: Time of all compilations since the worker started [s].
+        traces: Number of traces of the loop since the worker started.
     """
 
     worker: str
@@ -79,12 +79,12 @@ class Share:
     traces: int
 
 
-_one_at_a_time = Lock()
+_device_lock = Lock()
 
 
 @lru_cache(maxsize=1)
 def prepared(job: Job) -> tuple[Engine, Chunks]:
-    """A worker's engine and its access to the folder, created once per job."""
+    """A worker's engine and its access to the results folder, created once for each job."""
     if job.local:
         allow_imports(job.local)
     for native in job.native:
@@ -95,10 +95,10 @@ def prepared(job: Job) -> tuple[Engine, Chunks]:
 
 
 def compute(job: Job, blocks: list[Block]) -> Share:
-    """Run one task on the worker: compute blocks and write them."""
+    """Run one task on a worker: compute some blocks, and write them."""
     from distributed import get_worker
 
-    with _one_at_a_time:  # a worker with several threads still has one device to share
+    with _device_lock:  # the threads of a worker share one device
         try:
             engine, chunks = prepared(job)
         except ConfigError as error:
@@ -107,18 +107,21 @@ def compute(job: Job, blocks: list[Block]) -> Share:
         for block, results, law_values in execute(engine, blocks):
             chunks.write(block, results, law_values)
         clock = engine.clock
-        lanes = sum(map(lanes_in, blocks))
         return Share(
-            get_worker().address, lanes, clock.run_seconds - seconds_before, clock.compile_seconds, clock.traces
+            worker=get_worker().address,
+            lanes=sum(map(lanes_in, blocks)),
+            seconds=clock.run_seconds - seconds_before,
+            compile_seconds=clock.compile_seconds,
+            traces=clock.traces,
         )
 
 
 class Cluster:
-    """Workers of a scheduler.
+    """The workers of a scheduler, which compute a run's blocks.
 
     Args:
-        client: A ``distributed.Client`` connected to it.
-        address: The address given by the user.
+        client: A ``distributed.Client`` that is connected to the scheduler.
+        address: Address of the scheduler as the user states it.
         notify: Called with a line of text when a worker is lost or joins.
         local: See :class:`Job`.
     """
@@ -130,17 +133,18 @@ class Cluster:
         self.local = local
         self.lost: list[str] = []
         self._present = self._workers()
-        self._last_look = time.monotonic()
-        self._last_present = self._last_look
+        self._checked_at = time.monotonic()
+        self._seen_at = self._checked_at
 
     def _workers(self) -> set[str]:
+        """Addresses of the present workers."""
         return set(self.client.nthreads())
 
     def machinery(self) -> Manifest:
         """Versions, device and compiler settings of the workers, which must agree.
 
         Raises:
-            ConfigError: They differ, or cannot import this package.
+            ConfigError: They differ, or a worker cannot import this package.
         """
         try:
             machines = self.client.run(computing)
@@ -155,11 +159,11 @@ class Cluster:
         return machines[reference]
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
-        """Compute the missing blocks of a folder.
+        """Compute the missing blocks of a results folder.
 
         Args:
             target: The folder, locked by this process.
-            advance: Called with the number of lanes of every finished task.
+            advance: Called with the number of lanes of each finished task.
 
         Returns:
             Entries for the manifest: ``times`` and ``cluster``.
@@ -180,6 +184,7 @@ class Cluster:
         return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
     def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
+        """Submit tasks, and yield the share of each one that finishes; raises as :meth:`fill`."""
         distributed = importlib.import_module("distributed")
         unfinished = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
         try:
@@ -188,8 +193,8 @@ class Cluster:
                     finished, unfinished = distributed.wait(unfinished, timeout=POLL, return_when="FIRST_COMPLETED")
                 except TimeoutError:
                     finished = set()
-                if time.monotonic() > self._last_look + POLL or not unfinished:
-                    self._look()
+                if time.monotonic() > self._checked_at + POLL or not unfinished:
+                    self._check_workers()
                 for future in finished:
                     yield future.result()
         except distributed.KilledWorker as error:
@@ -197,8 +202,13 @@ class Cluster:
         except (CancelledError, FutureCancelled, TimeoutError, distributed.comm.CommClosedError) as error:
             raise ConfigError(OPTION, f"the scheduler at {self.address} was lost; {GO_ON}") from error
 
-    def _look(self) -> None:
-        time_of_look = time.monotonic()
+    def _check_workers(self) -> None:
+        """Tell which workers were lost or joined.
+
+        Raises:
+            ConfigError: There has been no worker for :data:`WORKER_TIMEOUT`.
+        """
+        now = time.monotonic()
         present = self._workers()
         for worker in sorted(self._present - present):
             self.lost.append(worker)
@@ -206,21 +216,27 @@ class Cluster:
         for worker in sorted(present - self._present):
             self.notify(f"worker {worker} joined")
         self._present = present
-        self._last_look = time_of_look
+        self._checked_at = now
         if present:
-            self._last_present = time_of_look
-        if time_of_look > self._last_present + PATIENCE:
-            raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
+            self._seen_at = now
+        if now > self._seen_at + WORKER_TIMEOUT:
+            raise ConfigError(OPTION, f"no worker for {WORKER_TIMEOUT:g} s; {GO_ON}")
 
 
 def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
-    """Divide blocks into ranges, one per task."""
+    """Divide blocks into ranges, one for each task."""
     size = min(max(len(blocks) // (TASKS * max(workers, 1)), 1), MOST_BLOCKS)
     return [blocks[i : i + size] for i in range(0, len(blocks), size)]
 
 
 def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
-    """The times of a run: the workers' rates add up, and their compilations run in parallel."""
+    """The times of a run for its manifest: the workers' rates add up, and their compilations run in parallel.
+
+    Args:
+        shares: The work of all tasks.
+        steps: Number of samples of a lane.
+        seconds: Duration of the run [s].
+    """
     lanes: dict[str, int] = {}
     busy: dict[str, float] = {}
     for share in shares:
@@ -237,7 +253,7 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
 
 @contextmanager
 def connected(address: str, notify: Callable[[str], None], local: str | None = None) -> Iterator[Cluster]:
-    """Connect to workers at an address, or start local workers for the duration of the context.
+    """A context with workers: those of a scheduler, or local ones that are started for its duration.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
@@ -252,12 +268,12 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
         distributed = importlib.import_module("distributed")
     except ImportError:
         raise ConfigError(OPTION, "needs dask.distributed: pip install 'dssc_jax[cluster]'") from None
-    with ExitStack() as stack:  # what dask logs of a loss is told in one line instead
+    with ExitStack() as stack:  # one line of ours replaces dask's log of a loss
         stack.enter_context(distributed.utils.silence_logging_cmgr(logging.CRITICAL))
         place = stack.enter_context(local_cluster(count)) if count else address
         try:
-            client = stack.enter_context(distributed.Client(place, timeout=CONNECT))
-            client.wait_for_workers(count or 1, timeout=PATIENCE)
+            client = stack.enter_context(distributed.Client(place, timeout=CONNECTION_TIMEOUT))
+            client.wait_for_workers(count or 1, timeout=WORKER_TIMEOUT)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(OPTION, f"no scheduler with workers answers at {address}: {error}") from error
         yield Cluster(client, address, notify, local)
@@ -267,7 +283,7 @@ def parsed(address: str) -> int:
     """Number of processes in ``local:N``; 0 for the address of a scheduler.
 
     Raises:
-        ConfigError: It is neither.
+        ConfigError: The address is of neither form.
     """
     if address.startswith(LOCAL_SCHEME):
         count = address.removeprefix(LOCAL_SCHEME)
@@ -279,12 +295,21 @@ def parsed(address: str) -> int:
 
 
 def local_cluster(count: int) -> Any:
-    """Start processes on this machine, spawned and never forked because JAX has threads, with local access only."""
+    """A dask cluster of processes on this machine, with local access only.
+
+    They are spawned, because JAX has threads, which a fork would break.
+    """
     distributed = importlib.import_module("distributed")
     dask = importlib.import_module("dask")
     dask.config.set({"distributed.worker.multiprocessing-method": "spawn"})
     local_access = {"host": "127.0.0.1", "dashboard": False}
-    common = {**local_access, "silence_logs": logging.CRITICAL, "nthreads": 1, "memory_limit": 0, "preload": [DEAF]}
+    common = {
+        **local_access,
+        "silence_logs": logging.CRITICAL,
+        "nthreads": 1,
+        "memory_limit": 0,
+        "preload": [IGNORE_INTERRUPTS],
+    }
     workers = {}
     for index in range(count):
         options = {**common, "env": worker_environment(index, count)}
@@ -297,16 +322,16 @@ def local_cluster(count: int) -> Any:
 
 
 def worker_environment(index: int, count: int) -> dict[str, str]:
-    """A worker's share of the machine: one GPU each where there are any, else an equal part of the cores."""
+    """The environment of worker ``index`` of ``count``: an equal part of the cores, and one GPU if there are any."""
+    environment = {machine.CORES_VARIABLE: str(max(1, machine.usable_cores() // count))}
     gpus = visible_gpus()
-    return {
-        machine.CORES_VARIABLE: str(max(1, machine.usable_cores() // count)),
-        **({"CUDA_VISIBLE_DEVICES": gpus[index % len(gpus)]} if gpus else {}),
-    }
+    if gpus:
+        environment["CUDA_VISIBLE_DEVICES"] = gpus[index % len(gpus)]
+    return environment
 
 
 def visible_gpus() -> list[str]:
-    """The GPUs that a process may use, found without starting JAX, which would occupy one."""
+    """The GPUs that this process may use, found without JAX, which would occupy one."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name for name in visible.split(",") if name]

@@ -1,7 +1,7 @@
-"""The design of a run's draws where the study leaves it to the tool: ``sampling = "auto"``.
+"""The choice of the design of a run's draws for a study with ``sampling = "auto"``.
 
 A pilot estimates the failure probability. Sobol points give a narrower interval unless failures, or draws without a
-failure, are few. The run's points are randomised independently of the pilot, so the interval holds whatever the choice.
+failure, are few. The run's points are randomised independently of the pilot, so the interval holds for either choice.
 """
 
 import math
@@ -18,23 +18,23 @@ from dssc_jax.engine.sampling import inside_cube, sobol_points, values_at
 from dssc_jax.results.manifest import MANIFEST, Manifest, read_manifest
 from dssc_jax.study import Study
 
-PILOT = 256  # draws
-PILOT_NETS = 16  # independently scrambled
-PILOT_INDEX = 2**30  # index of the pilot's first in-loop noise, beyond that of every run's draws
-NETS = 16  # least number of nets of a run; it has up to twice as many
-LEAST_NET = 8  # points of a net
-SEEN = 50  # least number of failures, and of draws without, that a run has to expect
+PILOT = 256  # draws of the pilot
+PILOT_NETS = 16  # independently scrambled nets of the pilot
+PILOT_INDEX = 2**30  # draw index of the pilot's first in-loop noise, beyond those of all runs
+NETS = 16  # least number of nets of a run, which has up to twice as many
+LEAST_NET = 8  # least number of points of a net
+LEAST_CASES = 50  # failures, and draws without failure, that a run must expect for Sobol points
 
 
 @dataclass(frozen=True)
 class DesignChoice:
-    """A study with the design of its draws chosen.
+    """The chosen design of a study's draws.
 
     Args:
         study: The study with ``random`` or ``sobol`` draws.
-        reason: Why.
-        pilot: Number of simulations that the choice took.
-        request: Hash of the study that left the choice to the tool, and its number of draws.
+        reason: Reason of the choice in words.
+        pilot: Number of simulations of the pilot.
+        request: Hash of the study with ``sampling = "auto"``, and its number of draws.
     """
 
     study: Study
@@ -44,7 +44,7 @@ class DesignChoice:
 
     @property
     def entry(self) -> Manifest:
-        """The manifest's entry."""
+        """The manifest's entry on the choice."""
         hash_of_study, draws = self.request
         content: JsonObject = {"reason": self.reason, "pilot": self.pilot, "asked": hash_of_study, "asked_draws": draws}
         return {"design": content}
@@ -55,7 +55,7 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
 
     Args:
         study: The study, with ``sampling = "auto"``.
-        folder: The results folder. The choice that it records for the same study is taken again.
+        folder: The results folder; a choice that it records for the same study is taken again. None: no folder.
         resume: Whether the study may have more draws than that of the folder.
 
     Raises:
@@ -79,8 +79,9 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
     failures = pilot_failures(engine)
     expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws
     share = f"{failures} of {PILOT} pilot draws fail{place}"
-    if min(expected_failures, study.config.draws - expected_failures) < SEEN:
-        reason = f"plain draws: {share}; Sobol points save nothing with fewer than {SEEN} failures, or draws without"
+    if min(expected_failures, study.config.draws - expected_failures) < LEAST_CASES:
+        rule = f"Sobol points save nothing with fewer than {LEAST_CASES} failures, or draws without"
+        reason = f"plain draws: {share}; {rule}"
         return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, request)
     nets, size = nets_of(study.config.draws)
     reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
@@ -88,12 +89,12 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
 
 
 def plain(study: Study) -> Study:
-    """The study with independent draws."""
+    """The study with independent random draws."""
     return study.override({"sampling": "random"})
 
 
 def sobol(study: Study, nets: int, size: int) -> Study:
-    """The study with Sobol nets of a size."""
+    """The study with ``nets`` Sobol nets of ``size`` points."""
     return study.override({"sampling": "sobol", "replicates": nets, "draws": nets * size})
 
 
@@ -104,7 +105,7 @@ def nets_of(draws: int) -> tuple[int, int]:
 
 
 def pilot_failures(engine: Engine) -> int:
-    """Failures among the pilot's draws: Sobol points with scramblings and in-loop noise that no run has."""
+    """Number of failures among the pilot's draws, Sobol points with scramblings and in-loop noise that no run has."""
     study = engine.study
     size = PILOT // PILOT_NETS
     nets = []
@@ -116,14 +117,14 @@ def pilot_failures(engine: Engine) -> int:
 
 
 def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | None:
-    """The choice that a folder records for the same study, or for one with fewer draws if it is resumed."""
+    """The choice that a folder records for the same study, or for fewer draws of it if it is resumed; else None."""
     if not (folder / MANIFEST).exists():
         return None
     manifest = read_manifest(folder)
     entry = manifest.get("design")
     if not entry:
         return None
-    # the study as it is now, with the recorded number of draws: an equal hash means that nothing else differs
+    # the present study with the recorded number of draws: an equal hash means that nothing else differs
     earlier = study.override({"draws": entry["asked_draws"]})
     records_this_study = earlier.hash == entry["asked"]
     has_same_draws = earlier.hash == study.hash

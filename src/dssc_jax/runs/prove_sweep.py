@@ -1,4 +1,4 @@
-"""Proofs at every point of a study's sweep, by one process for each core."""
+"""Proofs at every point of a study's sweep, in parallel processes."""
 
 import itertools
 import json
@@ -32,19 +32,19 @@ def prove_sweep(
     """Prove a study at every point of its sweep.
 
     Args:
-        study: A study with a sweep; a swept value takes the place of its parameter's law.
-        boxes: Largest number of boxes of uncertain numbers that are tried at each point.
+        study: A study with a sweep; a swept value replaces the law of its parameter.
+        boxes: Most boxes of uncertain numbers that are tried at each point.
         processes: Number of processes; None: one for each core. They are spawned, so a script that asks for several
             needs ``if __name__ == "__main__":``. With 1, this process does the work.
         progress: Called with the points done and the number of points.
 
     Raises:
-        NotCovered: The loop is outside of what a proof covers; the message gives the reason.
+        NotCovered: No proof covers such a loop; the message gives the reason.
         ConfigError: ``boxes`` or ``processes`` is not positive.
-        RuntimeError: A process has ended before its work.
+        RuntimeError: A process has died.
     """
-    count = processes or os.cpu_count() or 1
-    for name, value in (("boxes", boxes), ("processes", 1 if processes is None else processes)):
+    count = (os.cpu_count() or 1) if processes is None else processes
+    for name, value in (("boxes", boxes), ("processes", count)):
         if value < 1:
             raise ConfigError(name, f"must be at least 1, got {value}")
     began = time.perf_counter()
@@ -69,19 +69,22 @@ def prove_sweep(
 
 
 def foreign_points(study: Study, certificates: Sequence[JsonObject]) -> list[int]:
-    """Numbers of the sweep points whose certificate belongs to another loop."""
-    problems = (json.loads(json.dumps(problem_of(point).to_dict())) for point in sweep_points(study))
-    pairs = enumerate(zip(problems, certificates, strict=True))
-    return [i for i, (problem, certificate) in pairs if problem_in(certificate) != problem]
+    """Indices of the sweep points whose certificates belong to another loop."""
+    indices = []
+    for i, (point, certificate) in enumerate(zip(sweep_points(study), certificates, strict=True)):
+        problem = json.loads(json.dumps(problem_of(point).to_dict()))
+        if problem_in(certificate) != problem:
+            indices.append(i)
+    return indices
 
 
 def problem_in(certificate: object) -> object:
-    """A certificate's problem; None if it has none."""
+    """The problem that a certificate contains; None if it contains none."""
     return certificate.get("problem") if isinstance(certificate, dict) else None
 
 
 def prove_point(problem: AnyProblem, boxes: int) -> PointOutcome:
-    """Summary and certificate of one point."""
+    """The summary and the certificate of one point."""
     from dssc_jax.proofs.prove import prove_problem
 
     outcome = prove_problem(problem, boxes)
@@ -89,14 +92,14 @@ def prove_point(problem: AnyProblem, boxes: int) -> PointOutcome:
 
 
 def answer_all(connection: Connection, boxes: int) -> None:
-    """Answer problems until the process is terminated."""
+    """Receive problems and send their outcomes, until this process is terminated."""
     while True:
         connection.send(prove_point(connection.recv(), boxes))
 
 
 @contextmanager
 def worker(boxes: int) -> Iterator[Connection]:
-    """A process that proves; it is terminated, since an idle one need not end by itself."""
+    """A context with a process that proves, by a connection to it; at the end the process is terminated."""
     spawn = multiprocessing.get_context("spawn")
     connection, connection_of_worker = spawn.Pipe()
     process = spawn.Process(target=answer_all, args=(connection_of_worker, boxes), daemon=True)
@@ -111,10 +114,10 @@ def worker(boxes: int) -> Iterator[Connection]:
 
 
 def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
-    """Have an idle process prove a problem.
+    """The outcome of a problem, from an idle process.
 
     Raises:
-        RuntimeError: the process has ended.
+        RuntimeError: The process has died.
     """
     connection = idle.get()
     try:

@@ -30,7 +30,13 @@ if TYPE_CHECKING:
 
 
 def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
-    """The manifest before the run: study, versions and machine."""
+    """The manifest of a run at its start.
+
+    Args:
+        study: The study.
+        layout: The grid and its blocks.
+        machinery: Versions, device and compiler settings.
+    """
     return {
         "schema": SCHEMA,
         "study": study.table,
@@ -54,7 +60,7 @@ def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
 
 
 def sampling_entry(study: Study) -> dict[str, object]:
-    """The sampling design and the correlations: rank correlations as given, and those of the normal variables."""
+    """The entry of the manifest on the sampling design and on correlations, of ranks and of the normal variables."""
     config = study.config
     return {
         "kind": config.sampling,
@@ -90,9 +96,9 @@ def run(
 
     Args:
         study: The study, or its file; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
-        out: Results folder to fill during the run; None keeps the result in memory.
-        resume: Keep the results of an earlier run of the same study in ``out``, and compute the missing ones; the
-            study may have more draws than before.
+        out: Results folder to fill during the run; None: the result stays in memory.
+        resume: Whether to keep the results of an earlier run of the same study in ``out``, and to compute the missing
+            ones; the study may have more draws than before.
         progress: Called with the lanes done and all lanes after each block.
         block: Maximum number of lanes of a block; None: the engine's choice. Results depend neither on it nor on the
             following arguments.
@@ -153,7 +159,7 @@ def run(
 
 @dataclass
 class ThisProcess:
-    """This process in the place of a cluster's workers; see :class:`dssc_jax.runs.cluster.Cluster`.
+    """This process as the only worker of a run; the methods are those of :class:`dssc_jax.runs.cluster.Cluster`.
 
     Args:
         study: The study.
@@ -174,13 +180,13 @@ class ThisProcess:
         return computing()
 
     def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        """Start the first of some blocks; see :func:`dssc_jax.engine.batching.execute`."""
+        """Start to compute some blocks; see :func:`dssc_jax.engine.batching.execute`."""
         self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
         self.block_results = execute(self.engine, blocks)
         return self.block_results
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
-        """Compute the missing blocks of a folder, and return the times for the manifest."""
+        """Compute the missing blocks of a folder; ``advance`` is called with the lanes of each. Returns the times."""
         for box, results, values in self.block_results or self.start(target.layout, target.pending):
             target.write(box, results, values)
             advance(lanes_in(box))
@@ -210,14 +216,14 @@ class LanesDone:
 
 
 def integration_entry(study: Study, check: bool) -> Manifest:
-    """The manifest's entry on the error between the samples; empty if it is not to be checked."""
+    """The manifest's entry on the error of integration; empty without a check."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 
 def stated_entry(
     study: Study, within: Mapping[str, float] | None, shift: float | None, widening: float | None
 ) -> Manifest:
-    """The manifest's entry with amounts by which the laws may be wrong; empty without any.
+    """The manifest's entry with amounts by which the laws may be wrong; empty without any. Arguments as of :func:`run`.
 
     Raises:
         ConfigError: An amount is out of range, or the study does not admit it.
@@ -232,7 +238,7 @@ def stated_entry(
 def run_in_memory(
     study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, entries: Manifest
 ) -> Result:
-    """Run a study in memory; the manifest gets further entries."""
+    """Run a study in memory; ``entries`` are further entries of the manifest."""
     began = time.perf_counter()
     blocks = layout.blocks()
     block_results = execute(engine, blocks)

@@ -1,4 +1,4 @@
-"""``run_until``: runs with a sequential stopping rule; the result has the final number of draws of the study."""
+"""``run_until``: a run with a sequential stopping rule, which decides the number of draws."""
 
 import time
 from collections.abc import Mapping
@@ -20,8 +20,8 @@ from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study, takes_file
 
-MOST_DRAWS = 100_000  # draws, unless told otherwise
-BATCH = 1024  # draws computed at once
+MOST_DRAWS = 100_000  # by default
+BATCH = 1024  # draws that are computed at once
 UNDECIDED = "undecided"
 
 
@@ -38,15 +38,15 @@ def run_until(
     shift: float | None = None,
     widening: float | None = None,
 ) -> Result:
-    """Simulate draws until a stopping rule is satisfied, at a geometric sequence of looks.
+    """Simulate draws until a stopping rule is satisfied at one of a geometric sequence of looks.
 
     The intervals of the result remain valid under the stopping rule, which its manifest records. Draw i is the same
     as in any other run of the study.
 
     Args:
-        study: The study, or its file, without a sweep; its own number of draws is ignored.
-        rule: When to stop.
-        out: Results folder, written at the end; None keeps the result in memory.
+        study: The study, or its file, without a sweep; its number of draws is ignored.
+        rule: The stopping rule.
+        out: Results folder, written at the end; None: the result stays in memory.
         most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
         check: As in :func:`dssc_jax.runs.run.run`, like the following arguments.
@@ -71,19 +71,19 @@ def run_until(
     blocks = [(slice(start, min(start + engine.lanes, most)),) for start in range(0, most, engine.lanes)]
     batches = execute(engine, blocks)
     batches_done: list[Arrays] = []
-    failed = np.empty(0, dtype=bool)
+    has_failed = np.empty(0, dtype=bool)
     looks = rule.looks(most)
     past_looks: list[Look] = []
     counts: list[int] = []
     verdict = None
     for look in looks:
-        while len(failed) < look.draws:
+        while len(has_failed) < look.draws:
             _, results, _ = next(batches)
             batches_done.append(results)
-            failed = np.concatenate([failed, results["outcome"] != Outcome.OK])
+            has_failed = np.concatenate([has_failed, results["outcome"] != Outcome.OK])
             if progress:
-                progress(len(failed), most)
-        failures = int(np.count_nonzero(failed[: look.draws]))
+                progress(len(has_failed), most)
+        failures = int(np.count_nonzero(has_failed[: look.draws]))
         past_looks.append(look)
         counts.append(failures)
         verdict = rule.verdict(look, failures)
@@ -118,7 +118,7 @@ def run_until(
 
 
 def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
-    """The study with random draws if it leaves the design to the tool, and the manifest's entry on that."""
+    """The study, with random draws if it has ``sampling = "auto"``, and the manifest's entry on that choice."""
     if study.config.sampling != "auto":
         return study, {}
     reason = "plain draws: the law of a data-driven stop is known for independent draws only"
@@ -126,10 +126,10 @@ def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
 
 
 def require_sequential(study: Study) -> None:
-    """Require one point and independent draws.
+    """Require a study without a sweep and with independent draws.
 
     Raises:
-        ConfigError: otherwise.
+        ConfigError: It has a sweep, or its draws are points of a design.
     """
     if study.axes:
         raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")
@@ -137,17 +137,23 @@ def require_sequential(study: Study) -> None:
 
 
 def require_same_rule(folder: Path, study: Study, rule: StoppingRule, most: int) -> None:
-    """Require that the folder is empty, or contains a result of the same study and rule.
+    """Require that a results folder is empty, or contains a result of the same study and stopping rule.
+
+    Args:
+        folder: The folder.
+        study: The study with ``most`` draws.
+        rule: The stopping rule.
+        most: Maximum number of draws.
 
     Raises:
-        ConfigError: Otherwise; raised before anything is simulated.
+        ConfigError: The folder contains something else.
     """
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     manifest: Manifest = read_manifest(folder) if folder.is_dir() else {"study": {}}
     stopping = manifest.get("stopping") or {}
     same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
-    stored_study = manifest["study"] | {"draws": most}  # it has the draws at which the run stopped
+    stored_study = manifest["study"] | {"draws": most}  # in place of the number at which the run stopped
     if not same_rule or stored_study != study.table:
         raise ConfigError(
             str(folder),

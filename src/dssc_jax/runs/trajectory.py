@@ -1,6 +1,6 @@
-"""Trajectories of single draws: ``simulate`` for a study, ``replay`` for a stored result, with a check."""
+"""Trajectories of single draws: ``simulate`` for a study, and ``replay`` for a stored result, which it checks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -26,7 +26,7 @@ from dssc_jax.study import Study, takes_file
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
 
-MOST_KEPT = 5_000_000  # samples of a trajectory
+MOST_SAMPLES = 5_000_000  # of a trajectory
 SIGNALS = {
     "y": Quantity("y", "output y"),
     "y_dot": Quantity("y/s", "output's derivative y'"),
@@ -39,7 +39,7 @@ SIGNALS = {
     "u": Quantity("u", "robust command u"),
     "u_total": Quantity("u", "total command u + u_n"),
 }
-"""Signals of every channel; a controller and a plant declare those of their infos."""
+"""Unit and meaning of the signals of every channel; controllers and plants declare those of their infos."""
 
 
 RecordedLane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Run, Recorded]]
@@ -47,16 +47,13 @@ RecordedLane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Run,
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
-    """Every number that differs between lanes, for one lane.
+    """The uncertain and swept numbers of one draw at a point of the sweep.
 
     Raises:
-        ConfigError: The draw is not in the study, or a name in ``point`` is not a swept parameter.
+        ConfigError: The draw is not in the study, or the names in ``point`` are not those of the sweep.
     """
-    if not 0 <= draw < study.config.draws:
-        raise ConfigError(study.source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
-    for name in point:
-        if name not in study.axes:
-            raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
+    require_draw(study, draw, study.source)
+    require_swept(study, point)
     missing = [name for name in study.axes if name not in point]
     if missing:
         raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
@@ -64,22 +61,35 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     return {**values, **point}
 
 
+def require_draw(study: Study, draw: int, source: str) -> None:
+    """Require that a study has a draw, or raise ConfigError about ``source``."""
+    if not 0 <= draw < study.config.draws:
+        raise ConfigError(source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
+
+
+def require_swept(study: Study, names: Iterable[str]) -> None:
+    """Require that numbers are swept, or raise ConfigError."""
+    for name in names:
+        if name not in study.axes:
+            raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
+
+
 @takes_file
 def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
     """Simulate one draw and return its trajectory.
 
     Args:
-        study: The study, or its file. Without ``point``, a sweep is ignored.
+        study: The study, or its file.
         draw: Index of the draw.
-        point: Value of each swept parameter.
-        every: Keep every ``every``-th sample.
+        point: Value of each swept parameter; None: the sweep is ignored.
+        every: Distance of two recorded samples.
 
     Returns:
-        Dimension ``t`` [s]; variables y, y_dot, y_ref, e, sigma, u, u_total and the fields of the controller's
-        info. Attributes contain the drawn values and how the draw ended.
+        The signals over ``t`` [s]: y, y_dot, y_ref, e, sigma, u, u_total, and those of the controller's and the plant's
+        infos. Attributes contain the drawn values and how the draw ended.
 
     Raises:
-        ConfigError: draw, point or every is out of range.
+        ConfigError: ``draw``, ``point`` or ``every`` is out of range.
     """
     return recorder(study if point else study.without_sweep(), every)(draw, point or {})
 
@@ -89,21 +99,21 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
     Args:
         study: The study, including its sweep.
-        every: Keep every ``every``-th sample.
-        plain: By plain XLA, independent of the program that computes results.
+        every: Distance of two recorded samples.
+        plain: Whether to use plain XLA, independent of the program that computes results.
 
     Returns:
-        ``(draw, point) -> trajectory``, as in :func:`simulate`.
+        ``(draw, point) -> trajectory``, as of :func:`simulate`.
 
     Raises:
-        ConfigError: every is out of range; when called, draw or point is.
+        ConfigError: ``every`` is out of range; when called, ``draw`` or ``point`` is.
     """
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
     every = min(every, study.loop.steps)
     sample_count = -(-study.loop.steps // every)
-    if sample_count > MOST_KEPT:
-        rule = f"a trajectory keeps at most {MOST_KEPT} samples, got {sample_count}; raise every"
+    if sample_count > MOST_SAMPLES:
+        rule = f"a trajectory keeps at most {MOST_SAMPLES} samples, got {sample_count}; raise every"
         raise ConfigError(study.source, rule)
 
     program = cache(lambda: kernels.compiled_single(recorded_lane(study, every), lane_names(study), plain))
@@ -133,16 +143,24 @@ def recorded_lane(study: Study, every: int) -> RecordedLane:
 
 
 def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
-    """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended."""
-    has_ended = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
-    columns = {
-        name: np.where(has_ended, np.nan, column) if has_ended.any() or column.dtype == bool else column
-        for name, column in trajectory_columns(study, recorded).items()
-    }
-    attributes = {name: column_attributes(name, study) for name in columns}
+    """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended.
+
+    Args:
+        study: The study.
+        draw: Index of the draw.
+        values: The draw's uncertain and swept numbers.
+        ended: The draw's result.
+        recorded: Its recorded samples.
+    """
+    has_ended = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # the state is frozen from there on
+    variables_over_time = {}
+    for name, column in trajectory_columns(study, recorded).items():
+        if has_ended.any() or column.dtype == bool:
+            column = np.where(has_ended, np.nan, column)
+        variables_over_time[name] = (("t",), column, column_attributes(name, study))
     code = int(ended.outcome)
     return xr.Dataset(
-        {name: (("t",), column, attributes[name]) for name, column in columns.items()},
+        variables_over_time,
         coords={"t": (("t",), recorded.instant.t, {"units": "s", "long_name": "time"})},
         attrs={
             "study": study.name,
@@ -160,7 +178,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
 
 
 def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] | list[float]]:
-    """Kinds and times [s] of the study's events in a draw, for figures; nothing where there are none."""
+    """Kinds and times [s] of the study's events in a draw, as attributes of a trajectory; empty without events."""
     if not study.config.event:
         return {}
     kinds = [str(table.get("kind", "rotor")) for table in study.config.event]
@@ -171,7 +189,7 @@ def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] 
 
 
 def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:
-    """Every signal over time; prefixed by the channel for a plant with several channels."""
+    """Every recorded signal over time, by name; those of channels carry the channel's name if it has one."""
     columns = {}
     instant = recorded.instant
     parts = zip(study.loop.channels, recorded.measurements, recorded.references, instant.channels, strict=True)
@@ -196,7 +214,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:
-    """Unit and meaning of a trajectory's column; an info field without a quantity has only its name."""
+    """Unit and meaning of a trajectory's column; an undeclared signal has an empty unit and its name."""
     channel, _, field = name.partition("_")
     has_channel = channel in study.loop.channels and bool(channel) and bool(field)
     signal = field if has_channel else name
@@ -224,22 +242,21 @@ def measured_quantities(study: Study) -> dict[str, Quantity]:
 
 
 def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
-    """Simulate one draw of a result again and compare it with the stored values.
+    """Simulate one draw of a result again, by the plain program, and compare it with the stored values.
 
     Args:
         result: A loaded or fresh result.
         draw: Index of the draw.
-        point: Value of each swept parameter, rounded to the nearest value of the sweep; None: the point at which the
-            draw's slack is smallest, or the first point.
-        every: Keep every ``every``-th sample.
+        point: Value of each swept parameter, rounded to the nearest value of the sweep; None: the point with the draw's
+            smallest slack, or the first point without requirements.
+        every: Distance of two recorded samples.
 
     Returns:
-        As in :func:`simulate`. The attribute ``agreement`` is the verdict on the metrics of this trajectory, computed
-        by the plain program, compared with the stored ones (see :class:`dssc_jax.engine.reference.Agreement`);
-        ``deviation`` is the largest relative deviation.
+        A trajectory as of :func:`simulate`. The attribute ``agreement`` is the verdict on its metrics (see
+        :class:`dssc_jax.engine.reference.Agreement`), and ``deviation`` is their largest relative deviation.
 
     Raises:
-        ConfigError: draw or point is not in the result.
+        ConfigError: ``draw`` or ``point`` is not in the result.
     """
     study = result.study
     index = point_of(result, draw, point)
@@ -252,25 +269,21 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
 
 
 def point_of(result: "Result", draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
-    """Index of each swept value at which a draw is simulated again; arguments as in :func:`replay`.
+    """Index along each axis of the sweep at which :func:`replay` simulates a draw again; arguments as there.
 
     Raises:
-        ConfigError: draw or point is not in the result.
+        ConfigError: ``draw`` or ``point`` is not in the result.
     """
     study = result.study
-    if not 0 <= draw < study.config.draws:
-        raise ConfigError(
-            str(result.path or study.source), f"draw must be in 0 .. {study.config.draws - 1}, got {draw}"
-        )
-    for name in point or {}:
-        if name not in study.axes:
-            raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
-    index = {name: nearest_index(values, (point or {}).get(name)) for name, values in study.axes.items()}
-    return index if point else hardest(result, draw)
+    require_draw(study, draw, str(result.path or study.source))
+    require_swept(study, point or {})
+    if not point:
+        return worst_point(result, draw)
+    return {name: nearest_index(values, point.get(name)) for name, values in study.axes.items()}
 
 
 def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
-    """Compare a trajectory's draw with the stored values of a result."""
+    """Compare the metrics of a trajectory with the stored ones of its draw."""
     study = result.study
     lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
     names = (name for name in variables(study) if name in run.attrs)
@@ -279,12 +292,12 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
 
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:
-    """Index of the value nearest to the requested one; 0 if None is requested."""
+    """Index of the value nearest to the requested one; 0 if that is None."""
     return 0 if requested is None else int(np.argmin(np.abs(np.asarray(values) - requested)))
 
 
-def hardest(result: "Result", draw: int) -> dict[str, int]:
-    """The sweep point of the draw's smallest slack relative to its bound; the first one without requirements."""
+def worst_point(result: "Result", draw: int) -> dict[str, int]:
+    """Index along each axis of the sweep at which a draw's slack is smallest; 0 without requirements."""
     axes = list(result.study.axes)
     if not axes or not result.study.requirements:
         return dict.fromkeys(axes, 0)

@@ -15,18 +15,18 @@ from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study.code import code_digests
 
-LANES = 16
+LANES = 16  # recomputed by default
 MOST_LANES = 16384
 
 
 @dataclass(frozen=True)
 class SinglePrecision:
-    """The effect of float32 on a result: its lanes compared with the same lanes, with the same noise, in float64.
+    """The effect of float32 on a result: lanes compared with the same lanes, and the same noise, in float64.
 
     Args:
-        outcomes: Lanes whose outcome differs.
-        median: Median over the lanes of the largest relative deviation of each.
-        largest: Maximum over the lanes; infinite if one lane ends early and its counterpart does not.
+        outcomes: Number of lanes whose outcome differs.
+        median: Median over the lanes of each lane's largest relative deviation.
+        largest: Maximum of these deviations; infinite if one lane ends early and its counterpart does not.
     """
 
     outcomes: int
@@ -40,15 +40,15 @@ class Verification:
 
     Args:
         lanes: Number of lanes.
-        seed: The same seed selects the same lanes.
-        deviation: Largest deviation of a value, relative to it or to its variable's median magnitude, whichever is
-            larger; infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all do.
-        worst: Its location: variable, draw, swept values, stored and computed value; None if all agree.
-        verdict: ``agrees``; ``differs`` where rounding does not explain a deviation; ``undecided`` where every lane
-            amplifies rounding so much that none is evidence.
+        seed: Seed that selected the lanes.
+        deviation: Largest deviation of a value, relative to it or to its variable's typical size, whichever is larger;
+            infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all do.
+        worst: Place of that deviation: variable, draw, swept values, stored and computed value; None if all are equal.
+        verdict: ``agrees``; ``differs`` if rounding does not explain a deviation; ``undecided`` if every lane amplifies
+            rounding so much that none is evidence.
         undecided: Number of lanes that are not evidence.
         otherwise: Differences of versions, device and compiler settings from those of the run.
-        single_precision: The effect of float32 for a result in single precision; else None.
+        single_precision: The effect of float32 on a result in float32; None for one in float64.
     """
 
     lanes: int
@@ -71,17 +71,17 @@ class Verification:
 
 
 def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verification:
-    """Recompute random lanes of a result and compare them with the stored values.
+    """Recompute random lanes of a result, and compare them with the stored values.
 
-    They are computed by the plain program, not by the program that produced the result.
+    The plain program computes them, not the program that produced the result.
 
     Args:
         result: A loaded result.
-        draws: Number of lanes, i.e. draws at random sweep points; all lanes if the result has fewer.
-        seed: Selects the lanes; None: different lanes each time.
+        draws: Number of lanes, draws at random points of the sweep; all lanes if the result has fewer.
+        seed: Seed that selects the lanes; None: other lanes each time.
 
     Raises:
-        ConfigError: draws or seed is out of range.
+        ConfigError: ``draws`` or ``seed`` is out of range.
     """
     if not 1 <= draws <= MOST_LANES:
         raise ConfigError("draws", f"must be in 1 .. {MOST_LANES}, got {draws}")
@@ -99,6 +99,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     worst = None
     if comparison.deviation[largest] > 0.0:
         worst = worst_lane(result, lanes, plain_results, comparison, largest)
+    is_single = result.study.config.loop.precision == 32
     return Verification(
         lanes=len(lane_numbers),
         seed=seed,
@@ -106,15 +107,21 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
         worst=worst,
         verdict=comparison.verdict,
         undecided=int(np.count_nonzero(~comparison.decided)),
-        otherwise=machinery_differences(result.manifest, computing() | {"code": code_digests(result.study.table)}),
-        single_precision=single_precision(result, lanes, plain_results)
-        if result.study.config.loop.precision == 32
-        else None,
+        otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
+        single_precision=single_precision(result, lanes, plain_results) if is_single else None,
     )
 
 
 def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: Agreement, at: int) -> JsonObject:
-    """The value with the largest deviation, and its location."""
+    """The value with the largest deviation in a lane, and its place, for JSON.
+
+    Args:
+        result: The result.
+        lanes: The recomputed lanes.
+        plain_results: Their variables by the plain program.
+        comparison: The comparison with the stored values.
+        at: Number of the lane among the recomputed ones.
+    """
     name = str(comparison.variable[at])
     study = result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
@@ -124,7 +131,7 @@ def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: 
 
 
 def single_precision(result: Result, lanes: Lanes, plain_results: Arrays) -> SinglePrecision:
-    """Compare lanes in float32 with the same lanes in float64."""
+    """Compare lanes of a result in float32, recomputed by the plain program, with the same lanes in float64."""
     study = result.study.override({"loop.precision": 64})
     exact = recompute(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}

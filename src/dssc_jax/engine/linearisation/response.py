@@ -20,19 +20,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance, schur
 
-FREQUENCIES = 240  # of the common grid
-FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
-DECADES = 6.0  # largest span below the Nyquist frequency
-MOST_ENTRIES = 2_000_000  # complex numbers: the states of all loops at the angles that are computed at once
-ROOT_STEPS = 14
-PEAK_STEPS = 24
+FREQUENCIES = 240  # of a grid
+FIRST_FREQUENCY = 0.03  # of a grid, relative to the slowest pole
+DECADES = 6.0  # largest span of a grid below the Nyquist frequency
+MOST_ENTRIES = 2_000_000  # complex numbers that are computed at once: angles times states of all loops
+ROOT_STEPS = 14  # of the Illinois method
+PEAK_STEPS = 24  # of the golden-section search
 SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 HALF_POWER = 0.5  # |T|^2 at the bandwidth
 GAINS = {"gain_upper", "gain_lower"}
 AT_CROSSINGS = {"phase", "delay", "crossover"}
 PEAKS = {"disk": 0.5, "sensitivity_peak": 1.0, "complementary_peak": 0.0}
-"""Margins that follow from the peak of |G + offset|, by name, with the offset."""
+"""Offset of each margin that follows from the peak of |G + offset|."""
 
 Response = Callable[[np.ndarray], np.ndarray]
 """Angles theta = omega T_s of shape (n, m) -> G(e^(i theta)), shape (n, m)."""
@@ -71,10 +71,10 @@ class ClassicalMargins(NamedTuple):
 
 
 def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
-    """G(z) = c (z - A)^-1 b of n loops, by the Schur form of each balanced A, at any number of angles.
+    """The response G(z) = c (z - A)^-1 b of n loops, from the Schur form of each balanced A.
 
-    A is triangular in that form, also where it has no basis of eigenvectors, as with delays. Back substitution then
-    takes the angles of all loops at once.
+    The Schur form is triangular even if A has no basis of eigenvectors, as with delays. Back substitution then takes
+    the angles of all loops at once.
 
     Args:
         a: Shape (n, states, states).
@@ -113,7 +113,7 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
 
 
 def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
-    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops.
+    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops, shape (count,).
 
     Args:
         poles: Closed-loop eigenvalues of all loops, any shape.
@@ -123,7 +123,7 @@ def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
 
 
 def loop_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
-    """The :func:`common_grid` of each loop alone, shape (n, count).
+    """The :func:`common_grid` of each single loop, shape (n, count).
 
     Args:
         poles: Closed-loop eigenvalues, shape (n, states).
@@ -136,12 +136,12 @@ def loop_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
 
 
 def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """The angles at which margins of stable loops are looked for, shape (n, angles): those of the poles, too.
+    """The angles of a search for margins of stable loops, with those of closed-loop and open-loop poles, shape (n, m).
 
     Args:
         a: State matrices of the closed loops, shape (n, states, states).
-        b: Input columns from the point at which the loops are broken, shape (n, states).
-        c: Output rows to that point, shape (n, states).
+        b: Input columns from the break point, shape (n, states).
+        c: Output rows to the break point, shape (n, states).
         poles: Eigenvalues of a, shape (n, states).
     """
     open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
@@ -149,13 +149,13 @@ def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray
 
 
 def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """The angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
+    """The angles of n loops with 0, pi and the frequencies of each loop's poles, ascending, shape (n, m).
 
-    A pole above the real axis adds its damped frequency, any other one its natural frequency.
+    A pole above the real axis adds its damped frequency, any other pole its natural frequency.
 
     Args:
-        common: Angles of all loops, shape (count,), or of each, shape (n, count).
-        poles: Shape (n, poles).
+        common: Angles of all loops, shape (count,), or of each loop, shape (n, count).
+        poles: Poles of each loop, shape (n, poles).
     """
     natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
     pole_angles = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
@@ -165,7 +165,12 @@ def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
 
 
 def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Add the angles at which a function comes nearest to 0 between two angles, so that no pair of roots is missed.
+    """Add the angles at which a function comes near 0 and turns back, so that no pair of roots is missed.
+
+    Args:
+        function: (angles of shape (n, r)) -> real values.
+        angles: Ascending, shape (n, m).
+        values: The function at the angles, shape (n, m).
 
     Returns:
         The ascending angles and the function there, shape (n, m + r).
@@ -190,22 +195,22 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
 
 
 def true_columns(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Column indices of the true entries of each row, padded to one length, and which of them are not padding."""
+    """Column indices of the true entries of each row, padded to one length, and a mask that is False for padding."""
     length = int(mask.sum(axis=1).max(initial=0))
     places = np.argsort(~mask, axis=1, kind="stable")[:, :length]
     return places, np.take_along_axis(mask, places, 1)
 
 
 def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roots of a real function of the angle, between neighbours of different sign, by the Illinois method.
+    """Roots of a real function of the angle, one between any two neighbours of different sign, by the Illinois method.
 
     Args:
         function: (angles of shape (n, r)) -> real values.
         angles: Ascending, shape (n, m).
-        values: The function there.
+        values: The function at the angles, shape (n, m).
 
     Returns:
-        Angles and the mask of those that are roots, shape (n, r).
+        Angles, and a mask of those that are roots, shape (n, r) each.
     """
     angles, values = with_touching(function, angles, values)
     places, is_root = true_columns(values[:, :-1] * values[:, 1:] < 0.0)
@@ -221,16 +226,16 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
         estimate = np.where(difference == 0.0, high, high - secant_step)
         estimate = np.clip(estimate, np.minimum(low, high), np.maximum(low, high))
         f_estimate = function(estimate)
-        crossing = f_estimate * f_high < 0.0  # between the middle and the high end
-        low = np.where(crossing, high, low)
-        f_low = np.where(crossing, f_high, 0.5 * f_low)
+        is_crossing = f_estimate * f_high < 0.0  # the root lies between the estimate and the high end
+        low = np.where(is_crossing, high, low)
+        f_low = np.where(is_crossing, f_high, 0.5 * f_low)
         high = estimate
         f_high = f_estimate
     return high, is_root
 
 
 def golden_section_peak(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest value of a real function with one peak in [low, high], and its place; any one shape."""
+    """The place and the value of the peak of a real function with one peak in each [low, high]; arrays of one shape."""
     left = high - GOLDEN * (high - low)
     right = low + GOLDEN * (high - low)
     f_left = function(left)
@@ -252,7 +257,7 @@ def golden_section_peak(function: Response, low: np.ndarray, high: np.ndarray) -
 
 
 def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Largest value of a real function, refined around the largest value of the grid; shape (n,)."""
+    """Largest value of a real function, refined around its largest value on a grid, shape (n,); as in :func:`roots`."""
     top = np.argmax(values, axis=1)[:, None]
     low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
     high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
@@ -264,7 +269,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
 
     Args:
         respond: G of the loops.
-        angles: Ascending angles from 0 to pi at which crossings and peaks are looked for, shape (n, m).
+        angles: Ascending angles from 0 to pi between which crossings and peaks are found, shape (n, m).
         sample_time: T_s [s].
     """
     return ClassicalMargins(**named_margins(respond, angles, sample_time, ClassicalMargins._fields))
@@ -273,13 +278,13 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
 def named_margins(
     respond: Response, angles: np.ndarray, sample_time: float, names: Collection[str]
 ) -> dict[str, np.ndarray]:
-    """The margins with these names, fields of :class:`ClassicalMargins` or ``modulus``, and no others.
+    """Some margins of n stable loops by name, shape (n,) each.
 
     Args:
         respond: G of the loops.
         angles: As of :func:`classical_margins`.
         sample_time: T_s [s].
-        names: Which margins.
+        names: Names of the margins: fields of :class:`ClassicalMargins`, or ``modulus``.
     """
     g = respond(angles)
     margins: dict[str, np.ndarray] = {}
@@ -311,27 +316,26 @@ def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: flo
     gains, is_gain = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     phases, is_phase = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
     inner = phases[is_phase]
-    phases = np.append(
-        inner[(inner > np.pi * 10.0**-DECADES) & (inner < np.pi * (1.0 - 10.0**-DECADES))], np.pi
-    )  # no rounding at its ends
+    is_inner = (inner > np.pi * 10.0**-DECADES) & (inner < np.pi * (1.0 - 10.0**-DECADES))  # no rounding at the ends
+    phases = np.append(inner[is_inner], np.pi)
     at = respond(phases[None, :])[0]
     with np.errstate(all="ignore"):
-        negative = np.real(-at / (1.0 + at)) < -SMALLEST_FACTOR
-    return np.sort(gains[is_gain]) / sample_time, np.sort(phases[negative]) / sample_time
+        is_negative = np.real(-at / (1.0 + at)) < -SMALLEST_FACTOR
+    return np.sort(gains[is_gain]) / sample_time, np.sort(phases[is_negative]) / sample_time
 
 
 def offset_size(respond: Response, offset: float, angles: np.ndarray) -> np.ndarray:
-    """|G + offset|."""
+    """|G + offset| at some angles, shape (n, m)."""
     return np.abs(respond(angles) + offset)
 
 
 def margins_at_crossings(
     respond: Response, angles: np.ndarray, g: np.ndarray, sample_time: float
 ) -> dict[str, np.ndarray]:
-    """Phase and delay margin, and the frequency of the phase margin, where the loop gain is 1."""
+    """Phase and delay margin, and the frequency of the phase margin, from the angles at which the loop gain is 1."""
     crossings, is_crossing = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     at = np.where(is_crossing, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
-    lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
+    lag = np.angle(at / (1.0 + at))  # of -L: the remaining phase to -180 degrees
     size = np.where(is_crossing, np.abs(lag), np.inf)
     safe_angles = np.where(is_crossing, crossings, 1.0)
     delays = np.where(is_crossing, np.mod(lag, 2.0 * np.pi) * sample_time / safe_angles, np.inf)
@@ -346,7 +350,7 @@ def margins_at_crossings(
 
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Upper and lower gain margin, each of shape (n,); G is real at z = 1 and z = -1, the ends of the angles, too."""
+    """Upper and lower gain margin, shape (n,) each, from the angles at which G is real, 0 and pi among them."""
     crossings, is_crossing = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
     at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
     with np.errstate(all="ignore"):
@@ -358,7 +362,7 @@ def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[
 
 
 def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,)."""
+    """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,); see :class:`ClassicalMargins`."""
     power_above_half = np.abs(g) ** 2 - HALF_POWER
     crossings, is_crossing = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, power_above_half)
     largest = np.where(is_crossing, crossings, -np.inf).max(axis=1, initial=-np.inf)

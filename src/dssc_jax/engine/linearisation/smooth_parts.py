@@ -1,8 +1,8 @@
-"""Parts of a loop that are linearised, with their declarations and their substitutes.
+"""The parts of a loop that a linearisation differentiates, with their declared smoothness and their substitutes.
 
-Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
-the substitute that it states, or refused. :mod:`dssc_jax.engine.linearisation.part_slopes` classifies a part at an
-operating point. At a corner the substitute for its inner side replaces the part.
+A part that does not declare where it is smooth is refused. A part that is smooth nowhere is replaced by the substitute
+in its declaration, or refused without one. :mod:`dssc_jax.engine.linearisation.part_slopes` classifies a part at an
+operating point; at a corner the substitute for the inner side replaces it.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,9 +30,9 @@ SIGNAL_SENSOR = "signal_sensor"
 UNMODELLED = "unmodelled"
 INPUTS = "inputs"
 SECTIONS = {SIGNAL_SENSOR: "sensor", INPUTS: DISTURBANCE}
-"""Sections of the study that hold the parts of a slot of another name."""
+"""Section of the study with the parts of a slot, where their names differ."""
 Part: TypeAlias = Plant | Controller | Sensor | Differentiator | Unmodelled | Disturbance
-"""A model that is linearised."""
+"""A model of a part that can be linearised."""
 
 PART_FUNCTIONS: dict[type, tuple[str, ...]] = {
     Controller: ("init", "step"),
@@ -40,19 +40,19 @@ PART_FUNCTIONS: dict[type, tuple[str, ...]] = {
     Differentiator: ("init", "step"),
     Unmodelled: ("init", "step", "output", "sample", "linear", "moments"),
 }
-"""The functions of a part that a choice between two parts has to make, where the part has them."""
+"""The functions, as far as a part has them, in which a choice between two parts has to select."""
 
 
 class LoopPart(NamedTuple):
-    """One part of the loop with what it declares.
+    """The place of a part in the loop, with the part's declaration.
 
     Args:
-        slot: Name of the field of :class:`Loop`.
-        channel: Index of its channel; 0 for the plant.
+        slot: Field of :class:`Loop`.
+        channel: Index within the slot: of the channel, signal or input; 0 for the plant.
         label: Slot, channel and kind in words.
-        smoothness: What it declares about its derivatives.
-        remaining: The declaration of what is differentiated: of its substitute, if that is always taken, else its own.
-        imported: Whether its model is code of the user's, of the form ``module:object``.
+        smoothness: Where the part has derivatives, by its declaration.
+        remaining: The same for the part that is differentiated: the substitute if that always replaces the part.
+        imported: Whether the model is user-defined code, ``module:object``.
     """
 
     slot: str
@@ -64,35 +64,39 @@ class LoopPart(NamedTuple):
 
     @property
     def is_examined(self) -> bool:
-        """Whether it is examined near its operating points: if it has boundaries, or is the user's code.
+        """Whether the part is examined at its operating points: if it has boundaries, or is user-defined code.
 
-        The package's own parts that are smooth everywhere are tested once, with the package.
+        The tests of this package examine its parts that are smooth everywhere.
         """
         return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
     @property
     def is_replaced(self) -> bool:
-        """Whether its substitute always replaces it."""
+        """Whether the substitute always replaces the part."""
         return self.smoothness.extent == SmoothExtent.NOWHERE
 
     def substitute(self, params: Params) -> tuple[Part, Params]:
-        """The part that is differentiated in its place, and the parameters of that."""
-        assert self.smoothness.substitute is not None  # held where places are declared
+        """The substitute that is differentiated in place of the part, and its parameters."""
+        assert self.smoothness.substitute is not None  # see declared_place
         return self.smoothness.substitute(params)
 
     def inner_side(self, params: Params) -> tuple[Part, Params]:
-        """The part within the boundaries of what is differentiated, and the parameters of that."""
-        assert self.remaining.substitute is not None  # held by the caller
+        """The substitute for the inner side of the boundaries, and its parameters; see :attr:`has_inner_side`."""
+        assert self.remaining.substitute is not None
         return self.remaining.substitute(params)
 
     @property
     def has_inner_side(self) -> bool:
-        """Whether what is differentiated has a substitute for operating points on its boundaries."""
+        """Whether there is a substitute for operating points on the boundaries of the part that is differentiated."""
         return self.remaining.extent == SmoothExtent.PIECEWISE and self.remaining.substitute is not None
 
 
 class Finding(IntEnum):
-    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond one."""
+    """Class of a part at an operating point.
+
+    SMOOTH: it has a derivative. CORNER: it lies on a boundary with a substitute for the inner side. DEFECT: it has no
+    derivative, and no substitute applies. BEYOND: it lies beyond a boundary, where deviations do not pass.
+    """
 
     SMOOTH = 0
     CORNER = 1
@@ -101,7 +105,7 @@ class Finding(IntEnum):
 
 
 class SelectedParams(NamedTuple):
-    """Parameters of a part and of its substitute, and whether the substitute is in use."""
+    """Parameters of a part and of its substitute, and whether the substitute replaces the part; may be traced."""
 
     part: Params
     substitute: Params
@@ -118,11 +122,11 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
 
     Args:
         study: The study.
-        moving: Whether it is linearised along its flight, where disturbances matter.
+        moving: Whether the loop is linearised along its flight, where disturbances matter.
 
     Raises:
-        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; something happens to
-            the vehicle at a time; or the plant changes with time, and the loop is not linearised along its flight.
+        ConfigError: A part declares nothing, or it is smooth nowhere and has no substitute; the study has an event; or
+            the plant changes with time, and the loop is not linearised along its flight.
     """
     if study.config.event:
         raise ConfigError(f"{study.source}: event", "changes the loop at a time, which a linearisation does not cover")
@@ -143,7 +147,10 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
 
 
 def named_kind(study: Study, slot: str, name: str) -> str:
-    """The kind of a named part: that of a channel, that of a measured signal, or the disturbances at an input."""
+    """The kind of a part in words, by its slot and the name of its channel, measured signal or input.
+
+    Several disturbances at one input are joined by plus signs.
+    """
     table = getattr(study.config, SECTIONS.get(slot, slot))
     if isinstance(table, list) or "input" in table:
         tables = table if isinstance(table, list) else [table]
@@ -158,10 +165,17 @@ def named_kind(study: Study, slot: str, name: str) -> str:
 
 
 def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
-    """A part with its declaration.
+    """The place of a part with its declaration.
+
+    Args:
+        study: The study.
+        slot: Field of :class:`Loop`.
+        index: Index within the slot.
+        part: The model.
+        params: Its parameters, in which laws may stand for numbers.
 
     Raises:
-        ConfigError: as :func:`declared_places` says.
+        ConfigError: The part declares nothing, or it is smooth nowhere and has no substitute.
     """
     loop = study.loop
     names = {"plant": ("",), SIGNAL_SENSOR: [signal.name for signal in loop.measures], INPUTS: loop.input_names}
@@ -200,7 +214,7 @@ def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Para
 def with_part(
     loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
 ) -> tuple[Loop, LoopParams]:
-    """The loop with another part in a channel's place."""
+    """The loop with another part, and its parameters, in a place."""
     models = list(getattr(loop, place.slot))
     values = list(getattr(params, place.slot))
     models[place.channel] = part
@@ -209,7 +223,7 @@ def with_part(
 
 
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
-    """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
+    """The loop in which substitutes replace the parts that are smooth nowhere."""
     for place in places:
         if place.is_replaced:
             _, part_params = part_of(loop, params, place)
@@ -220,30 +234,34 @@ def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> t
 def with_inner_sides(
     loop: Loop, params: LoopParams, places: Sequence[LoopPart], findings: jax.Array
 ) -> tuple[Loop, LoopParams]:
-    """The loop in which parts at one of their corners are replaced by their substitutes.
+    """The loop in which substitutes for the inner side replace the parts at a corner.
 
     Args:
         loop: The models and the clock.
         params: Their parameters.
         places: The parts.
-        findings: A :class:`Finding` for each of them; may be traced.
+        findings: The :class:`Finding` of each part, shape (parts,); may be traced.
     """
     for place, finding in zip(places, findings, strict=True):
-        if place.has_inner_side:
-            part, part_params = part_of(loop, params, place)
-            substitute, substitute_params = place.inner_side(part_params)
-            is_substituted = finding == Finding.CORNER
-            if substitute is part:
-                params_of_part = selected_params(part_params, substitute_params, is_substituted)
-                loop, params = with_part(loop, params, place, part, params_of_part)
-            else:
-                params_of_part = SelectedParams(part_params, substitute_params, is_substituted)
-                loop, params = with_part(loop, params, place, choice(part, substitute), params_of_part)
+        if not place.has_inner_side:
+            continue
+        part, part_params = part_of(loop, params, place)
+        substitute, substitute_params = place.inner_side(part_params)
+        is_substituted = finding == Finding.CORNER
+        if substitute is part:
+            params_of_part = selected_params(part_params, substitute_params, is_substituted)
+            loop, params = with_part(loop, params, place, part, params_of_part)
+        else:
+            params_of_part = SelectedParams(part_params, substitute_params, is_substituted)
+            loop, params = with_part(loop, params, place, choice(part, substitute), params_of_part)
     return loop, params
 
 
 def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
-    """The substitute's parameters where it is in use; numbers that both share stay as they are, such as a memory."""
+    """The parameters of the substitute if it replaces the part, else those of the part.
+
+    Numbers that are equal before tracing stay plain numbers, such as the size of a memory.
+    """
 
     def select(a: Scalar, b: Scalar) -> Scalar:
         is_equal = a is b or (is_known(a) and is_known(b) and a == b)
@@ -253,7 +271,7 @@ def selected_params(params: Params, substitute: Params, is_substituted: Scalar) 
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that is one of two, as its parameters :class:`SelectedParams` decide."""
+    """A part that behaves as one of two parts; its parameters are :class:`SelectedParams`, which select."""
 
     def selecting(name: str) -> Callable[..., object]:
         def select(params: SelectedParams, *arguments: object) -> object:
@@ -273,10 +291,10 @@ def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.nda
     Args:
         study: The study, for messages.
         places: The parts.
-        findings: A :class:`Finding` for each operating point and part, shape (n, places).
+        findings: The :class:`Finding` of each operating point and part, shape (n, parts).
 
     Returns:
-        A sentence for each part that lies at a corner or beyond it, with the number of operating points.
+        For each part that lies at or beyond a corner a note, with the number of operating points.
 
     Raises:
         ConfigError: A part has no derivative at an operating point: it lies on one of its boundaries, or it is not
