@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssc_jax.proofs.search.fixed_point import responses
+from dssc_jax.proofs.search.impulse_responses import responses
 from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChannel, flow, sampled_channel
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
