@@ -69,16 +69,11 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
         raise NotCovered(NOT_TABLE_1)
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
-    if any(map(is_gain, study.uncertain)):
+    if any(name.startswith(("controller.functions.", "controller.l0")) for name in study.uncertain):
         raise NotCovered("the controller's own numbers are uncertain")
     constants = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
     parameters = Parameters(**{name: constants[name] for name in Parameters._fields})
     return parameters, bounds_of(study.loop, ends, parameters)
-
-
-def is_gain(name: str) -> bool:
-    """Whether a dotted name is that of a number in Table 1: a constant of the functions, or l0."""
-    return name.startswith("controller.functions.") or name == "controller.l0"
 
 
 def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:

@@ -101,11 +101,6 @@ def triangles(matrices: np.ndarray) -> np.ndarray:
     return weights[:, None] * matrices[..., rows, columns].reshape(-1, rows.size).T
 
 
-def symmetric_basis(n: int) -> np.ndarray:
-    """A basis of the symmetric matrices: each has one entry 1 and its mirror image, (n (n + 1)/2, n, n)."""
-    return np.stack([symmetric_of(unit, n) for unit in np.eye(n * (n + 1) // 2)])
-
-
 def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
     """The symmetric matrix with these n (n + 1)/2 entries in its upper triangle, by rows, (n, n)."""
     matrix = np.zeros((n, n))
@@ -268,8 +263,8 @@ class SetProgram:
         self.rate = rate
         self.starts = starts
         self.n = self.scale.shape[0]
-        self.basis = symmetric_basis(self.n)
-        self.entries = len(self.basis)
+        self.entries = self.n * (self.n + 1) // 2
+        self.basis = np.stack([symmetric_of(unit, self.n) for unit in np.eye(self.entries)])
         self.inputs = steps[0].b.shape[1]
         self.active_inputs = [j for j in range(self.inputs) if any(np.any(step.b[:, j]) for step in steps)]
         self.weighted_rows = [row for row in rows if row.weight is not None]

@@ -213,11 +213,6 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     return rows + [BoundedRow(u_av_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
-def decay_rate(step: Step, sample_time: float) -> float:
-    """The slowest decay of z+ = A z [1/s]; negative if it grows."""
-    return float(-np.log(np.max(np.abs(np.linalg.eigvals(step.a)))) / sample_time)
-
-
 def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0.
 
@@ -226,7 +221,8 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
     gains = gain_hull(problem, 1e-9, 1e-9)
     origin = step_of(problem, box_middle(box, gains), box, is_integrated=is_integrated)
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
-    speed = decay_rate(origin, problem.sample_time)
+    radius = np.max(np.abs(np.linalg.eigvals(origin.a)))
+    speed = float(-np.log(radius) / problem.sample_time)
     if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")

@@ -171,7 +171,8 @@ def channel_response(
     )
     force_peaks = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        force_peaks = constant_response(a, rows, observation.force_column, observation.force_within)
+        equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, observation.force_column)
+        force_peaks = constant_peaks(a, rows, -equilibrium, rows @ equilibrium + observation.force_within)
     start_peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
@@ -305,11 +306,3 @@ def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.nd
         if np.max(np.abs(z)) < CONSTANT_SETTLED * initial_size:
             break
     return peaks
-
-
-def constant_response(
-    a: np.ndarray, rows: np.ndarray, force_column: np.ndarray, force_within: np.ndarray
-) -> np.ndarray:
-    """The largest response of each row to a constant force 1 from t = 0 on, (rows,)."""
-    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, force_column)
-    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + force_within)
