@@ -28,7 +28,7 @@ from benchmarks.proofs.designs import (
 from benchmarks.proofs.flights import adversarial
 from dssc_jax import plotting
 from dssc_jax.design import guarantee
-from dssc_jax.design.certification import design_of
+from dssc_jax.design.loop_bounds import design_of
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.verifier.verdict import verify_certificate

@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Measurement
 from dssc_jax.models.disturbances.partition import PARTITION
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.search.fixed_point import motion
+from dssc_jax.proofs.search.fixed_point import motion_between_samples
 from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
 from dssc_jax.proofs.verifier.verdict import ball_precision, verify_certificate
 from tests.proofs.cases import LOOP, SINE
@@ -66,7 +66,7 @@ def test_motion_within_a_sample_stays_within_its_bounds():
     with ball_precision():
         bounds = [float(bound) for bound in motion_bounds(content, problem.box, list(map(arb, sizes)))]
         level, slope = map(float, disturbance_by_state(content, problem.box, list(map(arb, sizes))))
-    searched = motion(problem, problem.box, sizes)
+    searched = motion_between_samples(problem, problem.box, sizes)
     assert np.all(np.array(searched) <= 1.001 * np.array(bounds))
     assert np.all(np.array(searched) > 0.9 * np.array(bounds))
     assert level > 0.0

@@ -203,7 +203,7 @@ def test_a_wrong_plant_gets_its_line(path, value, message):
 
 
 def test_the_theorem_refuses_a_disturbance_at_an_input():
-    from dssc_jax.design.certification import NotCovered, require_no_inputs
+    from dssc_jax.design.loop_bounds import NotCovered, require_no_inputs
 
     with pytest.raises(NotCovered, match="acts at the input 'road'"):
         require_no_inputs(car().loop)

@@ -9,7 +9,7 @@ Numeric: TypeAlias = Any
 
 
 def greater(first: Numeric, second: Numeric) -> Numeric:
-    """The greater of two values."""
+    """The greater of two values, element by element."""
     return namespace(first, second).maximum(first, second)
 
 

@@ -18,27 +18,28 @@ Numbers = TypeVar("Numbers", bound=NamedTuple)
 
 
 def non_negative(unit: str, meaning: str) -> Quantity:
-    """A non-negative bound; a plain number."""
+    """The quantity of a bound that is at least 0 and has no law."""
     return Quantity(unit, meaning, at_least=0.0, law=False)
 
 
 def positive(unit: str, meaning: str) -> Quantity:
-    """A positive number."""
+    """The quantity of a number that is above 0 and has no law."""
     return Quantity(unit, meaning, above=0.0, law=False)
 
 
 @cache
 def quantities(kind: type) -> dict[str, Quantity]:
-    """The quantity of each number of a parameter type."""
-    marks = {
-        name: next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Quantity)), None)
-        for name, hint in get_type_hints(kind, include_extras=True).items()
-    }
-    return {name: mark for name, mark in marks.items() if mark is not None}
+    """The quantities with which the fields of a parameter type are annotated, by field."""
+    quantity_by_name = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        for annotation in getattr(hint, "__metadata__", ()):
+            if isinstance(annotation, Quantity):
+                quantity_by_name.setdefault(name, annotation)
+    return quantity_by_name
 
 
 def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
-    """Whether every number lies within its quantity's interval and below :data:`LARGEST`; for arrays, one by one."""
+    """Whether every number is in its quantity's interval and below :data:`LARGEST`; for arrays, element by element."""
     holds: Numeric = True
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
@@ -51,7 +52,7 @@ def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
 
 
 def require_plain(numbers: tuple[Numeric, ...]) -> None:
-    """Require that every number is a plain one within its quantity's interval.
+    """Require that every number is plain, in its quantity's interval, and of usable magnitude.
 
     Raises:
         ConfigError: with the field, the rule and the value.
@@ -96,10 +97,10 @@ class Bounds(NamedTuple):
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
-        """Check rules that span several fields.
+        """The bounds, after a check of every field and of the rules that span several fields.
 
         Raises:
-            ConfigError: k_min > k_max, or A_eta is not Hurwitz.
+            ConfigError: a number is out of its range, k_min > k_max, or A_eta is not Hurwitz.
         """
         require_plain(self)
         if self.k_min > self.k_max:

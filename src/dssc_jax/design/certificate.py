@@ -12,7 +12,7 @@ from dssc_jax.design.table1 import Inequality, InequalityState, Parameters, ineq
 
 
 class Lyapunov(NamedTuple):
-    """The matrices of (53), (54).
+    """What is proved, and found by search, of the matrices of (53), (54) and of the functions.
 
     Args:
         p_smallest: Smallest eigenvalue of P over the interval of k_p; NaN where P is not positive definite.
@@ -62,7 +62,7 @@ class Certificate(NamedTuple):
         return self.table and self.interconnected
 
     def to_dict(self) -> JsonObject:
-        """For JSON; NaN and infinity must still be replaced."""
+        """The certificate as JSON's types, in which NaN and infinity must still be replaced."""
         rows = [
             {
                 "name": i.name,
@@ -139,7 +139,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
 
 
 def as_floats(numbers: Numbers) -> Numbers:
-    """The tuple with its arrays of one element replaced by Python numbers."""
+    """A tuple of numbers with arrays of one element replaced by Python's numbers; text stays."""
     values = [value if isinstance(value, str) else float(value) for value in numbers]
     return numbers._replace(**dict(zip(numbers._fields, values, strict=True)))
 

@@ -17,11 +17,11 @@ class Ends(NamedTuple):
     high: Numeric
 
     def largest(self, name: str) -> Numeric:
-        """Largest magnitude of a field."""
+        """Largest magnitude of a field between its ends."""
         return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
 
     def part(self, name: str, index: int | None = None) -> "Ends":
-        """The lowest and highest values of a part."""
+        """The ends of a part, or of its element at an index."""
         low = getattr(self.low, name)
         high = getattr(self.high, name)
         return Ends(low, high) if index is None else Ends(low[index], high[index])
@@ -47,7 +47,10 @@ def ends_of(study: Study) -> Ends:
 
 
 def expression_ends(study: Study, ends: Mapping[str, tuple[Numeric, Numeric]]) -> dict[str, tuple[Numeric, Numeric]]:
-    """Lowest and highest value of every number that follows from parameters with the given ends."""
+    """Lowest and highest value of every number whose expression names a parameter of ``ends``, by name.
+
+    They are infinite where the expression is not defined between the ends.
+    """
     ends_by_name = {}
     for name, number in study.numbers.items():
         if number.expression is None or not ends.keys() & set(number.sources):

@@ -16,7 +16,9 @@ RATES = (1e-3, -1e-3, 1.0, -1.0, 1e3, -1e3)
 
 
 def exact_rates(study: Study) -> tuple[str, ...]:
-    """Channels whose y' contains a disturbance itself and reaches the controller as it is.
+    """Channels whose y' contains a disturbance and reaches the controller unchanged.
+
+    Such a controller sees the disturbance at once, which flatters the loop unless y' is measured.
 
     Args:
         study: The study; uncertain numbers have their median values.
@@ -47,7 +49,7 @@ def exact_rates(study: Study) -> tuple[str, ...]:
 
 
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's sensor passes y' on unchanged, by trial: a jump of y' arrives at once, and as large."""
+    """Whether a channel's sensor passes y' on unchanged: by trial, a jump of y' arrives at once and in full."""
     sensor, params = study.loop.sensor[channel], template.sensor[channel]
     key = jax.random.key(0)
     with arithmetic(study.config.loop.precision):

@@ -69,7 +69,7 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
 
 
 def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
-    """The bounds with every disturbance constant of (A1)-(A3) times a factor."""
+    """The bounds with every constant of the disturbance in (A1)-(A3) multiplied by a factor."""
     return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCE_FIELDS})
 
 
@@ -192,7 +192,7 @@ def optimise(
 
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
-    """Describe the parameters at an end of their range: within :data:`AT_EDGE` of its logarithmic length."""
+    """Sentences on the parameters at an end of their range, within :data:`AT_EDGE` of its logarithmic length."""
     descriptions = []
     for name, (low, high) in ranges.items():
         share = float(np.log(getattr(free, name) / low) / np.log(high / low))
@@ -205,7 +205,7 @@ def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tup
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
-    """By how many powers of e a design misses the goal's limits; 0 if it meets them."""
+    """The sum of the logarithms by which a design misses the limits of a goal; 0 if it meets them."""
     excess = np.zeros(np.shape(p.phi_b))
     if np.isfinite(goal.residual):
         excess = excess + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
@@ -215,7 +215,13 @@ def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
 
 
 def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
-    """Describe the limit that cannot be met, and the nearest design."""
+    """The message that no design meets the goal, with the guarantee of the nearest one.
+
+    Args:
+        bounds: The bounds.
+        nearest: Free parameters of the nearest design.
+        goal: The goal.
+    """
     p = synthesise(bounds, nearest)
     e = float(guarantee(p, bounds).e)
     period = float(practice(p, bounds).sample_time_origin)

@@ -24,7 +24,11 @@ RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is 
 
 
 def interval_of(value: object) -> tuple[float, float]:
-    """Two finite numbers."""
+    """Parse two finite numbers, [low, high].
+
+    Raises:
+        ValueError: the value has another form.
+    """
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
     return finite_number(value[0]), finite_number(value[1])
@@ -89,7 +93,11 @@ def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
 
 
 def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFile:
-    """The content of a design file."""
+    """Parse the content of a design file; ``name`` is the design's unless the content has one.
+
+    Raises:
+        ConfigError: dotted path, rule and value of the first error.
+    """
     for key in table:
         if key not in DESIGN_TABLES:
             raise ConfigError(key, f"unknown name; {nearest(key, DESIGN_TABLES)}")
@@ -131,9 +139,10 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
 
 
 def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
-    """Find the free parameters for the goal, and those at an end of their range.
+    """Optimise the free parameters that ``[free]`` does not fix.
 
-    Parameters given in ``[free]`` are fixed, the others are varied.
+    Returns:
+        The free parameters, the goal, and sentences on those at an end of their range.
     """
     try:
         goal_table = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
@@ -157,13 +166,17 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The smallest residual, or the fastest decay if nothing drives the loop away from zero."""
+    """The criterion without a stated one: the smallest residual, or the fastest decay if nothing drives the loop."""
     is_driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
     return (Criterion.RESIDUAL if is_driven else Criterion.DECAY_RATE).value
 
 
 def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) -> Numbers:
-    """Parse a table of plain numbers of usable size into an instance of its parameter type."""
+    """Parse the table at a path into an instance of its parameter type.
+
+    Raises:
+        ConfigError: the table is missing, or a number is not plain, out of its range or of unusable magnitude.
+    """
     if path not in table:
         raise ConfigError(path, "is required and missing")
     with errors_under(path):
@@ -173,7 +186,7 @@ def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) 
 
 
 def design_toml(design_file: DesignFile) -> str:
-    """A design file with the parameters as numbers, and the table for a study that uses them."""
+    """The text of a design file with the parameters as numbers, and as a comment the table of a study with them."""
     numbers = design_file.bounds._asdict().items()
     bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}
     quoted_name = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")

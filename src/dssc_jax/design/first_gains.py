@@ -41,11 +41,11 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import (
-    ActuatorsBefore,
     ClosedLoop,
-    Subject,
-    actuators_before,
+    DesignProblem,
+    LinearActuators,
     closed_loop,
+    linear_actuators,
     sampled_plant,
 )
 from dssc_jax.design.linearised_plant import LinearisedPlant, linearised_plant
@@ -142,9 +142,9 @@ def first_gains(
         rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {bandwidth:.4g}"
         raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
     plant = linearised_plant(study, at)
-    actuators = actuators_before(study)
-    bare_plant = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
-    subject = Subject(
+    actuators = linear_actuators(study)
+    bare_plant = sampled_plant(plant, LinearActuators(None, (), (), ()), sample_time)
+    problem = DesignProblem(
         study=study,
         plant=plant,
         bare_plant=bare_plant,
@@ -153,8 +153,8 @@ def first_gains(
         limit=limit,
     )
     if bandwidth is None:
-        return fastest_design(subject, kind, 0.05 * fastest)
-    first_design = design_at_bandwidth(subject, kind, bandwidth)
+        return fastest_design(problem, kind, 0.05 * fastest)
+    first_design = design_at_bandwidth(problem, kind, bandwidth)
     if first_design.radius < 1.0:
         return first_design
     suffix = f", behind its linear actuators ({' + '.join(actuators.linear_kinds)})" if actuators.linear_kinds else ""
@@ -163,15 +163,16 @@ def first_gains(
     raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
 
 
-def design_at_bandwidth(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
-    """The design of a kind at a bandwidth with the best integral action; raises ConfigError if there is none.
+def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> FirstGains:
+    """The design of a kind at a bandwidth [rad/s] with the best integral action; its loop need not be stable.
 
-    Its loop need not be stable.
+    Raises:
+        ConfigError: the kind has no gains at this bandwidth.
     """
-    best = design_with_ratio(subject, kind, bandwidth, INTEGRAL_RATIOS[0])
+    best = design_with_ratio(problem, kind, bandwidth, INTEGRAL_RATIOS[0])
     for ratio in INTEGRAL_RATIOS[1:] if kind != FirstController.SSC else ():
         try:
-            candidate = design_with_ratio(subject, kind, bandwidth, ratio)
+            candidate = design_with_ratio(problem, kind, bandwidth, ratio)
         except ConfigError:
             break
         if is_better(candidate, best):
@@ -180,35 +181,41 @@ def design_at_bandwidth(subject: Subject, kind: str, bandwidth: float) -> FirstG
 
 
 def is_better(candidate: FirstGains, best: FirstGains) -> bool:
-    """Whether a design is better: with a good peak of abs(S) the one that settles faster, else that with less peak."""
+    """Whether a candidate is better: it settles faster if both peaks of |S| are good, else it has the smaller peak."""
     if candidate.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK:
         return FASTER * candidate.settling < best.settling
     return candidate.sensitivity_peak < best.sensitivity_peak
 
 
-def design_with_ratio(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstGains:
-    """The design of a kind at a bandwidth, whose loop need not be stable; raises ConfigError if there is none."""
+def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio: float) -> FirstGains:
+    """The design of a kind at a bandwidth [rad/s] with an integral below ``ratio`` times that.
+
+    Its loop need not be stable.
+
+    Raises:
+        ConfigError: the kind has no such gains.
+    """
     rules = {
         FirstController.PID: pid,
         FirstController.LQG: lqg,
         FirstController.STATE_FEEDBACK: state_feedback,
         FirstController.SSC: ssc,
     }
-    study = subject.study
-    table = rounded_table(rules[FirstController(kind)](subject, bandwidth, ratio))
+    study = problem.study
+    table = rounded_table(rules[FirstController(kind)](problem, bandwidth, ratio))
     deviation_table = {name: value for name, value in table.items() if name not in NOT_OF_DEVIATIONS}
     controller = parse_component(deviation_table, CONTROLLERS, "controller")
     if controller.model.fit is not None:
         setting = setting_for(study)
         with errors_under("controller"):
             controller = replace(controller, params=controller.model.fit(controller.params, setting))
-    loop = closed_loop(subject.actuated_plant, controller)
+    loop = closed_loop(problem.actuated_plant, controller)
     radius = loop.radius
     peak = loop.sensitivity_peak if radius < 1.0 else math.inf
     row = np.zeros(len(loop.a))
-    row[: len(subject.actuated_plant.c)] = subject.actuated_plant.c
+    row[: len(problem.actuated_plant.c)] = problem.actuated_plant.c
     settling = loop.settling(row) * study.loop.sample_time
-    linear_kinds, left_out = subject.actuators.linear_kinds, subject.actuators.left_out
+    linear_kinds, left_out = problem.actuators.linear_kinds, problem.actuators.left_out
     return FirstGains(
         table=table,
         bandwidth=bandwidth,
@@ -218,11 +225,11 @@ def design_with_ratio(subject: Subject, kind: str, bandwidth: float, ratio: floa
         linear_kinds=linear_kinds,
         left_out=left_out,
         loop=loop,
-        plant=subject.plant,
+        plant=problem.plant,
     )
 
 
-def fastest_design(subject: Subject, kind: str, start: float) -> FirstGains:
+def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGains:
     """The best design at a start bandwidth, its half, and so on, and then at bandwidths around the best of these.
 
     The halving ends when several in a row are no better.
@@ -240,7 +247,7 @@ def fastest_design(subject: Subject, kind: str, start: float) -> FirstGains:
         remaining_halvings -= 1
         bandwidth = start * 0.5**halving
         try:
-            candidate = design_at_bandwidth(subject, kind, bandwidth)
+            candidate = design_at_bandwidth(problem, kind, bandwidth)
         except ConfigError as error:
             refusal = refusal or error
             continue
@@ -248,25 +255,25 @@ def fastest_design(subject: Subject, kind: str, start: float) -> FirstGains:
             best = candidate
             remaining_halvings = FURTHER if candidate.sensitivity_peak <= MOST_PEAK else remaining_halvings
     if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
-        return best_nearby(subject, kind, best, start)
+        return best_nearby(problem, kind, best, start)
     if refusal is not None and refusal.where != "`bandwidth`":
         raise refusal
     if refusal is not None:
         rule = f"has no gains at any bandwidth tried from {start:.4g} down to {bandwidth:.4g} rad/s"
         remedy = f"the first one {refusal.rule}"
-        raise ConfigError(f"{subject.study.source}: plant", f"{rule}: {remedy}")
+        raise ConfigError(f"{problem.study.source}: plant", f"{rule}: {remedy}")
     rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
     raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
 
 
-def best_nearby(subject: Subject, kind: str, best: FirstGains, highest: float) -> FirstGains:
-    """The best of a design and of those at bandwidths around it, up to the highest."""
+def best_nearby(problem: DesignProblem, kind: str, best: FirstGains, highest: float) -> FirstGains:
+    """The best of a design and of those at some bandwidths around its own, up to the highest [rad/s]."""
     middle = best.bandwidth
     for factor in NEARBY:
         if factor * middle > highest:
             continue
         try:
-            candidate = design_at_bandwidth(subject, kind, factor * middle)
+            candidate = design_at_bandwidth(problem, kind, factor * middle)
         except ConfigError:
             continue
         if is_better(candidate, best):
@@ -281,10 +288,19 @@ def setting_for(study: Study) -> LoopSetting:
         return setting_of(loop.plant, nominal_params(study.template).plant, loop.sample_time, loop.measures)
 
 
-def ssc(subject: Subject, omega: float, ratio: float) -> TomlTable:
-    """SSC, whose loop in sliding is sigma'' + k_p K_P sigma' + k_p K_I sigma; raises ConfigError."""
-    study, limit = subject.study, subject.limit
-    a, b, c = subject.plant.a, subject.plant.b, subject.plant.c
+def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
+    """The table of SSC, whose loop in sliding is sigma'' + k_p K_P sigma' + k_p K_I sigma = 0.
+
+    Args:
+        problem: The plant and the limit of the command.
+        omega: The bandwidth [rad/s].
+        ratio: Not used: SSC has one integral action. The argument is that of the other kinds.
+
+    Raises:
+        ConfigError: the plant has another relative degree than two or a negative gain, or the command has no limit.
+    """
+    study, limit = problem.study, problem.limit
+    a, b, c = problem.plant.a, problem.plant.b, problem.plant.c
     if abs(c @ b) > 1e-9 * (np.abs(c) @ np.abs(b)) or not c @ a @ b > 0.0:
         rule = "is not of relative degree two with k_p > 0 from command to output, as SSC needs"
         raise ConfigError(f"{study.source}: plant", f"{rule}; ask for 'pid' or 'lqg'")
@@ -297,7 +313,7 @@ def ssc(subject: Subject, omega: float, ratio: float) -> TomlTable:
 
 
 def rounded_table(table: TomlTable, digits: int = DIGITS) -> TomlTable:
-    """A table whose numbers have four digits; those that are the plant's own have more."""
+    """A controller's table whose numbers have ``digits`` significant digits, those of the plant ``STATED_DIGITS``."""
     return {name: rounded_value(value, STATED_DIGITS if name in STATED else digits) for name, value in table.items()}
 
 
@@ -307,4 +323,6 @@ def rounded_value(value: Any, digits: int) -> Any:
         return [rounded_value(item, digits) for item in value]
     if isinstance(value, dict):
         return rounded_table(value, digits)
-    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}")
+    return value

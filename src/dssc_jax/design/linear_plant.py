@@ -54,19 +54,19 @@ class LinearPlant(NamedTuple):
     sample_time: float
 
     def response(self, omega: float) -> complex:
-        """From the held command to the sampled output at an angular frequency [rad/s]."""
+        """The frequency response from the held command to the sampled output, at an angular frequency [rad/s]."""
         z = np.exp(1j * omega * self.sample_time)
         return complex(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 
 
-class ActuatorsBefore(NamedTuple):
-    """The actuators of a study: those in the linearised loop, and the kinds that are left out.
+class LinearActuators(NamedTuple):
+    """The actuators of a study that declare themselves linear, in series; they belong to the linearised loop.
 
     Args:
-        model: The linear ones as one; None: there are none.
-        params: Their parameters, in plain numbers.
-        linear_kinds: Their kinds.
-        left_out: What the loop with these lacks: the kinds of all others, of sensors and of a differentiator.
+        model: All of them as one actuator; None: there are none.
+        params: Parameters of the model, without laws.
+        linear_kinds: Kinds of these actuators.
+        left_out: Kinds of the parts that the linearised loop lacks: all other actuators, sensors, a differentiator.
     """
 
     model: Unmodelled | None
@@ -76,7 +76,13 @@ class ActuatorsBefore(NamedTuple):
 
 
 class ClosedLoop(NamedTuple):
-    """The sampled closed loop x(k+1) = A x + b w, u = c x, with w added to the command u; in plain numbers."""
+    """The sampled closed loop x(k+1) = A x + b w, u = c x, with w added to the command u.
+
+    Args:
+        a: A, shape (n, n).
+        b: Shape (n,).
+        c: Shape (n,).
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -89,7 +95,7 @@ class ClosedLoop(NamedTuple):
 
     @property
     def sensitivity_peak(self) -> float:
-        """Largest abs(S) up to the Nyquist frequency, S = 1 + c (z - A)^-1 b."""
+        """Largest |S| up to the Nyquist frequency, with the sensitivity S = 1 + c (z - A)^-1 b of the command."""
         angles = np.append(
             np.geomspace(np.pi * 10.0**-DECADES, np.pi, GRID), np.abs(np.angle(np.linalg.eigvals(self.a)))
         )
@@ -99,12 +105,12 @@ class ClosedLoop(NamedTuple):
         return float(np.max(np.abs(1.0 + state_response @ self.c)))
 
     def settling(self, row: np.ndarray) -> float:
-        """Samples after which an output stays near its end, after a step added to the command; infinite if unstable.
+        """Samples after which an output stays near its final value, after a step is added to the command.
 
-        Near is within 2 % of its largest distance from the end.
+        Near is within 2 % of the largest distance from it. Infinite if the loop is unstable.
 
         Args:
-            row: From the state to the output, shape (n,).
+            row: Row from the state to the output, shape (n,).
         """
         if self.radius >= 1.0:
             return math.inf
@@ -122,59 +128,61 @@ class ClosedLoop(NamedTuple):
         return float(stride * (outside[-1] + 1)) if outside.size else 0.0
 
 
-class Subject(NamedTuple):
-    """The plant and its actuators for which first gains are designed.
+class DesignProblem(NamedTuple):
+    """The plant and the actuators for which first gains are designed.
 
     Args:
         study: The study.
-        plant: Its plant at the start, in continuous time.
-        bare_plant: The plant sampled without actuators.
-        actuators: Its actuators.
-        actuated_plant: The plant sampled behind the linear ones.
-        limit: Largest size of the command, in its unit; None: none.
+        plant: The plant, linearised in continuous time.
+        bare_plant: The plant, sampled without actuators.
+        actuators: The linear actuators.
+        actuated_plant: The plant, sampled behind the linear actuators.
+        limit: Largest magnitude of the command, in its unit; None: the command has no limit.
     """
 
     study: Study
     plant: LinearisedPlant
     bare_plant: LinearPlant
-    actuators: ActuatorsBefore
+    actuators: LinearActuators
     actuated_plant: LinearPlant
     limit: float | None
 
 
-def actuators_before(study: Study) -> ActuatorsBefore:
-    """The actuators of a study of one channel, those that declare themselves linear as one."""
+def linear_actuators(study: Study) -> LinearActuators:
+    """The linear actuators of a study of one channel, as one actuator, and the kinds of all other parts."""
     linear_elements = []
-    left_out = kinds_between(study)
+    left_out = measuring_kinds(study)
     for element, params in acting_elements(study.table, study.config):
         if element.model.linear is not None or element.model.superposes:
             linear_elements.append((element, nominal_params(params)))
         else:
             left_out.append(element.kind)
     if not linear_elements:
-        return ActuatorsBefore(None, (), (), tuple(left_out))
+        return LinearActuators(None, (), (), tuple(left_out))
     model, params = linear_elements[0][0].model, linear_elements[0][1]
     if len(linear_elements) > 1:
         model = chain(tuple(element for element, _ in linear_elements))
         params = tuple(params for _, params in linear_elements)
-    return ActuatorsBefore(model, params, tuple(element.kind for element, _ in linear_elements), tuple(left_out))
+    return LinearActuators(model, params, tuple(element.kind for element, _ in linear_elements), tuple(left_out))
 
 
-def kinds_between(study: Study) -> list[str]:
-    """The parts between plant and controller that a linearised loop without them lacks."""
+def measuring_kinds(study: Study) -> list[str]:
+    """Slot and kind of the sensors and the differentiator between plant and controller, but for ideal ones."""
     config = study.config
-    left_out_kinds = []
+    kinds = []
     for slot, neutral in (("sensor", "ideal"), ("differentiator", "none")):
         kind = getattr(config, slot).get("kind", neutral)
-        left_out_kinds += [] if kind == neutral else [f"{slot} '{kind}'"]
+        if kind != neutral:
+            kinds.append(f"{slot} '{kind}'")
     for signal in study.loop.measures:
         kind = config.sensor.get(signal.name, {}).get("kind", "ideal")
-        left_out_kinds += [] if kind == "ideal" else [f"sensor '{kind}' of {signal.name}"]
-    return left_out_kinds
+        if kind != "ideal":
+            kinds.append(f"sensor '{kind}' of {signal.name}")
+    return kinds
 
 
-def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_time: float) -> LinearPlant:
-    """The plant behind the linear actuators with the command held over a sample.
+def sampled_plant(plant: LinearisedPlant, actuators: LinearActuators, sample_time: float) -> LinearPlant:
+    """The plant behind the linear actuators, sampled with a held command.
 
     The state lists that of the plant, that of the actuators, and what their part that acts at the samples gave over the
     last sample. A signal through which the command passes shows what reached the plant just before the sample.
@@ -215,7 +223,7 @@ def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_tim
 
 
 class SystemArrays(NamedTuple):
-    """x' = A x + b u, y = c x + d u, in plain numbers."""
+    """The linear system x' = A x + b u, y = c x + d u, as arrays."""
 
     a: np.ndarray
     b: np.ndarray
@@ -241,8 +249,11 @@ class ActuatorsAtSample(NamedTuple):
     system: SystemArrays
 
 
-def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> ActuatorsAtSample:
-    """The parts of linear actuators, by the derivative of what they do; it is the same at every state."""
+def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> ActuatorsAtSample:
+    """The matrices of linear actuators at a sample, and their system between samples.
+
+    They are the derivatives of the actuators' functions, which are the same at every state.
+    """
     model, params = actuators.model, actuators.params
     if model is None:
         return ActuatorsAtSample(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
@@ -265,7 +276,7 @@ def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> Actua
 
 
 def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
-    """A system with arrays as its parts; None: a gain of 1, and states that stand still."""
+    """A linear system as arrays; None: a gain of 1, and ``order`` states that stand still."""
     if system is None:
         return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)
     a, b, c = (np.asarray(part, float) for part in system[:3])
@@ -273,7 +284,11 @@ def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
 
 
 def closed_loop(plant: LinearPlant, controller: Component) -> ClosedLoop:
-    """The loop with a controller, by the derivative of its second sample at rest."""
+    """The sampled loop of a linear plant and a controller, which is linearised at its second sample at rest.
+
+    States of the controller that do not move or have no effect are left out: an integral without k_i would be a pole
+    at 1.
+    """
     model: Controller = controller.model
     gains = controller.params
     dt = plant.sample_time

@@ -20,14 +20,14 @@ POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
 
 
 class Spread(NamedTuple):
-    """Smallest and largest eigenvalue of a positive definite matrix."""
+    """Smallest (``low``) and largest (``high``) eigenvalue of a positive definite matrix."""
 
     low: Numeric
     high: Numeric
 
     @property
     def condition(self) -> Numeric:
-        """Their ratio."""
+        """Condition number of the matrix, the ratio of the eigenvalues."""
         return self.high / self.low
 
 

@@ -28,7 +28,7 @@ OFFSETS = np.geomspace(1e-4, 1e4, 161)
 
 
 class Drift(NamedTuple):
-    """The predicted effect of measurement noise on one channel.
+    """The predicted effect of measurement noise on a channel.
 
     Args:
         noise: Standard deviation of the noise of the measured sigma [m/s; rad/s for an angle].
@@ -61,7 +61,16 @@ def traced_noise(
     l0: Scalar,
     dt: Scalar,
 ) -> jax.Array:
-    """:func:`sigma_noise` with the parameters' leaves apart: each is None among the scalars or the arrays."""
+    """:func:`sigma_noise`, compiled, with the leaves of the parameters divided into static scalars and traced arrays.
+
+    Args:
+        models: Sensor and differentiator.
+        tree: Structure of their parameters.
+        static_scalars: The leaves that are scalars, None in place of the others.
+        traced_arrays: The leaves that are arrays, None in place of the others.
+        l0: Error pole [1/s].
+        dt: Sampling period [s].
+    """
     sensor, differentiator = models
     params = tree.unflatten(s if a is None else a for s, a in zip(static_scalars, traced_arrays, strict=True))
     at_rest = Measurement(0.0, 0.0)
@@ -138,7 +147,7 @@ def noise_drift(study: Study) -> dict[str, Drift]:
 
 
 def noise_warning(study: Study) -> str | None:
-    """One sentence, if :func:`noise_drift` predicts an error in some channel beyond the study's settling band."""
+    """A sentence if :func:`noise_drift` predicts an error beyond the study's settling band in a channel; else None."""
     band = study.config.metrics.window.band
     large_drifts = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
     if not large_drifts:
@@ -152,7 +161,15 @@ def noise_warning(study: Study) -> str | None:
 
 
 def rest_drift(noise_std: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
-    """The largest sigma at which both rates balance, from the sign of their sum over a grid."""
+    """The drift from rates over a grid of sigma: the loop rests at the largest sigma at which they balance.
+
+    Args:
+        noise_std: Standard deviation of the noise of sigma [m/s].
+        sigma: Grid of sigma, shape (n,) [m/s].
+        by_noise: Mean rate of the command by the noise, shape (n,) [m/s^2].
+        by_law: Mean rate of the command by phi_2, shape (n,) [m/s^2].
+        l0: Error pole [1/s].
+    """
     total = by_noise + by_law
     outward = np.flatnonzero(total < 0.0)
     if not outward.size:

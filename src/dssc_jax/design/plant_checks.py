@@ -37,11 +37,11 @@ class PlantFindings(NamedTuple):
     is_inconsistent: bool
 
 
-class Behaviour(NamedTuple):
-    """A plant at one point.
+class PlantAtPoint(NamedTuple):
+    """What a plant's functions give at one state and for one set of signals.
 
     Args:
-        along: Derivative of y along the slopes, shape (channels,).
+        along: Derivative of y along the slopes of the states, shape (channels,).
         rate: The y' that the plant measures, shape (channels,).
         effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
             (..., channels + inputs).
@@ -57,12 +57,11 @@ class Behaviour(NamedTuple):
 
 
 def plant_warnings(study: Study) -> list[str]:
-    """Sentences on a plant of one's own that contradicts itself, or that ignores an input with a disturbance.
+    """Warnings of a user's own plant that contradicts itself, or that ignores an input with a disturbance.
 
     It contradicts itself if its y' is not the derivative of its y, or if its linear part is not that of its slopes.
-
-    Derivatives at some points near its start tell it. A plant of this package, one with a state outside of JAX, and one
-    that flies in a wind are not looked at.
+    This follows from derivatives at some points near its start. A plant of this package, one with a state outside of
+    JAX, and one that flies in a wind are not examined.
 
     Args:
         study: The study; uncertain numbers have their median values.
@@ -109,11 +108,11 @@ def plant_findings(study: Study) -> PlantFindings:
     is_inconsistent = False
     random = np.random.default_rng(0)
     with arithmetic():
-        start, behaviour = start_and_behaviour(study)
+        start, examine = start_and_examination(study)
         for _ in range(POINTS):
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channel_count + input_count)
-            along, rate, effects, slopes, slopes_of_parts = map(np.asarray, behaviour(x, signals))
+            along, rate, effects, slopes, slopes_of_parts = map(np.asarray, examine(x, signals))
             scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
             is_inconsistent |= not np.allclose(slopes, slopes_of_parts, SAME_RATE, scale, equal_nan=True)
             is_finite = np.isfinite(along) & np.isfinite(rate)
@@ -128,12 +127,12 @@ def plant_findings(study: Study) -> PlantFindings:
     )
 
 
-def start_and_behaviour(
+def start_and_examination(
     study: Study,
-) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], Behaviour]]:
-    """The plant's state at the start as a vector, and a compiled function of state and signals.
+) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], PlantAtPoint]]:
+    """The plant's state at the start as a vector, and a compiled function that examines the plant at a point.
 
-    Signals are the commands, the matched disturbances and the named inputs.
+    The function takes a state and the signals: the commands, the matched disturbances and the named inputs.
     """
     plant = study.loop.mimo_plant
     channel_count = len(study.loop.channels)
@@ -164,10 +163,10 @@ def start_and_behaviour(
         return total + jnp.array(jax.tree.leaves(plant.remainder(params, unravel(x), drive_of(signals), 0.0)))
 
     @jax.jit
-    def behaviour(x: jax.Array, signals: jax.Array) -> Behaviour:
+    def examine(x: jax.Array, signals: jax.Array) -> PlantAtPoint:
         _, along = jax.jvp(lambda state: measured_outputs(state, signals)[0], (x,), (slope(x, signals),))
         effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured_outputs, 1)(x, signals)])
-        return Behaviour(
+        return PlantAtPoint(
             along=along,
             rate=measured_outputs(x, signals)[1],
             effects=effects[:, channel_count:],
@@ -175,4 +174,4 @@ def start_and_behaviour(
             slopes_of_parts=slope_of_parts(x, signals),
         )
 
-    return start, behaviour
+    return start, examine

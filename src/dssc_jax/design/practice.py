@@ -45,7 +45,7 @@ def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None =
     Args:
         p: The parameters.
         bounds: The bounds.
-        proved_guarantee: The guarantee, if it is already known.
+        proved_guarantee: The guarantee, if it has been computed; None: it is computed here.
     """
     residual_set = finite_guarantee(guarantee(p, bounds) if proved_guarantee is None else proved_guarantee)
     gain = proportional_gain(p, residual_set.sigma, residual_set.e)
@@ -118,12 +118,12 @@ def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> tu
 
 
 def output_norm(bounds: Bounds) -> float:
-    """|C_eta|; 0 for a plant of order two."""
+    """|C_eta|, the norm of the output row of the zero dynamics; 0 for a plant of order two."""
     return 0.0 if bounds.zero_dynamics is None else float(sum(x * x for x in bounds.zero_dynamics.c) ** 0.5)
 
 
 class Modulation(NamedTuple):
-    """Modulation with which the loop reaches sliding."""
+    """The modulation of a design, with which the loop reaches sliding."""
 
     k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]

@@ -125,7 +125,7 @@ def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
 
 
 class Gains(NamedTuple):
-    """Coefficients of the comparison system (61), (62) at one k_p."""
+    """Coefficients of the comparison system of W_eta and W_v, (61), (62), at one k_p; see the module's text."""
 
     k_eta1: Numeric
     k_eta2: Numeric

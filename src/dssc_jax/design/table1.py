@@ -62,7 +62,7 @@ class Inequality(NamedTuple):
     def as_printed(
         cls, name: str, equation: str, value: Numeric, bound: Numeric, rounding: Numeric = BOUNDARY_WIDTH
     ) -> "Inequality":
-        """An inequality whose derived bound is that of the article."""
+        """An inequality whose derived bound is also the printed one."""
         return cls(name=name, equation=equation, value=value, bound=bound, printed_bound=bound, rounding=rounding)
 
     @property
@@ -77,7 +77,7 @@ class Inequality(NamedTuple):
 
     @property
     def tolerance(self) -> Numeric:
-        """Slacks up to this size count as equality."""
+        """The largest |slack| that counts as equality, from the rounding of the bound."""
         return self.rounding * greater(abs(self.value), abs(self.bound))
 
     @property

@@ -9,8 +9,8 @@ import jax
 from dssc_jax.core.contracts import Controller, Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
-from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.design.ends import Ends, ends_of
+from dssc_jax.design.loop_bounds import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
 from dssc_jax.models.actuators.lag import LAG, Order

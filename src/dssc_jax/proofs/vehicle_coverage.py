@@ -8,8 +8,8 @@ import numpy as np
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.registry import Discretisation
 from dssc_jax.core.signals import Scalar
-from dssc_jax.design.certification import NotCovered
 from dssc_jax.design.ends import Ends, ends_of
+from dssc_jax.design.loop_bounds import NotCovered
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
 from dssc_jax.models.controllers.dssc import DSSC, SSC

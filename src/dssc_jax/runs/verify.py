@@ -107,7 +107,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
         worst=worst,
         verdict=comparison.verdict,
         undecided=int(np.count_nonzero(~comparison.decided)),
-        otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
+        otherwise=machinery_differences(result.manifest, computing() | {"code": code_digests(result.study.table)}),
         single_precision=single_precision(result, lanes, plain_results) if is_single else None,
     )
 

@@ -7,7 +7,8 @@ import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.smoothness import declared_smoothness
 from dssc_jax.core.vectors import Quaternion, Vec3
-from dssc_jax.design.certification import Ends, NotCovered
+from dssc_jax.design.certification import NotCovered
+from dssc_jax.design.ends import Ends
 from dssc_jax.models.uav import UAV
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
 from dssc_jax.models.uav.inner_loops.px4_parameters import gains_from

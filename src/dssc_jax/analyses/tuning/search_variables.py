@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
-from dssc_jax.design import Bounds, Certificate, Free, Parameters, certification, check, design
+from dssc_jax.design import Bounds, Certificate, Free, Parameters, check, design, loop_bounds
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import inequalities
@@ -139,8 +139,8 @@ class Theorem:
             rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
             raise ConfigError("controller.nominal.predictor_term", f"cannot be certified while tuning: {rule}")
         try:
-            self.parameters, bounds = certification.design_of(self.study)
-        except certification.NotCovered as error:
+            self.parameters, bounds = loop_bounds.design_of(self.study)
+        except loop_bounds.NotCovered as error:
             raise ConfigError(self.option, f"Theorem 1 does not speak of this loop: {error}") from None
         try:
             bounds.prepare()
@@ -176,7 +176,7 @@ class Theorem:
             name: numbers[loop_name] for loop_name, name in PARAMETER_OF_NUMBER.items() if loop_name in numbers
         }
         parameters = self.parameters._replace(**parameter_changes)
-        return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
+        return parameters, loop_bounds.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
         """Check a design strictly."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.proofs.problem import Box, ProofProblem
-from dssc_jax.proofs.search import fixed_point
+from dssc_jax.proofs.search import bounds_map
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.search.gains import gain_hull, region_of
 from dssc_jax.proofs.search.law_spread import StageRegion
@@ -44,32 +44,32 @@ class Proof:
 
     Args:
         box: Intervals of k_p, a_p and 1/mu.
-        stages: The sets, from the region to the residual.
+        stages: Invariant sets, or bounds that imply themselves, from the first region to the residual.
     """
 
     box: Box
     stages: Sequence[SetStage | BoundsStage]
 
     def to_dict(self) -> dict[str, object]:
-        """Return the content as types of JSON."""
+        """The proof as JSON's types, with the arrays of numbers as lists."""
         return asdict(self)
 
 
 class Failure(NamedTuple):
-    """A box without a proof, and the reason."""
+    """A box for which no proof is found, and what keeps the search from one."""
 
     box: Box
     reason: Obstacle
 
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
+    """Search a proof for every plant of a box: bounds that imply themselves, or else invariant sets to begin with."""
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, Obstacle.SLIDING)
     start_result = from_start(problem, box)
     if not isinstance(start_result, Obstacle):
         stage, allowed_problem = start_result
-        limits = StageRegion(*(stage.bounds[i] for i in (fixed_point.SIGMA, fixed_point.ERROR, fixed_point.CHANGE)))
+        limits = StageRegion(*(stage.bounds[i] for i in (bounds_map.SIGMA, bounds_map.ERROR, bounds_map.CHANGE)))
         proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed_problem)])
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
@@ -81,7 +81,11 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
 
 
 def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
-    """A proof that begins with a set instead, where bounds of signals are loose on the way and a set does better."""
+    """A proof that begins with an invariant set instead, if bounds of |e| are loose on the way and a set's is smaller.
+
+    A set costs more time, so that it is only tried where the bound of |e| exceeds by ``LOOSE`` what the loop at sigma =
+    e = 0 reaches.
+    """
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
     start_error = reached_error(proof.stages[0], setting)
@@ -94,22 +98,22 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
-    """The bound of |e| at the samples."""
+    """The bound of |e| at the samples that a stage shows [m]."""
     if isinstance(stage, BoundsStage):
-        return stage.bounds[fixed_point.ERROR]
+        return stage.bounds[bounds_map.ERROR]
     return largest_in_set(np.array(stage.p), setting.origin.rows[E])
 
 
 def smallest_error(proof: Proof, setting: Setting) -> float:
-    """The smallest bound of |e| that a stage of a proof reaches."""
+    """The smallest bound of |e| at the samples that a stage of a proof shows [m]."""
     return min(reached_error(stage, setting) for stage in proof.stages)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Sets from the start on.
+    """Search a proof that begins with an invariant set which holds the start.
 
-    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av; and the
-    other one where that does not lead to a proof.
+    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av. If that
+    does not lead to a proof, the other coordinate is tried.
     """
     if problem.form == "implicit":
         return proof_in_coordinate(problem, box, is_integrated=False)
@@ -126,7 +130,10 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
 
 
 def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
-    """Sets from the start to a region in which bounds imply themselves."""
+    """Search invariant sets, each within the one before, until bounds imply themselves in the last one's region.
+
+    ``is_integrated`` tells whether the coordinate is phi_1 in place of u_av.
+    """
     if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
         return Failure(box, Obstacle.ORIGIN)
     start_stage = first_set(setting)
@@ -148,7 +155,7 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """The two parts of a box, cut across the side whose ends differ most in the loop's eigenvalues near sigma = e = 0.
+    """The two parts of a box, cut across the side along which the loop's eigenvalues at sigma = e = 0 change most.
 
     The cut is at the geometric mean of positive ends, else in the middle.
     """

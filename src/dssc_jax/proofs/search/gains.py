@@ -26,11 +26,18 @@ GainArrays = dict[str, jax.Array]
 
 
 def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Hull:
-    """Intervals of the gains for |sigma| and |e| from their lower ends to a bound.
+    """Intervals of the gains that the loop can have in a region of sigma and e, by name.
 
-    Of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s. In the conservative form, and for
-    ``KNOWN_INTEGRALS``, also of phi_1/sigma (``mean``); in the conservative form of d phi_1/d e times 1 + tau_av/T_s
-    (``slide_e``).
+    They are K_P, K_I and K_N, and K_P and T_s K_I times 1 + tau_av/T_s (``slide_p``, ``slide_i``). In the conservative
+    form, and for ``KNOWN_INTEGRALS``, phi_1/sigma (``mean``) is among them; in the conservative form also d phi_1/d e
+    times 1 + tau_av/T_s (``slide_e``).
+
+    Args:
+        problem: The problem, with the functions and the sampled form.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m].
+        sigma_from: Smallest |sigma| [m/s].
+        e_from: Smallest |e| [m].
     """
     points = gain_points(problem, sigma, e, sigma_from, e_from)
     return {name: with_room(column) for name, column in points.columns.items()}
@@ -51,7 +58,7 @@ class GainPoints(NamedTuple):
 def gain_points(
     problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0
 ) -> GainPoints:
-    """The gains at points of a region."""
+    """The gains at points of a region, whose arguments are those of :func:`gain_hull`."""
     sizes = np.linspace(np.sqrt(sigma_from), np.sqrt(sigma), GRID) ** 2
     if not sigma_from:
         sizes[1:] = sigma * np.geomspace(1e-9, 1.0, GRID - 1)
@@ -78,7 +85,16 @@ def gain_points(
 
 @jax.jit
 def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The gains at points (sigma, e) of the implicit form; ``pole`` is 1/k_n where u_n has its term 1/tau_m."""
+    """The gains of the implicit form at points (sigma, e), (points,) each, by name.
+
+    Args:
+        functions: The state-dependent functions.
+        s: sigma [m/s], (points,).
+        e: e [m], (points,).
+        l0: Error pole [1/s].
+        t: T_s [s].
+        pole: 1/k_n where the nominal control has its term 1/tau_m; else 0.
+    """
     k_o, tau_av, tau_m = functions.at(s, e, l0)
     proportional = 1.0 / (k_o * tau_av)
     reach = 1.0 + tau_av / t
@@ -89,7 +105,7 @@ def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Sc
 
 @jax.jit
 def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Array:
-    """phi_1/sigma at points (sigma, e)."""
+    """phi_1/sigma at points (sigma, e), (points,)."""
     return jnp.broadcast_to(functions.law(s, e, functions.at(s, e, l0)).gain, s.shape)
 
 
@@ -114,7 +130,11 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
 
 @jax.jit
 def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The gains of the conservative form: K_P and d phi_1/d e are means over a sample, tau_av belongs to its end."""
+    """The gains of the conservative form at points (sigma, e), by name; the arguments are those of the implicit form's.
+
+    K_P and d phi_1/d e are means over a sample, whereas tau_av belongs to its end. So their products ``slide_p`` and
+    ``slide_e`` are given by their ends over all points.
+    """
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
     gains = implicit_gains(functions, s, e, l0, t, pole)
@@ -137,10 +157,13 @@ def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t
 
 
 def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
-    """The interval of what the start takes from u_av, over sigma_0.
+    """The interval of -v/sigma_0 at the start, or of -q/sigma_0, without d_r and f.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. With ``is_integrated`` the
-    coordinate is q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2.
+
+    Args:
+        problem: The problem.
+        is_integrated: Whether the coordinate is q = v - phi_1(sigma_0) in place of v.
     """
     if problem.start == "zero":
         return 0.0, 0.0
@@ -162,14 +185,14 @@ def magnitudes_of(pair: Interval) -> Interval:
 
 
 class Region(NamedTuple):
-    """Bounds of |sigma| and |e|, and the gains there: in all, and in each piece of |sigma|, equal in its root.
+    """A region of sigma and e with its gains, cut into pieces of |sigma| that are equal in |sigma|^(1/2).
 
     Args:
         sigma: Bound of |sigma| [m/s].
         e: Bound of |e| [m].
-        hull: The gains.
+        hull: Intervals of the gains in the region.
         ends: Upper ends of the pieces [m/s].
-        pieces: The gains in each.
+        pieces: Intervals of the gains in each piece.
     """
 
     sigma: float
@@ -180,7 +203,7 @@ class Region(NamedTuple):
 
 
 def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
-    """The region of these bounds, in pieces in which K_P varies little."""
+    """The region with these bounds of |sigma| [m/s] and |e| [m], in as many pieces as K_P varies by ``PIECE_RATIO``."""
     hull = gain_hull(problem, sigma, e)
     low, high = hull["k_p"]
     ratio = high / low if 0.0 < low < high < np.inf else 1.0  # elsewhere the functions are not positive
@@ -190,7 +213,7 @@ def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
 
 
 def with_room(values: np.ndarray) -> Interval:
-    """The interval of the values, a little wider; a constant stays one."""
+    """The interval of some values, widened by ``MARGIN`` for the verifier; that of a constant stays a number."""
     low = float(values.min())
     high = float(values.max())
     room = MARGIN * (high - low) + (1e-12 * abs(high) if low < high else 0.0)

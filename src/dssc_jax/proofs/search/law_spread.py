@@ -1,4 +1,4 @@
-"""How far the control law deviates from a linear one in a region of sigma and e, in floating point.
+"""Deviations of the control law from a linear one in a region of sigma and e, in floating point.
 
 With the coordinate v the gains deviate from those of the middle loop. With q = v - phi_1 the functions phi_1, phi_2
 and the nominal control's n do: either by the spread of their ratios to sigma, or by the largest distance from straight
@@ -38,7 +38,13 @@ SLOPE_ROUNDING = 1e-12
 
 
 class StageRegion(NamedTuple):
-    """Bounds of |sigma| [m/s], |e| [m] and |sigma - s| [m/s] at the samples."""
+    """Bounds at the samples that make a region.
+
+    Args:
+        sigma: Bound of |sigma| [m/s].
+        e: Bound of |e| [m].
+        change: Bound of |sigma - s|, the change of sigma in a sample [m/s].
+    """
 
     sigma: float
     e: float
@@ -46,7 +52,7 @@ class StageRegion(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """The bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of what a term deviates by."""
+    """The coefficients of a bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of a term's deviation."""
 
     change: float
     sigma: float
@@ -61,7 +67,7 @@ class LawSpread(NamedTuple):
         gains: Interval of each gain, by its name in :data:`GAIN_NAMES`. With the coordinate q, phi_1/sigma stands in
             place of K_P.
         integral: Deviation of the increment of the coordinate in a sample.
-        command: Deviation of the rest of the command.
+        command: Deviation of the command besides.
         slide: Deviation of the equivalent control; in the conservative form without the part that :func:`slide_hull`
             bounds.
         slide_e: Factor of the change of e in a sample, which e adds to the equivalent control.
@@ -76,7 +82,11 @@ class LawSpread(NamedTuple):
 
 
 def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
-    """The deviations of a region, in each way in which they can be bounded."""
+    """The control law in a region, once for each way in which its deviations can be bounded.
+
+    These ways are gains that deviate (implicit form only), ratios phi/sigma that deviate, and distances from straight
+    lines. In the implicit form the last two need functions whose integral phi_1 is known.
+    """
     points = gain_points(problem, region.sigma, region.e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
     half_width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
@@ -113,9 +123,14 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
 def function_spread(
     points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float, errors: np.ndarray
 ) -> LawSpread:
-    """The distances of the functions from the straight lines that are nearest to them.
+    """The control law in a region, with the functions' distances from the straight lines that are nearest to them.
 
-    ``errors`` bounds at each point what the increment of v deviates by from that of phi_1.
+    Args:
+        points: Gains at points of the region.
+        by_ratio: The law whose deviations are those of the ratios phi/sigma.
+        half_width: Half widths of the gains' intervals.
+        t: T_s [s].
+        errors: Bound, at each point, of what the increment of v deviates by from that of phi_1.
     """
     size = np.abs(points.sigma)
     columns = points.columns
@@ -140,14 +155,21 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 
 
 def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: np.ndarray | float = 0.0) -> float:
-    """The largest |ratio - slope| |sigma| plus an offset, a little widened."""
+    """The largest |ratio - slope| |sigma| + offset over points with |sigma| = ``size``, a little widened."""
     distance = float(np.max(np.abs(ratio - slope) * size + offset))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
     return (1.0 + MARGIN) * distance + rounding
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
-    """The slope of the straight line through 0 that is nearest to ratio sigma: a convex search over one number."""
+    """The slope of the straight line through 0 that is nearest to the function ratio sigma.
+
+    The largest distance is convex in the slope, so that cutting thirds off an interval finds it.
+
+    Args:
+        size: |sigma| at points.
+        ratio: The function over sigma there.
+    """
     low = float(ratio.min())
     high = float(ratio.max())
     for _ in range(SLOPE_STEPS):
@@ -161,14 +183,21 @@ def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
 
 
 def middle_gains(spread: LawSpread) -> list[float]:
-    """The gains of the middle loop, as a certificate holds them."""
+    """The gains of the middle loop in the order of :data:`GAIN_NAMES`, as a certificate holds them."""
     return [middle(spread.gains[name]) for name in GAIN_NAMES]
 
 
 def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
-    """The gain of sigma - s in the equivalent control, where sigma changes by ``change`` in a sample.
+    """The interval of the gain of sigma - s in the equivalent control.
 
-    With a constant k_o, tau_av K_P is 1/k_o, times a ratio of slopes of phi_1 at points within a sample.
+    With a constant k_o, tau_av K_P is 1/k_o times a ratio of slopes of phi_1 at points within a sample, which varies
+    less than its factors.
+
+    Args:
+        problem: The problem.
+        region: Bounds of |sigma| [m/s] and |e| [m].
+        change: Bound of the change of sigma in a sample [m/s].
+        error_change: Bound of the change of e in a sample [m].
     """
     hull = gain_hull(problem, *region)
     functions = problem.functions
@@ -183,7 +212,14 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
 
 
 def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> float:
-    """The largest ratio of slopes of phi_1 within a sample, on a grid of cells."""
+    """The largest ratio of the slopes d phi_1/d sigma at two points within a sample, on a grid of cells.
+
+    Args:
+        problem: The problem.
+        region: Bounds of |sigma| [m/s] and |e| [m].
+        change: Bound of the change of sigma in a sample [m/s].
+        error_change: Bound of the change of e in a sample [m].
+    """
     sigma, e = region
     size = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2
     errors = e * np.linspace(0.0, 1.0, ERROR_CELLS + 1)

@@ -27,11 +27,11 @@ SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
 
 
 class Affine(NamedTuple):
-    """A symmetric matrix that is affine in the program's variables.
+    """A symmetric matrix that is affine in the variables of a program.
 
     Args:
-        origin: Its value at zero, (k, k).
-        slopes: What one unit of each variable adds, (variables, k, k).
+        origin: Value where all variables are zero, (k, k).
+        slopes: Increase per unit of each variable, (variables, k, k).
     """
 
     origin: np.ndarray
@@ -54,7 +54,13 @@ class BoundedRow(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """P (n, n), the multipliers of the inputs (inputs,), and the rate lambda [1/s]."""
+    """A set {z'Pz <= 1} that is invariant and attracts.
+
+    Args:
+        p: P, (n, n).
+        multipliers: mu_j of each input, (inputs,).
+        rate: lambda [1/s].
+    """
 
     p: np.ndarray
     multipliers: np.ndarray
@@ -62,9 +68,15 @@ class Solution(NamedTuple):
 
 
 def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarray | None:
-    """Coordinates z = S x in which what starts and inputs excite has size one; None if the loop is not stable.
+    """Coordinates z = S x in which the states that starts and inputs excite have size 1, (n, n).
 
-    ``decay`` is the share of a state that is lost within a sample.
+    Args:
+        step: One sample.
+        starts: States in which the loop may start, (n,) each.
+        decay: Share of a state that is lost within a sample.
+
+    Returns:
+        None if the loop is not stable, or excites a subspace only.
     """
     n = step.a.shape[0]
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
@@ -80,26 +92,30 @@ def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarra
 
 
 def triangles(matrices: np.ndarray) -> np.ndarray:
-    """Upper triangles by columns, off-diagonal entries times sqrt(2), as Clarabel's cones want them; (entries, ...)."""
+    """Upper triangles by columns with off-diagonal entries times sqrt(2), the form of Clarabel's cones, (entries, k).
+
+    ``matrices`` are k symmetric ones, (k, n, n), or one, (n, n).
+    """
     columns, rows = np.tril_indices(matrices.shape[-1])  # the lower triangle by rows is the upper one by columns
     weights = np.where(rows == columns, 1.0, np.sqrt(2.0))
     return weights[:, None] * matrices[..., rows, columns].reshape(-1, rows.size).T
 
 
-def symmetric_basis(n: int) -> np.ndarray:
-    """The symmetric matrices of one free entry each, (n (n + 1)/2, n, n)."""
-    return np.stack([symmetric_of(unit, n) for unit in np.eye(n * (n + 1) // 2)])
-
-
 def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
-    """The symmetric matrix of n (n + 1)/2 free entries."""
+    """The symmetric matrix with these n (n + 1)/2 entries in its upper triangle, by rows, (n, n)."""
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = values
     return matrix + np.triu(matrix, 1).T
 
 
 def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) -> np.ndarray | None:
-    """Minimise cost'x such that every matrix is positive semidefinite and every entry of ``linear`` @ [x, 1] >= 0."""
+    """The x that minimises cost'x; None if Clarabel finds no solution.
+
+    Args:
+        cost: Cost of each variable, (variables,).
+        matrices: Matrices that must be positive semidefinite.
+        linear: Rows whose product with [x, 1] must not be negative, (rows, variables + 1).
+    """
     count = cost.size
     blocks = [-linear[:, :-1]]
     offsets = [linear[:, -1]]
@@ -126,7 +142,7 @@ def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) 
 
 
 class SetPrograms(NamedTuple):
-    """Data that all semidefinite programs of one loop share.
+    """The data that all semidefinite programs of one loop share.
 
     Args:
         sample_time: T_s [s].
@@ -186,9 +202,16 @@ def invariant_set(
 
 
 def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: Solution) -> np.ndarray:
-    """How much V falls more than it has to at every corner, in coordinates in which P is I; floating point.
+    """How much V falls more than it has to at every corner, (steps,), in coordinates in which P is I.
 
-    ``a`` has the shape (steps, n, n) and ``b`` the shape (steps, n, inputs).
+    Args:
+        a: A of each step, (steps, n, n).
+        b: B of each step, (steps, n, inputs).
+        sample_time: T_s [s].
+        solution: P, multipliers and rate.
+
+    Returns:
+        The smallest eigenvalue of the quadratic form of z and w; -inf where an input without a multiplier acts.
     """
     root = np.linalg.cholesky(solution.p)
     is_active = solution.multipliers > 0.0
@@ -204,7 +227,7 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
 def solve_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
-    """One program of :func:`invariant_set`."""
+    """Solve one program of :func:`invariant_set`, whose arguments these are; None if it has no solution."""
     program = SetProgram(programs, steps, rate, rows, programs.starts if holds_start else [])
     x = minimiser(program.cost(), program.matrices(), program.inequalities())
     return None if x is None else program.solution(x)
@@ -240,8 +263,8 @@ class SetProgram:
         self.rate = rate
         self.starts = starts
         self.n = self.scale.shape[0]
-        self.basis = symmetric_basis(self.n)
-        self.entries = len(self.basis)
+        self.entries = self.n * (self.n + 1) // 2
+        self.basis = np.stack([symmetric_of(unit, self.n) for unit in np.eye(self.entries)])
         self.inputs = steps[0].b.shape[1]
         self.active_inputs = [j for j in range(self.inputs) if any(np.any(step.b[:, j]) for step in steps)]
         self.weighted_rows = [row for row in rows if row.weight is not None]
@@ -267,7 +290,7 @@ class SetProgram:
         return matrices
 
     def decrease(self, step: Step) -> Affine:
-        """How much V falls more than it has to over a step, as a quadratic form of the state z and the inputs w.
+        """How much more than required V falls over a step, as a quadratic form of the state z and the inputs w.
 
         It is ((1 - T_s lambda) V(z) - V(z+))/T_s + sum of mu_j w_j^2; see :func:`invariant_set`. ``spare`` enlarges
         lambda and reduces the multipliers mu_j, and SLACK is taken from all eigenvalues.
@@ -290,7 +313,7 @@ class SetProgram:
         return Affine(-SLACK * np.eye(size), slopes)
 
     def bounded_square(self, square: int, bounded_row: BoundedRow) -> Affine:
-        """That a variable bounds (row z/bound)^2 in the set, by Schur's complement."""
+        """The matrix that is positive semidefinite if variable ``square`` bounds (row z/bound)^2 in the set."""
         n = self.n
         ratio = bounded_row.row @ self.scale / bounded_row.bound
         origin = np.zeros((n + 1, n + 1))

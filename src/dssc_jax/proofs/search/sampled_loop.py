@@ -46,14 +46,14 @@ class LoopPoint(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One sample.
+    """One sample z+ = A z + B w of a plant with given gains.
 
     Args:
-        a: (n, n).
-        b: (n, inputs): columns for the changes of d_r + f and of -f, and for theta's components, each of size one.
+        a: A, (n, n).
+        b: B, (n, inputs): columns for the changes of d_r + f and of -f, and for theta's components, of size 1 each.
         rows: Rows of the measured e, of e, of the measured sigma, and of sigma - s, (4, n).
         command: Row of the command plus d_r, (n,).
-        push: How it acts, (n,).
+        push: Column with which this command acts, (n,).
         jump: k_p times what a change of d_r adds to zeta, (n,).
     """
 
@@ -66,7 +66,12 @@ class Step(NamedTuple):
 
 
 class HeldSample(NamedTuple):
-    """Phi and Gamma of chi+ = Phi chi + Gamma U."""
+    """The plant over a sample with a held command, chi+ = Phi chi + Gamma U.
+
+    Args:
+        phi: Phi, (n - 2, n - 2).
+        gamma: Gamma, (n - 2,).
+    """
 
     phi: np.ndarray
     gamma: np.ndarray
@@ -81,7 +86,15 @@ class StateLayout(NamedTuple):
 
 
 class SignalSizes(NamedTuple):
-    """Bounds of |d_r| [m/s], |d_r'|, |f'| [m/s^2], |d_r + f| [m/s] and its derivative over a box."""
+    """Bounds, over a box, of the disturbance with the reference's share, d_r, and of the nominal control's share, f.
+
+    Args:
+        level: Bound of |d_r| [m/s].
+        slope: Bound of |d_r'| [m/s^2].
+        feed_slope: Bound of |f'| [m/s^2].
+        offset: Bound of |d_r + f| [m/s].
+        offset_slope: Bound of the derivative of d_r + f [m/s^2].
+    """
 
     level: float
     slope: float
@@ -91,7 +104,7 @@ class SignalSizes(NamedTuple):
 
 
 def state_layout(problem: ProofProblem) -> StateLayout:
-    """Where the states are."""
+    """Places of the states in z."""
     zeta_start = 2 + len(problem.zero_a)
     memory = zeta_start + max(len(problem.denominator), len(problem.delay_weights)) - 1
     end = memory + (2 if problem.sensor_lag else 0)
@@ -99,7 +112,7 @@ def state_layout(problem: ProofProblem) -> StateLayout:
 
 
 def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
-    """What disturbance and reference add up to."""
+    """Bounds of d_r and f over a box of plants; the module's text defines both."""
     speed, acceleration, jerk = problem.reference
     a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
     plants = list(product(box["k_p"], box["a_p"]))
@@ -130,7 +143,7 @@ def companion_form(problem: ProofProblem) -> tuple[np.ndarray, np.ndarray, float
 
 
 def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """F and G of chi' = F chi + G U; memories rest between samples."""
+    """F and G of chi' = F chi + G U at a_p and 1/mu [1/s], (n - 2, n - 2) and (n - 2,); memories are at rest."""
     eta = len(problem.zero_a)
     zeta, _, n = state_layout(problem)
     f = np.zeros((n - 2, n - 2))
@@ -156,13 +169,13 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 
 @lru_cache(maxsize=256)
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(F t) and the integral of exp(F t) G over a time."""
+    """exp(F t) and the integral of exp(F s) G over s from 0 to a time t [s]; cached, so callers must not change it."""
     exponential = expm(held_matrix(problem, a_p, rate) * time)
     return exponential[:-1, :-1], exponential[:-1, -1]
 
 
 def held_matrix(problem: ProofProblem, a_p: float, rate: float) -> np.ndarray:
-    """[[F, G], [0, 0]]."""
+    """[[F, G], [0, 0]] of the held plant at a_p and 1/mu [1/s], (n - 1, n - 1)."""
     f, g = held_plant(problem, a_p, rate)
     size = f.shape[0]
     generator = np.zeros((size + 1, size + 1))
@@ -180,12 +193,12 @@ def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
 
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
-    """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
+    """Phi and Gamma of one sample at a_p and 1/mu [1/s], in which the memories of delay and sensor move on."""
     return with_next_memories(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
 
 
 def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
-    """With the rows of the delay's memory and of the sensor's, which move on at the samples."""
+    """Replace, in place, the rows of the memories of delay and sensor, which change at the samples only."""
     phi, gamma = sample
     zeta, memory, _ = state_layout(problem)
     if not problem.denominator:
@@ -201,10 +214,16 @@ def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
 
 
 def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: int) -> list[HeldSample]:
-    """Matrices of whose hull those of every rate in an interval are members, to within the rest of a Taylor polynomial.
+    """Phi and Gamma whose hull holds those of every 1/mu in an interval, up to the remainder of a Taylor polynomial.
 
-    The Taylor polynomial about the middle of the interval, of this degree, is a convex combination of its coefficients
-    in Bernstein's basis.
+    The Taylor polynomial about the middle of the interval is a convex combination of its coefficients in Bernstein's
+    basis.
+
+    Args:
+        problem: The problem.
+        a_p: Damping [1/s].
+        rates: Interval of 1/mu [1/s].
+        degree: Degree of the polynomial.
     """
     low, high = rates
     if low == high:
@@ -236,10 +255,14 @@ def step_of(
     is_integrated: bool = False,
     held_sample: HeldSample | None = None,
 ) -> Step:
-    """The matrices of one sample, with inputs scaled by their bounds over a box.
+    """The matrices of one sample.
 
-    With ``is_integrated``, the coordinate is q = v - phi_1(s), and the first gain is phi_1/sigma. ``held_sample`` takes
-    the place of the point's Phi and Gamma.
+    Args:
+        problem: The problem.
+        point: Plant and gains.
+        box: Intervals over which the inputs are bounded, which are scaled to size 1.
+        is_integrated: Whether z holds q = v - phi_1(s) in place of v; then the first gain is phi_1/sigma.
+        held_sample: Phi and Gamma; None: those of the point.
     """
     zeta, memory, n = state_layout(problem)
     t = problem.sample_time
@@ -284,7 +307,11 @@ def step_of(
 
 
 def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:
-    """Bound of theta's components: D T_s^2/2 times the largest |exp(F t) k_p b| in a sample, D that of |d_r'|."""
+    """Bounds of the components of theta, the effect of d_r's change within a sample.
+
+    d_r changes by at most D t after a time t and acts through exp(F t) k_p b, so that a component is below D T_s^2/2
+    times the largest |exp(F t) k_p b| in the sample.
+    """
     inner, _ = flow(problem, point.a_p, point.rate, problem.sample_time / INNER_STEPS)
     states = [np.eye(inner.shape[0])[1]]
     for _ in range(INNER_STEPS):
@@ -304,7 +331,7 @@ def middle(interval: Interval) -> float:
 
 
 def box_middle(box: Box, gains: dict[str, Interval]) -> LoopPoint:
-    """The middle of plant and gains."""
+    """The plant and the gains at the middle of their intervals."""
     centre = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
     return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), centre)
 
@@ -329,9 +356,14 @@ def box_steps(
 
 
 def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
-    """Every corner of the states in which the loop may start: z is affine in the initial state and in each signal.
+    """Every corner of the states in which the loop may start, (n,) each.
 
-    ``ratio`` is the interval of what the start takes from v or q, over sigma: that of ``gains.start_ratio``.
+    z is affine in the initial state, in each signal and in the ratio, so that every start is in the corners' hull.
+
+    Args:
+        problem: The problem.
+        box: Intervals of the plant.
+        ratio: Interval of -v/sigma, or of -q/sigma, at the start, by :func:`dssc_jax.proofs.search.gains.start_ratio`.
     """
     zeta, memory, n = state_layout(problem)
     sizes = signal_sizes(problem, box)
@@ -359,6 +391,6 @@ def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0))
 
 
 def functions_of(problem: ProofProblem) -> Any:
-    """The state-dependent functions."""
+    """The state-dependent functions of a problem, a member of :data:`GAIN_FUNCTIONS`."""
     constants = dict(problem.functions)
     return GAIN_FUNCTIONS[constants.pop("kind")].members[None](**constants)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.proofs.problem import Box, ProofProblem
-from dssc_jax.proofs.search.fixed_point import responses
 from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.search.impulse_responses import responses
 from dssc_jax.proofs.search.law_spread import slide_hull
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import (
@@ -71,7 +71,7 @@ E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
 
 @dataclass(frozen=True)
 class SetStage:
-    """A set {z'Pz <= 1} that is invariant while |sigma| and |e| stay within a region.
+    """A stage of a proof: a set {z'Pz <= 1} that is invariant while sigma and e stay within a region.
 
     Args:
         sigma: Bound of |sigma| in which the gains are selected [m/s].
@@ -103,11 +103,11 @@ class SetStage:
 
 
 class Setting(NamedTuple):
-    """Data that all semidefinite programs of one box share.
+    """The data that all semidefinite programs of one box share.
 
     Args:
-        problem: What is to be proved.
-        box: The box.
+        problem: The problem.
+        box: Intervals of k_p, a_p and 1/mu.
         origin: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
         is_integrated: Whether z holds q = v - phi_1(s) in place of v.
@@ -122,7 +122,7 @@ class Setting(NamedTuple):
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
-        """The linear maps of a sample, at every corner of the box of plants and gains, for each piece of a region.
+        """One sample at every corner of plant and gains, for each piece of a region.
 
         Where z holds q = v - phi_1(s), a sample needs the gains themselves; where it holds v, those of the increments.
         """
@@ -133,14 +133,14 @@ class Setting(NamedTuple):
         return steps
 
     def increments(self, region: Region, hull: Hull) -> Hull:
-        """The gains of the increments of u_av.
+        """The gains of the increments of u_av in a piece ``hull`` of a region.
 
         In the conservative form K_P is a mean over a sample, which may have begun in another piece, and K_I holds what
         phi_1 changes by with e.
         """
         if self.problem.form == "implicit":
             return hull
-        reach = hull["slide_p"][1] / hull["k_p"][1]
+        reach = hull["slide_p"][1] / hull["k_p"][1]  # the largest 1 + tau_av/T_s
         t = self.problem.sample_time
         slope_change = GAIN_ROOM * hull["by_e"][1] * self.error_change(region)
         k_i = hull["k_i"][0] - slope_change / t, hull["k_i"][1] + slope_change / t
@@ -148,12 +148,12 @@ class Setting(NamedTuple):
         return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
 
     def error_change(self, region: Region) -> float:
-        """Bound of the change of e in a sample, with room for the time between the samples."""
+        """Bound of the change of e in a sample [m], with room for the time between the samples."""
         return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
     @property
     def degree(self) -> int:
-        """Degree of the polynomial in 1/mu, such that its remainder is far below what V falls by in a sample."""
+        """Degree of the Taylor polynomial in 1/mu whose remainder is far below what V falls by in a sample."""
         low, high = self.box.get("rate", (0.0, 0.0))
         radius = 0.5 * (high - low) * self.problem.sample_time
         falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
@@ -163,19 +163,26 @@ class Setting(NamedTuple):
         return MOST_DEGREE
 
     def solve(self, steps: list[Step], rows: list[BoundedRow], share: float, *, holds_start: bool) -> Solution | None:
-        """The set for lambda as a share of the slowest decay."""
+        """The set of one semidefinite program; None if it has no solution.
+
+        Args:
+            steps: One sample at every corner.
+            rows: Rows whose values in the set are bounded.
+            share: lambda, as a share of the slowest decay.
+            holds_start: Whether the set has to hold every start.
+        """
         return invariant_set(self.programs, steps, share * self.speed, rows, holds_start=holds_start)
 
     def falls(self, steps: list[Step]) -> bool:
-        """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
+        """Whether some V falls at every step, at the slowest rate and without starts or bounded rows."""
         return self.solve(steps, [], min(RATES), holds_start=False) is not None
 
 
 def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
-    """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
+    """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty if the command has no bound.
 
-    In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
-    changes by with e. The change of sigma in a sample stays within a bound of its own.
+    In the coordinate q, u_av = q + phi_1(s). There phi_1(s) - mean s counts by its bound, and so does what phi_1
+    changes by with e. In the conservative form there may be a bounded row for the change of sigma in a sample, too.
     """
     problem = setting.problem
     step = setting.origin
@@ -206,17 +213,16 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     return rows + [BoundedRow(u_av_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
-def decay_rate(step: Step, sample_time: float) -> float:
-    """The slowest decay of one step [1/s]; negative if it grows."""
-    return float(-np.log(np.max(np.abs(np.linalg.eigvals(step.a)))) / sample_time)
-
-
 def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) -> Setting | None:
-    """The setting of a box; None if the loop is not stable at sigma = e = 0."""
+    """The setting of a box; None if the loop is not stable at sigma = e = 0.
+
+    ``is_integrated`` tells whether z holds q = v - phi_1(s) in place of v.
+    """
     gains = gain_hull(problem, 1e-9, 1e-9)
     origin = step_of(problem, box_middle(box, gains), box, is_integrated=is_integrated)
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
-    speed = decay_rate(origin, problem.sample_time)
+    radius = np.max(np.abs(np.linalg.eigvals(origin.a)))
+    speed = float(-np.log(radius) / problem.sample_time)
     if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
@@ -225,7 +231,10 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
 
 
 def first_set(setting: Setting) -> SetStage | Obstacle:
-    """A set that holds the start and keeps sliding; otherwise the reason why there is none."""
+    """Search a set that holds the start and keeps sliding.
+
+    If there is none, further programs without some of the conditions tell which one is the obstacle.
+    """
     excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(excursions)):
         return Obstacle.REGION
@@ -240,11 +249,14 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """A set that holds the start, and stays in the region that its gains are taken from.
+    """Search a set that holds the start, and lies in the region from which its gains are taken.
 
     If the set found for a region exceeds it, the next region has that set's size, with some room.
 
-    ``first_sizes`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding.
+    Args:
+        setting: The setting.
+        first_sizes: Bounds of |sigma| [m/s] and |e| [m] in the first region.
+        slides: Whether the set has to keep sliding.
     """
     rows = setting.origin.rows
     depends_on_e = setting.problem.functions["kind"] == "vgsta"
@@ -275,7 +287,16 @@ def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bo
 def set_with_start(
     setting: Setting, steps: list[Step], rows: list[BoundedRow], shares: Sequence[float]
 ) -> Solution | None:
-    """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
+    """Search a set that holds the start, with the first of several rates that allows one.
+
+    The set's size hardly depends on the rate.
+
+    Args:
+        setting: The setting.
+        steps: One sample at every corner.
+        rows: Rows whose values in the set are bounded.
+        shares: Values of lambda, as shares of the slowest decay.
+    """
     for number, share in enumerate(shares):
         if (solution := setting.solve(steps, rows, share, holds_start=True)) is not None:
             return solution
@@ -285,7 +306,14 @@ def set_with_start(
 
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
-    """The set with the least |e| that attracts within a region, for some rates; None if it is not worth it."""
+    """Search a smaller set that attracts all of a region; None if its |e| is not much smaller.
+
+    Args:
+        setting: The setting.
+        sigma: Bound of |sigma| in the region [m/s].
+        e: Bound of |e| in the region [m].
+        shares: Values of lambda that are tried, as shares of the slowest decay.
+    """
     region = region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     e_row = setting.origin.rows[E]
@@ -303,13 +331,13 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
 
 
 def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
-    """The largest value of a row in the loop at one point, from the starts and under inputs of size one."""
+    """The largest |row z| in the loop of one step, from the starts and under inputs of size 1; ``row`` is its place."""
     response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
     return np.inf if response is None else float((response.peaks + response.sums.sum(axis=1))[0])
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
-    """The stage of a solution; where the gains do not depend on e, its region holds any e of the set."""
+    """The stage of a solution. Where the gains do not depend on e, its region is as large in e as the set."""
     return SetStage(
         sigma=region.sigma,
         e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows[E])),

@@ -91,16 +91,11 @@ def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict
             problem = require_problem(problem_content)
             proof = require_proof(problem, proof_content)
             limits = verified_stages(problem, proof)
-            errors = [rounded_error(stage_limits) for stage_limits in limits]
+            errors = [math.nextafter(float(stage_limits.between), math.inf) for stage_limits in limits]  # rounded up
             require_premise(all(map(math.isfinite, errors)), "P0: a bound of |e| is not finite, and proves nothing")
         except Rejected as rejected:
             return refusal(rejected)
     return ProofVerdict(True, "", min(errors), errors[0])
-
-
-def rounded_error(limits: StageLimits) -> float:
-    """The bound of |e(t)|, rounded up."""
-    return math.nextafter(float(limits.between), math.inf)
 
 
 def refusal(rejected: Rejected) -> ProofVerdict:

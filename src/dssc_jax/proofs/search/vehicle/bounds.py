@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.search.fixed_point import decay_of
+from dssc_jax.proofs.search.impulse_responses import decay_of
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.attitude import OutOfRange, Signals
 from dssc_jax.proofs.search.vehicle.channels import (

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssc_jax.proofs.search.fixed_point import responses
+from dssc_jax.proofs.search.impulse_responses import responses
 from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChannel, flow, sampled_channel
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
@@ -171,7 +171,8 @@ def channel_response(
     )
     force_peaks = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        force_peaks = constant_response(a, rows, observation.force_column, observation.force_within)
+        equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, observation.force_column)
+        force_peaks = constant_peaks(a, rows, -equilibrium, rows @ equilibrium + observation.force_within)
     start_peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
@@ -305,11 +306,3 @@ def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.nd
         if np.max(np.abs(z)) < CONSTANT_SETTLED * initial_size:
             break
     return peaks
-
-
-def constant_response(
-    a: np.ndarray, rows: np.ndarray, force_column: np.ndarray, force_within: np.ndarray
-) -> np.ndarray:
-    """The largest response of each row to a constant force 1 from t = 0 on, (rows,)."""
-    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, force_column)
-    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + force_within)

@@ -1,0 +1,253 @@
+"""The bounds (A0)-(A4) of a study's loop, and its parameters of Table 1.
+
+They follow from the parts of the loop: the interval of k_p and a_p from their laws, the disturbance's constants from
+its kind, those of the reference and of the nominal control from theirs.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from dssc_jax.closed_loop.loop import Loop
+from dssc_jax.core.contracts import Disturbance, Plant, Reference
+from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, transfer_function
+from dssc_jax.core.zero_dynamics import ZeroDynamics
+from dssc_jax.design import Bounds, Parameters
+from dssc_jax.design.arrays import Numeric, greater
+from dssc_jax.design.ends import Ends, ends_of
+from dssc_jax.design.practice import predictor_pole
+from dssc_jax.models.controllers.dssc import DSSC
+from dssc_jax.models.controllers.gain_functions import Vgsta
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.models.disturbances.partition import PARTITION
+from dssc_jax.models.disturbances.prescribed import CONSTANT, SINE_DISTURBANCE, SPLINE, STEP
+from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
+from dssc_jax.models.plants.normal_form import NORMAL_FORM
+from dssc_jax.models.references import ZERO
+from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
+from dssc_jax.study import Study
+
+NOT_TABLE_1 = "the controller is not DSSC with functions.kind = 'vgsta', those of Table 1"
+
+
+class NotCovered(Exception):
+    """The theorem does not cover this loop; the message gives the reason."""
+
+
+class PlantBounds(NamedTuple):
+    """The bounds of a plant that the theorem uses.
+
+    Args:
+        k_min: Smallest high-frequency gain k_p [1/s].
+        k_max: Largest high-frequency gain k_p [1/s].
+        a_max: Bound of |a_p| [1/s].
+        zero_dynamics: The zero dynamics; None: there are none.
+        stiffness: Bound of the stiffness' magnitude [1/s^2].
+    """
+
+    k_min: Numeric
+    k_max: Numeric
+    a_max: Numeric
+    zero_dynamics: ZeroDynamics | None = None
+    stiffness: Numeric = 0.0
+
+
+def design_of(study: Study) -> tuple[Parameters, Bounds]:
+    """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
+
+    Raises:
+        NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
+    """
+    ends = ends_of(study)
+    if study.loop.plant is not NORMAL_FORM:  # what the plant lacks is told before what the controller lacks
+        plant_bounds(study.loop.plant, ends.part("plant"))
+    gains = ends.low.controller[0]
+    is_dssc = study.loop.controller[0] in DSSC.members.values()
+    if not is_dssc or not isinstance(gains.functions, Vgsta):
+        raise NotCovered(NOT_TABLE_1)
+    if gains.sign_width is not None:
+        raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
+    if any(name.startswith(("controller.functions.", "controller.l0")) for name in study.uncertain):
+        raise NotCovered("the controller's own numbers are uncertain")
+    constants = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
+    parameters = Parameters(**{name: constants[name] for name in Parameters._fields})
+    return parameters, bounds_of(study.loop, ends, parameters)
+
+
+def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
+    """The bounds (A0)-(A4) of a loop of the class (5)-(8); the plant's stiffness is a disturbance -stiffness y/k_p."""
+    plant = plant_bounds(loop.plant, ends.part("plant"))
+    reference = reference_bounds(loop.reference, ends.part("reference"))
+    require_no_inputs(loop)
+    disturbance = disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0))
+    return Bounds(
+        k_min=plant.k_min,
+        k_max=plant.k_max,
+        a_max=plant.a_max,
+        zero_dynamics=plant.zero_dynamics,
+        **reference,
+        **(disturbance | {"k_d4": disturbance.get("k_d4", 0.0) + plant.stiffness / plant.k_min}),
+        **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
+    )
+
+
+def require_no_inputs(loop: Loop) -> None:
+    """Require that no disturbance acts at an input that the plant names.
+
+    Raises:
+        NotCovered: one does.
+    """
+    for name, model in zip(loop.input_names, loop.inputs, strict=True):
+        if model is not NO_DISTURBANCE:
+            raise NotCovered(f"a disturbance acts at the input '{name}', and (7) takes it where the command acts")
+
+
+def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
+    """The bounds of a plant in normal form, or of a linear one that has this form.
+
+    Raises:
+        NotCovered: It is neither, or its zero dynamics are uncertain.
+    """
+    low, high = ends
+    if model is NORMAL_FORM:
+        if low.zero_dynamics is not None and not are_same_numbers(*ends.part("zero_dynamics")):
+            raise NotCovered("the zero dynamics are uncertain, or swept")
+        return PlantBounds(low.k_p, high.k_p, ends.largest("a_p"), low.zero_dynamics)
+    if model not in (STATE_SPACE, RATIONAL_PLANT):
+        raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
+    if model is STATE_SPACE and low.disturbance is not None and not are_same_numbers(low.disturbance, low.b):
+        raise NotCovered("the disturbance has an input column of its own, and (7) takes it where the command acts")
+    if are_same_numbers(low, high):
+        return bounds_of_normal_form(form_of(model, low))
+    if model is STATE_SPACE or len(low.denominator) != 3 or len(low.numerator) != 1:
+        raise NotCovered("the plant is uncertain, and no transfer function of second order without zeros")
+    return bounds_of_second_order(low, high)
+
+
+def bounds_of_normal_form(form: NormalForm) -> PlantBounds:
+    """The bounds of a linear plant without uncertain numbers.
+
+    Raises:
+        NotCovered: The plant has no normal form (5)-(8).
+    """
+    if form.silence:
+        raise NotCovered(form.silence)
+    dynamics = ZeroDynamics(form.zero_a, form.zero_c) if form.zero_a else None
+    return PlantBounds(form.gain, form.gain, abs(form.damping), dynamics, abs(form.stiffness))
+
+
+def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
+    """The bounds of the plants numerator/(d_0 s^2 + d_1 s + d_2), from their parameters at both ends.
+
+    Raises:
+        NotCovered: A leading coefficient may be zero or negative.
+    """
+    lead_low = low.denominator[0]
+    lead_high = high.denominator[0]
+    if not np.all(np.asarray(lead_low) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
+        raise NotCovered("the leading coefficients of the transfer function are not positive for every draw")
+    magnitudes = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
+    return PlantBounds(
+        k_min=low.numerator[0] / lead_high,
+        k_max=high.numerator[0] / lead_low,
+        a_max=magnitudes[1] / lead_low,
+        stiffness=magnitudes[2] / lead_low,
+    )
+
+
+def are_same_numbers(first: Any, second: Any) -> bool:
+    """Whether two parts, or two parameters, have equal numbers, none of which is swept."""
+    return all(isinstance(leaf, int | float) for leaf in jax.tree.leaves((first, second))) and first == second
+
+
+def form_of(model: Plant, params: Any) -> NormalForm:
+    """The normal form of a linear plant, from parameters without laws."""
+    if model is STATE_SPACE:
+        return normal_form(*transfer_function(RealisedSystem(params.a, params.b, params.c)))
+    return normal_form(params.numerator, params.denominator)
+
+
+def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
+    """Largest value of a derivative of a sine.
+
+    Args:
+        amplitude: Amplitude of the sine.
+        period: Period [s].
+        order: Order of the derivative.
+    """
+    return amplitude * (2.0 * math.pi / period) ** order
+
+
+def reference_bounds(model: Reference, ends: Ends) -> dict[str, Numeric]:
+    """Suprema of the reference and its first three derivatives, as fields of :class:`Bounds`.
+
+    Raises:
+        NotCovered: The third derivative has no known bound.
+    """
+    for axis, member in MISSION_ENTRY.members.items():
+        if model is member:
+            ends = Ends(MISSION[axis], MISSION[axis])
+            model = SINE
+    low = ends.low
+    if model is ZERO:
+        return {}
+    if model is not SINE:
+        raise NotCovered("the reference's third derivative has no known bound")
+    amplitude = ends.largest("amplitude")
+    names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
+    swings = {name: swing(amplitude, low.period, order) for order, name in enumerate(names, 1)}
+    return {"y_m": amplitude + ends.largest("offset"), **swings}
+
+
+def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
+    """The constants of (A0.b)-(A3), as fields of :class:`Bounds`.
+
+    A step counts as constant: the theorem applies again after its time.
+
+    Raises:
+        NotCovered: The disturbance's derivative has no known bound.
+    """
+    low = ends.low
+    if model is NO_DISTURBANCE:
+        return {}
+    if model in (CONSTANT, STEP):
+        return {"alpha_d": ends.largest("value")}
+    if model is SINE_DISTURBANCE:
+        amplitude = ends.largest("amplitude")
+        return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
+    if model is SPLINE:
+        pairs = zip(low.knots, ends.high.knots, strict=True)
+        knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
+        steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
+        return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
+    if model is PARTITION:
+        names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+        return {name: getattr(ends.high, name) for name in names}
+    raise NotCovered("the disturbance's derivative has no known bound")
+
+
+def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> dict[str, Numeric]:
+    """The constants of (A4) for the nominal control (37), as fields of :class:`Bounds`, each at its worse end.
+
+    Args:
+        ends: The nominal gains at both ends; their low end is None without a nominal control.
+        p: Parameters of Table 1, from which the largest 1/tau_m follows.
+        reference: Suprema of the reference, by :func:`reference_bounds`.
+    """
+    if ends.low is None:
+        return {}
+    speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
+    pole = predictor_pole(p) if ends.low.predictor_term else 0.0
+    k = ends.low.k
+    damping = ends.largest("a")
+    offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
+    c_e = offset * p.l0 / k
+    return {
+        "c_sigma": (offset + pole) / k,
+        "c_e1": c_e,
+        "c_e2": c_e,
+        "c_m": (damping * speed + acceleration) / k,
+        "u_m_dot": (damping * acceleration + jerk) / k,
+    }
