@@ -271,6 +271,12 @@ def test_what_cannot_be_searched_is_refused(hover, changes, options, rule):
         dj.worst_wind(hover.override(changes), **options)
 
 
+@pytest.mark.parametrize(("count", "segments"), [(-1, 10), (3, 0), (3, -1)])
+def test_random_winds_need_segments(hover, count, segments):
+    with pytest.raises(dj.ConfigError, match="need a count >= 0 and segments >= 1"):
+        dj.switching_winds(hover, count, segments=segments)
+
+
 def test_a_plant_that_does_not_fly_is_refused(uncertain):
     with pytest.raises(dj.ConfigError, match="never blows"):
         dj.worst_wind(uncertain)

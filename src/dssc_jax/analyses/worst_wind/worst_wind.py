@@ -267,13 +267,15 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
         ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows.
+        ConfigError: The wind has no known bounds or uncertain ones, or never blows; or a number is too small.
 
     Example:
         >>> import dssc_jax as dj
         >>> dj.switching_winds(dj.Study.load("studies/hover_wind.toml"), 7).shape
         (7, 100, 3)
     """
+    if count < 0 or segments < 1:
+        raise ConfigError("winds", f"need a count >= 0 and segments >= 1, got {count} and {segments}")
     limits = limits_of(study)
     grid = WindGrid.of(study, segments, limits.rate is not None)
     return WindSet(limits, grid).random_winds(count, np.random.default_rng(seed))
