@@ -132,8 +132,8 @@ def bounds_of_normal_form(form: NormalForm) -> PlantBounds:
     Raises:
         NotCovered: The plant has no normal form (5)-(8).
     """
-    if form.silence:
-        raise NotCovered(form.silence)
+    if form.obstacle:
+        raise NotCovered(form.obstacle)
     dynamics = ZeroDynamics(form.zero_a, form.zero_c) if form.zero_a else None
     return PlantBounds(form.gain, form.gain, abs(form.damping), dynamics, abs(form.stiffness))
 

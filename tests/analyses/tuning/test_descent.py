@@ -5,7 +5,7 @@ import pytest
 
 from dssc_jax.analyses.tuning.descent import Multipliers
 from dssc_jax.analyses.tuning.objective import Merit
-from dssc_jax.analyses.tuning.problem import Point
+from dssc_jax.analyses.tuning.problem import EvaluatedPoint
 
 CHATTER = np.array([3e107, -8e107])
 
@@ -13,7 +13,7 @@ CHATTER = np.array([3e107, -8e107])
 def point(gradient, excess):
     """A point with one limit, whose excess grows along the first coordinate."""
     merit = Merit(1.0, {}, {"command_tv": excess}, {}, ended=0)
-    return Point(np.zeros(2), merit, np.array(gradient), {"command_tv": np.array([1.0, 0.0])})
+    return EvaluatedPoint(np.zeros(2), merit, np.array(gradient), {"command_tv": np.array([1.0, 0.0])})
 
 
 @pytest.mark.parametrize("gradient", [CHATTER, [np.inf, 1.0], [1.0, np.nan]])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dssc_jax as dj
-from dssc_jax.analyses.tuning.objective import Goal, missed_bounds, weights
+from dssc_jax.analyses.tuning.objective import Goal, draw_weights, missed_bounds
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.evaluation import Derivative
 
@@ -16,7 +16,7 @@ COSTS = st.lists(st.floats(0.0, 100.0), min_size=2, max_size=40).map(np.asarray)
 @settings(max_examples=50, deadline=None)
 @given(COSTS, st.sampled_from(["mean", "cvar", "worst"]), st.floats(0.05, 0.99))
 def test_weights_are_weights(costs, aggregate, level):
-    found = weights(costs, aggregate, level)
+    found = draw_weights(costs, aggregate, level)
     assert found.sum() == pytest.approx(1.0)
     assert np.all(found >= 0.0)
     assert np.mean(costs) - 1e-9 <= found @ costs <= np.max(costs) + 1e-9
@@ -27,7 +27,7 @@ def test_weights_are_weights(costs, aggregate, level):
 def test_cvar_is_its_variational_form(costs, level):
     """CVaR = min over c of c + E max(X - c, 0)/(1 - level), which is attained at one of the draws."""
     form = min(c + np.mean(np.maximum(costs - c, 0.0)) / (1.0 - level) for c in costs)
-    assert weights(costs, "cvar", level) @ costs == pytest.approx(form, rel=1e-9, abs=1e-9)
+    assert draw_weights(costs, "cvar", level) @ costs == pytest.approx(form, rel=1e-9, abs=1e-9)
 
 
 def lanes(x, requirements):
@@ -69,7 +69,7 @@ def test_a_draw_that_ended_early_is_never_averaged_in():
 
 def test_the_soft_worst_is_near_the_worst():
     costs = np.random.default_rng(0).normal(size=200)
-    assert 0.9 * costs.max() < weights(costs, "worst", 0.95) @ costs <= costs.max()
+    assert 0.9 * costs.max() < draw_weights(costs, "worst", 0.95) @ costs <= costs.max()
 
 
 def test_public_names():

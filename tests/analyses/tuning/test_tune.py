@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.tuning.objective import weights
+from dssc_jax.analyses.tuning.objective import draw_weights
 from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.design.certification import mark
@@ -25,7 +25,7 @@ def tuned(study):
 
 def cvar(study):
     costs = dj.run(study).dataset["error_rms"].values
-    return weights(costs, "cvar", 0.95) @ costs
+    return draw_weights(costs, "cvar", 0.95) @ costs
 
 
 def test_the_verdict_is_that_of_two_runs(study, tuned):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from dssc_jax.analyses.worst_loop.cells import cover
-from dssc_jax.analyses.worst_loop.family import unlimited
+from dssc_jax.analyses.worst_loop.cells import cover_box
+from dssc_jax.analyses.worst_loop.family import no_point_limit
 from dssc_jax.analyses.worst_loop.joint import joint_mu_bound, margins_of, worst_joint_margin
-from dssc_jax.analyses.worst_loop.readouts import joint, norm_over_box
+from dssc_jax.analyses.worst_loop.readouts import joint_readout, norm_over_box
 from dssc_jax.analyses.worst_loop.search import radii_of
 
 T_S = 0.01
@@ -77,8 +77,8 @@ FAMILIES = {"satellite": (satellite, 3), "random 1": (random_family(1, 2), 2), "
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_bound_holds_on_a_dense_sample_and_is_near_the_worst_found(name):
     evaluate, sides = FAMILIES[name]
-    worst = worst_joint_margin(evaluate, sides, 2, T_S, unlimited)
-    covered = joint_mu_bound(evaluate, sides, 2, GAP / worst.value, 20_000, unlimited)
+    worst = worst_joint_margin(evaluate, sides, 2, T_S, no_point_limit)
+    covered = joint_mu_bound(evaluate, sides, 2, GAP / worst.value, 20_000, no_point_limit)
     assert covered.stable
     bounded = 1.0 / covered.gains[0]
     points = np.array(list(itertools.product(np.linspace(-1.0, 1.0, 9), repeat=sides)))
@@ -117,7 +117,7 @@ def test_the_satellite_without_uncertainty_has_its_published_margin():
         return result
 
     found = margins_of(evaluate(np.zeros((1, 1))), 2, period).attained[0]
-    covered = joint_mu_bound(evaluate, 1, 2, 1.001 / found, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, 1, 2, 1.001 / found, 20_000, no_point_limit)
     s = 1j * np.geomspace(1e-3, 1e3, 2000)[:, None, None]
     loop = np.array([[1.0, -2.0], [0.0, 1.0]]) @ np.array([[1.0, 10.0], [-10.0, 1.0]])
     loop = loop @ np.linalg.inv(s * np.eye(2) - np.array([[0.0, 10.0], [-10.0, 0.0]]))
@@ -149,8 +149,8 @@ def test_three_channels_are_bounded_below_dense_perturbations():
         result[:, 4:, :4] = c
         return result
 
-    worst = worst_joint_margin(evaluate, 1, 3, T_S, unlimited)
-    covered = joint_mu_bound(evaluate, 1, 3, GAP / worst.value, 20_000, unlimited)
+    worst = worst_joint_margin(evaluate, 1, 3, T_S, no_point_limit)
+    covered = joint_mu_bound(evaluate, 1, 3, GAP / worst.value, 20_000, no_point_limit)
     bounded = 1.0 / covered.gains[0]
     assert worst.value / GAP * (1.0 - 1e-9) <= bounded <= worst.value
     for _ in range(2000):
@@ -173,9 +173,9 @@ def test_a_coupling_in_one_direction_does_not_spoil_the_bound():
         result[:, 2, 0] = result[:, 3, 1] = -0.5
         return result
 
-    worst = worst_joint_margin(evaluate, 1, 2, T_S, unlimited)
+    worst = worst_joint_margin(evaluate, 1, 2, T_S, no_point_limit)
     sampled = dense_alpha(evaluate(np.linspace(-1.0, 1.0, 41)[:, None]), np.linspace(1e-4, np.pi, 800)).min()
-    covered = joint_mu_bound(evaluate, 1, 2, GAP / worst.value, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, 1, 2, GAP / worst.value, 20_000, no_point_limit)
     assert worst.value == pytest.approx(sampled, rel=1e-3)
     assert worst.value / GAP <= 1.0 / covered.gains[0] <= sampled
 
@@ -185,8 +185,9 @@ def test_an_unstable_loop_in_the_box_leaves_no_bound():
         return satellite(np.array([0.0, 1.0, 1.0]) * points[:, :1] * 200.0)
 
     assert radii_of(evaluate(np.array([[1.0]])), 2)[0] > 1.0
-    assert worst_joint_margin(evaluate, 1, 2, T_S, unlimited).value == 0.0
-    assert not cover(evaluate, (-np.ones(1), np.ones(1)), np.array([1e300]), 2000, unlimited, joint(2)).stable
+    assert worst_joint_margin(evaluate, 1, 2, T_S, no_point_limit).value == 0.0
+    ends = (-np.ones(1), np.ones(1))
+    assert not cover_box(evaluate, ends, np.array([1e300]), 2000, no_point_limit, joint_readout(2)).stable
 
 
 def test_a_norm_over_a_box_bounds_every_point_of_it():

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.analyses.worst_loop.box import box_of
-from dssc_jax.analyses.worst_loop.cells import cover
+from dssc_jax.analyses.worst_loop.cells import cover_box
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.search import nearest_instability
 
@@ -121,7 +121,7 @@ def test_a_first_order_loop_has_its_closed_form():
     ends = (-np.ones(1), np.ones(1))
     exact = np.array([1.0 + 1.0 / 0.05, 1.0 / 0.05, 0.5 + 1.0 / 0.05])  # at z = 1 and u = 1
     wanted = np.array([*1.01 * exact, 1e300])
-    covered = cover(first_order, ends, wanted, 20_000)
+    covered = cover_box(first_order, ends, wanted, 20_000)
     assert covered.stable
     assert np.all(covered.gains[:3] >= exact)
     assert np.all(covered.gains[:3] <= 1.01 * exact)
@@ -130,7 +130,7 @@ def test_a_first_order_loop_has_its_closed_form():
 
 def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():
     ends = (-2.5 * np.ones(1), 2.5 * np.ones(1))
-    covered = cover(first_order, ends, np.full(len(GAINS), 1e300), 3000)
+    covered = cover_box(first_order, ends, np.full(len(GAINS), 1e300), 3000)
     assert not covered.stable
 
 

@@ -27,7 +27,7 @@ def hover():
 def winds():
     rng = np.random.default_rng(3)
     limits, grid = Limits(6.0, 3.0, None), WindGrid(0.5, 20, False)
-    return WindSet(limits, grid).switching(3, rng)
+    return WindSet(limits, grid).random_winds(3, rng)
 
 
 def largest(flight, name):
@@ -110,7 +110,7 @@ def test_random_winds_of_a_study_fly_within_its_bounds(hover, rate):
 def test_candidates_stay_within_the_bounds(rate):
     limits = Limits(4.0, 1.0, rate)
     winds = WindSet(limits, WindGrid(0.5, 40, rate is not None))
-    for group in (winds.resonant(), winds.switching(200, np.random.default_rng(0))):
+    for group in (winds.resonant_winds(), winds.random_winds(200, np.random.default_rng(0))):
         assert_within(group, limits, 0.5)
         assert np.hypot(group[..., 0], group[..., 1]).max() == pytest.approx(4.0)
         assert np.abs(group[..., 2]).max() == pytest.approx(1.0)
@@ -131,10 +131,10 @@ def test_the_extreme_wind_beats_all_others(rate):
     rng = np.random.default_rng(1)
     limits = Limits(4.0, 1.0, rate)
     winds = WindSet(limits, WindGrid(0.5, 30, rate is not None))
-    others = np.concatenate([winds.resonant(), winds.switching(2000, rng)])
+    others = np.concatenate([winds.resonant_winds(), winds.random_winds(2000, rng)])
     for roughness in (1, 8):
         slopes = np.repeat(rng.normal(size=(1, -(-30 // roughness), 3)), roughness, axis=1)[:, :30]
-        best = winds.extreme(slopes, np.zeros((1, 30, 3)))
+        best = winds.extreme_winds(slopes, np.zeros((1, 30, 3)))
         assert_within(best, limits, 0.5)
         assert np.sum(slopes * best) > np.sum(slopes * others, axis=(1, 2)).max()
 
@@ -144,7 +144,7 @@ def test_without_a_rate_the_extreme_is_known_in_closed_form():
     slopes = np.array([[[3.0, -4.0, 0.1], [0.0, 0.0, -0.2], [0.0, 0.0, 0.0]]])
     present = np.full((1, 3, 3), 0.5)
     expected = [[[3.0, -4.0, 2.0], [0.5, 0.5, -2.0], [0.5, 0.5, 0.5]]]
-    np.testing.assert_allclose(winds.extreme(slopes, present), expected, rtol=ROUNDING)
+    np.testing.assert_allclose(winds.extreme_winds(slopes, present), expected, rtol=ROUNDING)
 
 
 def test_with_a_slow_rate_the_extreme_ramps():
@@ -152,7 +152,7 @@ def test_with_a_slow_rate_the_extreme_ramps():
     winds = WindSet(Limits(1.0, 3.0, 1.0), WindGrid(1.0, 20, True))
     slopes = np.zeros((1, 20, 3))
     slopes[0, :, 2] = np.where(np.arange(20) < 10, 1.0, -1.0)
-    found = winds.extreme(slopes, np.zeros((1, 20, 3)))[0, :, 2]
+    found = winds.extreme_winds(slopes, np.zeros((1, 20, 3)))[0, :, 2]
     ramp = np.clip(9.5 - np.arange(20.0), -3.0, 3.0)
     assert np.sum(slopes[0, :, 2] * found) == pytest.approx(np.sum(slopes[0, :, 2] * ramp), rel=1e-6)
 
@@ -180,7 +180,7 @@ class Weak(Ascent):
 
     def first_winds(self):
         """Random turns at a tenth of the bound."""
-        return [0.1 * self.winds.switching(64, self.rng)]
+        return [0.1 * self.winds.random_winds(64, self.rng)]
 
 
 @pytest.mark.parametrize("rate", [None, 3.0])
@@ -203,7 +203,7 @@ def test_the_slopes_are_those_of_differences(hover):
     """The gradient by which a climb goes, of every signal, against central differences of flights."""
     grid = WindGrid.of(hover, 5, False)
     flights = WindFlights(hover, grid, 64)
-    wind = WindSet(Limits(5.0, 2.5, None), grid).switching(1, np.random.default_rng(5))
+    wind = WindSet(Limits(5.0, 2.5, None), grid).random_winds(1, np.random.default_rng(5))
     names = list(flights.signals)
     slopes = flights.with_slopes(np.repeat(wind, len(names), axis=0), {}, names).wind
     step = 1e-4
@@ -269,6 +269,12 @@ def test_all_signals_but_the_rates_are_searched_by_default(hover):
 def test_what_cannot_be_searched_is_refused(hover, changes, options, rule):
     with pytest.raises(dj.ConfigError, match=rule):
         dj.worst_wind(hover.override(changes), **options)
+
+
+@pytest.mark.parametrize(("count", "segments"), [(-1, 10), (3, 0), (3, -1)])
+def test_random_winds_need_segments(hover, count, segments):
+    with pytest.raises(dj.ConfigError, match="need a count >= 0 and segments >= 1"):
+        dj.switching_winds(hover, count, segments=segments)
 
 
 def test_a_plant_that_does_not_fly_is_refused(uncertain):

@@ -8,20 +8,33 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from dssc_jax.analyses.tuning.plan import Plan
-from dssc_jax.analyses.tuning.problem import BOX_HALF_WIDTH, PENALTY, UNFIT, UPDATE, Point, Problem, Search
+from dssc_jax.analyses.tuning.problem import (
+    BOX_HALF_WIDTH,
+    PENALTY,
+    UNFIT,
+    UPDATE,
+    Problem,
+    SearchRecord,
+    StartPoints,
+)
 from dssc_jax.analyses.tuning.rules import PROVED_ERROR
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
 
-POPULATION = 8  # members a coordinate
+POPULATION = 8  # members of a generation for each coordinate
 
 
-def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
+def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
     """Run differential evolution on the training draws, for objectives whose derivatives are not useful.
 
-    A generation is one batch. The number of generations is the number of steps of a descent.
+    A generation is one batch of simulations. The number of generations is that of the steps in ``[tune]``.
+
+    Args:
+        problem: The problem.
+        first: The start, evaluated on the training and on the validation draws.
+        progress: Called after each generation.
 
     Reference:
         R. Storn, K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359.
@@ -30,10 +43,10 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     table = plan.table
     size = len(plan.coordinates.names)
     goal = problem.goal_on(problem.train)
-    scale = abs(first[0].merit.objective) or 1.0
+    scale = abs(first.train.merit.objective) or 1.0
     lanes = len(problem.train) + len(problem.extra)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, min(BLOCK, POPULATION * size * lanes))
-    search = Search(first[1])
+    search = SearchRecord(first.validation)
     generation = 0
     search.record(problem, 0, *first)
 
@@ -63,7 +76,7 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
         return False
 
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * size
-    start = np.clip(first[0].z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
+    start = np.clip(first.train.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
     evolution = differential_evolution(
         cost, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=after_generation,
@@ -73,20 +86,20 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     return search
 
 
-EDGE = 0.5  # length of the first simplex's edges, in the search's coordinates
-FINE_EDGE = 0.02  # the search ends with a simplex of at most this size, in the same coordinates
-FINE_SCORE = 1e-3  # whose scores differ by at most this
+EDGE = 0.5  # length of the edges of the first simplex, in the search's coordinates
+FINE_EDGE = 0.02  # largest size of the last simplex, in the same coordinates
+FINE_SCORE = 1e-3  # largest difference of scores in the last simplex
 
 
 @dataclass(frozen=True)
-class Aimed:
-    """The comparison of start and result by the proved number.
+class ProvedComparison:
+    """The proved number that was optimised, at the start and in the result.
 
     Args:
         aim: What was optimised, as ``[tune] aim`` names it.
-        start: Its value at the start.
-        result: Its value at the result.
-        over: The number along which the loop is proved, for ``proved_up_to``.
+        start: The proved number at the start.
+        result: The proved number in the result.
+        over: The number along which the loop is proved, for ``proved_up_to``; else None.
     """
 
     aim: Annotated[str, Quantity("", "what was optimised")]
@@ -96,38 +109,42 @@ class Aimed:
 
 
 def score_at(problem: Problem, z: np.ndarray) -> float:
-    """Logarithm of the proved number, with a sign so that less is better; infinite if the point is not proved."""
+    """Score of a point: the logarithm of its proved number, signed so that less is better; infinite without a proof."""
     value = problem.plan.aim_at(problem.plan.numbers_at(z)).value
     if value is None:
         return math.inf
     return math.log(value) if problem.plan.table.aim == PROVED_ERROR else -math.log(value)
 
 
-def optimise_proof(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
+def optimise_proof(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
     """Optimise the proved number by the Nelder-Mead simplex, in the scaled logarithms of the tuned numbers.
 
-    A point that is not proved is never accepted. Limits and requirements count on the draws, as in other searches: the
+    A point without a proof is never accepted. Limits and requirements count on the draws, as in other searches: the
     training draws guide the simplex, and the best point on the validation draws is the result.
+
+    Args:
+        problem: The problem.
+        first: The start, evaluated on the training and on the validation draws.
+        progress: Called after each evaluation.
 
     Reference:
         J. A. Nelder, R. Mead, "A simplex method for function minimization", The Computer Journal 7 (1965) 308-313.
     """
-    origin = first[0].z
+    origin = first.train.z
     steps = problem.plan.table.steps
-    search = Search(first[1])
+    search = SearchRecord(first.validation)
     evaluation_count = 0
     lowest = math.inf
 
     def cost(z: np.ndarray) -> float:
         nonlocal evaluation_count, lowest
-        train = first[0] if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
+        train = first.train if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
         score = score_at(problem, z) if not train.merit.ended and problem.is_admissible(z) else math.inf
         total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
         if total < lowest:
             lowest = total
-            search.record(
-                problem, evaluation_count, train, first[1] if evaluation_count == 0 else problem.evaluate(z), score
-            )
+            validation = first.validation if evaluation_count == 0 else problem.evaluate(z)
+            search.record(problem, evaluation_count, train, validation, score)
         evaluation_count += 1
         if progress:
             progress(min(evaluation_count, steps), steps)
@@ -142,8 +159,13 @@ def optimise_proof(problem: Problem, first: tuple[Point, Point], progress: Progr
     return search
 
 
-def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) -> Aimed:
-    """The proved number at the start and at the result.
+def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) -> ProvedComparison:
+    """Compare the proved number of the result with that of the start.
+
+    Args:
+        plan: The plan.
+        start: The loop's numbers at the start.
+        best: The loop's numbers in the result.
 
     Raises:
         AssertionError: a point without a proof was accepted.
@@ -152,4 +174,4 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
     result_value = plan.aim_at(best).value
     assert start_value is not None
     assert result_value is not None
-    return Aimed(plan.table.aim, start_value, result_value, next(iter(plan.table.over), None))
+    return ProvedComparison(plan.table.aim, start_value, result_value, next(iter(plan.table.over), None))

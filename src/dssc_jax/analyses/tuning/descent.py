@@ -13,26 +13,32 @@ from dssc_jax.analyses.tuning.problem import (
     PENALTY,
     UNFIT,
     UPDATE,
-    Point,
+    EvaluatedPoint,
     Problem,
-    Search,
+    SearchRecord,
+    StartPoints,
     headroom,
 )
 from dssc_jax.core.signals import ProgressCallback
 
 FINAL_RATE = 0.01  # final share of the learning rate in the cosine schedule
-HALVINGS = 8
-OBJECTIVE_STEP = 0.5  # a step may not worsen the objective by more, relative to the start's: the loop would chatter
-STEEPEST = 1e6  # slope of the objective, relative to the start's: where a loop chatters, it grows with every sample
-VIOLATION_STEP = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
+HALVINGS = 8  # most halvings of a step
+OBJECTIVE_STEP = 0.5  # most that a step may worsen the objective, relative to that of the start
+STEEPEST = 1e6  # largest useful slope of the relative objective: where a loop chatters, slopes grow with every sample
+VIOLATION_STEP = 0.05  # most that a step may exceed a limit, relative to it, unless the point before exceeded it more
 EXACT_SHARE = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
 
 
 class Multipliers:
-    """The augmented Lagrangian of relative excesses, g <= 0: f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c).
+    """Multipliers lambda of the limits in a descent, by the augmented Lagrangian.
 
-    If a limit is exceeded by more on the validation draws than on the training draws, the difference is added to g. The
-    search thus keeps away from limits by as much as its training draws mislead it.
+    The Lagrangian of the relative objective f and the relative excesses g, which have to be g <= 0, is
+    f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c). If a limit is exceeded by more on the validation draws than on
+    the training draws, the difference is added to g, so that the search keeps a distance from limits on which its
+    training draws are misleading.
+
+    Args:
+        scale: Objective of the start, relative to which f is taken.
 
     Reference:
         J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 17.4.
@@ -43,16 +49,19 @@ class Multipliers:
         self.values: dict[str, float] = {}
         self.gaps: dict[str, float] = {}
 
-    def pushes(self, point: Point) -> dict[str, float]:
-        """max(0, lambda + c g) of each limit: its weight in the gradient, and its next multiplier."""
+    def pushes(self, point: EvaluatedPoint) -> dict[str, float]:
+        """max(0, lambda + c g) of each limit, which is its weight in the gradient and its next multiplier."""
         pushes = {}
         for name, excess in point.merit.excess.items():
             tightened_excess = excess + headroom(name) + self.gaps.get(name, 0.0)
             pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * tightened_excess)
         return pushes
 
-    def gradient(self, point: Point) -> np.ndarray:
-        """Gradient of the augmented Lagrangian; the limits' part alone where the objective has the slope of chatter."""
+    def gradient(self, point: EvaluatedPoint) -> np.ndarray:
+        """Gradient of the augmented Lagrangian by the search's coordinates, shape (n,).
+
+        Where the slope of the objective is that of a chattering loop, only the limits count, if one is exceeded.
+        """
         total = point.gradient / self.scale
         pushes = self.pushes(point)
         chatters = not np.all(np.abs(total) <= STEEPEST)  # an overflow, too
@@ -62,8 +71,8 @@ class Multipliers:
             total = total + push * point.slopes[name]
         return total
 
-    def update(self, train: Point, validation: Point) -> None:
-        """Update the multipliers in the usual way, and compute the gaps anew."""
+    def update(self, train: EvaluatedPoint, validation: EvaluatedPoint) -> None:
+        """Take the next multipliers, and the gaps between validation and training draws, at a point of the search."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
             training_excess = train.merit.excess
@@ -72,15 +81,15 @@ class Multipliers:
             }
 
 
-def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
-    """Descend by gradients of single batches; the best point is chosen on the validation draws.
+def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
+    """Descend by gradients on batches of the training draws, with an optimiser of optax.
 
-    A step is halved if the new point is not certified, a draw of the batch ends early, or the objective or violation
-    increases abruptly.
+    The best point is chosen on the validation draws. A step is halved if the new point is not certified, a draw of the
+    batch ends early, or the objective or violation increases abruptly.
 
     Args:
-        problem: The problem, initialised.
-        first: The start on training and validation draws.
+        problem: The problem.
+        first: The start, evaluated on the training and on the validation draws.
         progress: Called after each step.
     """
     table = problem.plan.table
@@ -88,10 +97,10 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
     if table.schedule == "cosine":
         rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
-    multipliers = Multipliers(abs(first[0].merit.objective) or 1.0)
+    multipliers = Multipliers(abs(first.train.merit.objective) or 1.0)
     rng = np.random.default_rng(problem.plan.seed)
-    search = Search(first[1])
-    iterate = first[0]
+    search = SearchRecord(first.validation)
+    iterate = first.train
     stale = 0
     search.record(problem, 0, *first)
     with jax.enable_x64(True):
@@ -119,20 +128,32 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
 
 
 def smoothing_width(first: float, finished_share: float) -> float:
-    """Width of the smoothed sign after a share of the steps, ``finished_share``.
+    """Width of the smoothed sign [m/s]: it decreases geometrically from ``first``, and is 0 in the last steps.
 
-    It decreases geometrically from ``first``, and is 0 in the final steps.
+    Args:
+        first: Width in the first step [m/s].
+        finished_share: Share of the steps that are done.
     """
     smoothed_share = 1.0 - EXACT_SHARE
-    return first * FINAL_WIDTH ** (finished_share / smoothed_share) if finished_share < smoothed_share else 0.0
+    if finished_share >= smoothed_share:
+        return 0.0
+    return first * FINAL_WIDTH ** (finished_share / smoothed_share)
 
 
 def shortened_step(
-    problem: Problem, iterate: Point, change: np.ndarray, batch: np.ndarray, worsening: float
-) -> tuple[Point, int]:
-    """The point after a step, halved until it is allowed, and the number of halvings.
+    problem: Problem, iterate: EvaluatedPoint, change: np.ndarray, batch: np.ndarray, worsening: float
+) -> tuple[EvaluatedPoint, int]:
+    """Take a step, halved until it is allowed; if it never is, stay at the iterate and evaluate it again.
 
-    If no halved step is allowed, the point is the iterate, evaluated anew.
+    Args:
+        problem: The problem.
+        iterate: The present point.
+        change: The step in the search's coordinates, shape (n,).
+        batch: Indices of the draws on which points are evaluated.
+        worsening: Most that the objective may increase.
+
+    Returns:
+        The point after the step, and the number of halvings.
     """
     highest_objective = iterate.merit.objective + worsening
     highest_violation = max(iterate.merit.violation, VIOLATION_STEP)
@@ -145,22 +166,27 @@ def shortened_step(
     return problem.at(iterate.z, batch), HALVINGS
 
 
-STAGES = 4  # between two of them the width of the sign and the limits' headroom move
+STAGES = 4  # stages of the search, between which the width of the sign and the headroom of limits change
 CONVERGED = 1e-5  # change of the relative objective at which a stage ends
 
 
-def quadratic_programming(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
-    """Run SLSQP on the training draws; the validation draws choose among its iterates.
+def quadratic_programming(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
+    """Search by sequential quadratic programming (SLSQP) on the training draws.
 
-    The largest excess is an additional coordinate, so that linearised limits never contradict each other. If a limit is
-    exceeded by more on the validation draws than on the training draws, the difference is added to its headroom, and
-    the search continues from there.
+    The best iterate is chosen on the validation draws. The largest excess is an additional coordinate, so that
+    linearised limits never contradict each other. If a limit is exceeded by more on the validation draws than on the
+    training draws, the difference is added to its headroom, and the search continues from there.
+
+    Args:
+        problem: The problem.
+        first: The start, evaluated on the training and on the validation draws.
+        progress: Called after each step.
 
     Reference:
         D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
         from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
     """
-    iteration = Iteration(problem, Search(first[1]), first[0], progress)
+    iteration = QuadraticSearch(problem, SearchRecord(first.validation), first.train, progress)
     iteration.search.record(problem, 0, *first)
     width = problem.plan.table.smoothing
     steps = problem.plan.table.steps
@@ -175,16 +201,16 @@ def quadratic_programming(problem: Problem, first: tuple[Point, Point], progress
 
 
 class OutOfPatience(Exception):
-    """Raised if there was no improvement for as many evaluations on the validation draws as the patience allows."""
+    """There was no improvement for as many evaluations on the validation draws as the patience allows."""
 
 
 @dataclass
-class Iteration:
-    """A search in progress; its coordinates are those of the plan, then the largest excess.
+class QuadraticSearch:
+    """Cost, limits and derivatives for SLSQP, whose coordinates are those of the plan and the largest excess.
 
     Args:
-        problem: The problem, initialised.
-        search: The results so far.
+        problem: The problem.
+        search: The record of the search.
         iterate: The present iterate.
         progress: Called after each step.
         step_count: Number of steps taken so far.
@@ -192,20 +218,20 @@ class Iteration:
     """
 
     problem: Problem
-    search: Search
-    iterate: Point
+    search: SearchRecord
+    iterate: EvaluatedPoint
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
+    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)
     _stale: int = 0
 
     def __post_init__(self) -> None:
         self.names = list(self.iterate.merit.excess)
         self.scale = abs(self.iterate.merit.objective) or 1.0
 
-    def at(self, x: np.ndarray) -> tuple[Point, bool]:
-        """A point, and whether it is allowed."""
+    def at(self, x: np.ndarray) -> tuple[EvaluatedPoint, bool]:
+        """The evaluated point at coordinates, and whether it is allowed; computed once in a stage."""
         z = x[:-1]
         key = z.tobytes()
         if key not in self._points:
@@ -214,12 +240,14 @@ class Iteration:
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
-        """The relative objective plus the penalty."""
+        """The relative objective plus the penalty of the largest excess."""
         point, fit = self.at(x)
         return point.merit.objective / self.scale + PENALTY * float(x[-1]) if fit else UNFIT
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient of the cost. It is called at iterates only, each of which is evaluated on the validation draws.
+        """Gradient of the cost, shape (n + 1,).
+
+        SLSQP calls it at iterates only, so each new point here is a step, and is evaluated on the validation draws.
 
         Raises:
             OutOfPatience: there was no improvement for too long.
@@ -237,7 +265,7 @@ class Iteration:
         return np.append(point.gradient / self.scale, PENALTY)
 
     def room(self, x: np.ndarray) -> np.ndarray:
-        """The distance to every limit, less its headroom, plus the largest excess."""
+        """The distance to every limit, less its headroom, plus the largest excess; at least 0 if allowed, (limits,)."""
         excess = self.at(x)[0].merit.excess
         tightened_excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
         return x[-1] - np.array(tightened_excesses)

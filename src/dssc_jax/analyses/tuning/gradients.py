@@ -1,4 +1,4 @@
-"""Check whether derivatives predict small changes: against central differences, in the search's coordinates."""
+"""Check the derivatives of the metrics against central differences, in the search's coordinates."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,28 +12,28 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
 
-DIFFERENCE_STEP = 1e-5  # of the differences
+DIFFERENCE_STEP = 1e-5  # step of the differences
 SEARCH_STEP = 0.03  # a typical step of a search, in its coordinates
-PREDICTION_ERROR = 0.5  # relative error allowed in predicting its effect
-AGREEMENT = 1e-4  # relative
-DIFFERENCE_NOISE = 1e-8  # relative to the value: rounding of a difference, with three powers of ten of room
-KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about the step
-SHOWN = 5  # disagreements kept
+PREDICTION_ERROR = 0.5  # relative error that is allowed in the prediction of such a step's effect
+AGREEMENT = 1e-4  # largest relative difference of derivatives that agree
+DIFFERENCE_NOISE = 1e-8  # rounding of a difference relative to the value, with three powers of ten of room
+KINK = 1e-3  # least relative jump of the slope at a kink; curvature alone changes the slope by about the step
+SHOWN = 5  # number of disagreements that are stored
 INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 
 @dataclass(frozen=True)
 class GradientAgreement:
-    """The result of the comparison.
+    """How well derivatives agree with differences.
 
     Args:
-        points: Number of random points, each with its own draw.
+        points: Number of random points, each with a draw.
         compared: Number of derivatives compared: of each metric at each point, along each coordinate.
-        kinks: Share of them at which the slopes on the two sides differ.
-        agreeing: Share of the others that agree to 1e-4 relative.
-        useful: Share of all that agree.
-        predictive: Share that predicts the effect of a step of 0.03 of the coordinate to within a half. If a loop
-            chatters, derivatives can be exact without predicting anything.
+        kinks: Share of the derivatives at which the slopes on the two sides differ.
+        agreeing: Share of the remaining derivatives that agree to 1e-4 relative.
+        useful: Share of all derivatives that agree.
+        predictive: Share of the derivatives that predict the effect of a step of 0.03 of the coordinate to within a
+            half. If a loop chatters, derivatives can be exact without predicting anything.
         ended: Number of points whose draw ended early; they are not compared.
         finite: Whether no derivative of a completed draw is NaN or infinite.
         kinked: Share of kinks for each metric along each number.
@@ -61,7 +61,7 @@ class GradientAgreement:
 
 
 class Shares(TypedDict):
-    """Shares of the derivatives compared, and whether all are finite: see :class:`GradientAgreement`."""
+    """The fields of :class:`GradientAgreement` that follow from a :class:`DerivativePair`."""
 
     kinks: float
     agreeing: float
@@ -70,12 +70,12 @@ class Shares(TypedDict):
 
 
 class DerivativePair(NamedTuple):
-    """Derivatives and differences, all arrays of one shape.
+    """Derivatives beside central differences, arrays of shape (metrics, points, tuned numbers).
 
     Args:
         exact: Derivatives.
         central: Central differences.
-        kink: Whether the slopes on the two sides differ.
+        kink: Whether the differences on the two sides are not equal, so that there is no derivative.
         agree: Whether derivative and difference agree.
     """
 
@@ -86,7 +86,7 @@ class DerivativePair(NamedTuple):
 
     @property
     def shares(self) -> Shares:
-        """Share of kinks, of agreement away from them and among all, and whether every derivative is finite."""
+        """Share of kinks, of agreement away from kinks and in all, and whether every derivative is finite."""
         total = max(self.exact.size, 1)
         smooth = max(int(np.count_nonzero(~self.kink)), 1)
         return {
@@ -97,7 +97,7 @@ class DerivativePair(NamedTuple):
         }
 
     def worst(self) -> list[tuple[int, ...]]:
-        """Disagreements away from kinks, the largest relative difference first."""
+        """Indices of the :data:`SHOWN` worst disagreements away from kinks, the largest relative difference first."""
         places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
         distance = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
@@ -108,11 +108,11 @@ class DerivativePair(NamedTuple):
 def compare_derivatives(
     exact: np.ndarray, value: np.ndarray, forward: np.ndarray, backward: np.ndarray
 ) -> DerivativePair:
-    """Compare derivatives with the differences on both sides.
+    """Compare derivatives with the differences on both sides, arrays of the same shape.
 
     Args:
-        exact: Derivatives, of any shape; the other arrays have the same.
-        value: Values, whose rounding limits the differences.
+        exact: Derivatives.
+        value: Values, whose rounding limits the accuracy of the differences.
         forward: Forward differences.
         backward: Backward differences.
     """
@@ -125,13 +125,13 @@ def compare_derivatives(
 
 
 def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgreement:
-    """Compare the derivatives of single draws' metrics by the search's coordinates with central differences.
+    """Compare derivatives of metrics by the search's coordinates with central differences, at random points and draws.
 
-    Points are uniform in the logarithms of the tuned numbers, over the middle 90 % of each interval's logarithm.
+    The points are uniform in the logarithms of the tuned numbers, over the middle 90 % of each interval's logarithm.
 
     Args:
         problem: The problem; its objective and limits determine the metrics.
-        points: Number of points.
+        points: Number of points; each has one random draw.
         seed: Seed of the points.
     """
     rng = np.random.default_rng(seed)
@@ -173,7 +173,7 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
         backward.append((values_by_shift[0] - lower).T / DIFFERENCE_STEP)
         step_slopes.append((step_higher - step_lower).T / (2.0 * SEARCH_STEP))
     comparison = compare_derivatives(np.stack(exact), np.stack(value), np.stack(forward), np.stack(backward))
-    predictive = predicts(comparison.exact, np.stack(value), np.stack(step_slopes))
+    predictive = is_predictive(comparison.exact, np.stack(value), np.stack(step_slopes))
     share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
     kink_shares = {}
     for metric, row in zip(metrics, share.tolist(), strict=True):
@@ -190,8 +190,14 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     )
 
 
-def predicts(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np.ndarray:
-    """Whether derivatives predict the difference over a typical step, by element; any shape, the same for all."""
+def is_predictive(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np.ndarray:
+    """Whether each derivative predicts the effect of a typical step of a search; arrays of the same shape.
+
+    Args:
+        exact: Derivatives.
+        value: Values, whose rounding limits the accuracy of the differences.
+        step_slope: Central differences over that step.
+    """
     tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(step_slope)) + DIFFERENCE_NOISE * np.abs(value)
     return np.abs(exact - step_slope) <= tolerance
 
@@ -199,11 +205,11 @@ def predicts(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np
 def disagreement(
     comparison: DerivativePair, place: tuple[int, ...], metrics: Sequence[str], tuned: Mapping[str, np.ndarray]
 ) -> JsonObject:
-    """A derivative and a difference that disagree.
+    """A derivative and a difference that disagree, for JSON.
 
     Args:
-        comparison: All derivatives, of shape (metrics, points, tuned numbers).
-        place: Its place in them.
+        comparison: All derivatives and differences.
+        place: Index of the metric, of the point and of the tuned number.
         metrics: Names of the metrics.
         tuned: The tuned numbers at the points, by name, each of shape (points,).
     """

@@ -24,14 +24,14 @@ COUNTEREXAMPLES = "counterexamples"
 
 
 class Merit(NamedTuple):
-    """The evaluation of a point on a batch.
+    """The objective and the excesses over the limits on some draws.
 
     Args:
         objective: The aggregate of the draws' costs.
-        gradient: Its derivatives with respect to the loop's numbers.
-        excess: Relative excess over each limit; not positive if within.
-        slopes: Derivatives of each excess.
-        ended: Number of draws that ended early, for which no number is defined.
+        gradient: Derivatives of the objective by the loop's numbers; empty if they were not computed.
+        excess: Relative excess over each limit, by its name; not positive if the limit holds.
+        slopes: Derivatives of each excess by the loop's numbers.
+        ended: Number of draws without an objective, such as those that ended early; all else is then empty.
     """
 
     objective: float
@@ -48,11 +48,13 @@ class Merit(NamedTuple):
         return max([0.0, *self.excess.values()])
 
 
-def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
-    """The weight of each draw in the aggregate of the costs; weights add up to 1 and also apply to the gradient.
+def draw_weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
+    """The weight of each draw in the aggregate of the costs, shape (n,). The weights add up to 1.
+
+    The gradient of the aggregate is the sum of the draws' gradients with the same weights.
 
     Args:
-        costs: One for each draw, shape (n,).
+        costs: Cost of each draw, shape (n,).
         aggregate: ``mean``; ``cvar``, the mean of the worst share 1 - level, whose last draw may count in part;
             ``worst``, a softmax with a temperature of a tenth of the costs' standard deviation.
         level: Level of the CVaR.
@@ -74,13 +76,13 @@ def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Goal:
-    """The objective to minimise, and the constraints.
+    """The objective of a tuning, and its limits.
 
     Args:
-        costs: Weight of each metric in a draw's cost.
-        aggregate: See :func:`weights`.
-        level: See :func:`weights`.
-        limits: Bound of each metric's mean over the draws.
+        costs: Weight of each metric in the cost of a draw.
+        aggregate: Name of the aggregate of the costs, see :func:`draw_weights`.
+        level: Level of the aggregate ``cvar``.
+        limits: Largest mean over the draws of each limited metric.
         requirements: Requirements that every draw must meet.
     """
 
@@ -91,7 +93,7 @@ class Goal:
     requirements: Sequence[Requirement]
 
     def cost(self, results: Arrays) -> np.ndarray:
-        """Each draw's cost; NaN if it ended early."""
+        """The cost of each draw, shape (n,); NaN if it ended early."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[name]
@@ -101,10 +103,10 @@ class Goal:
         """The aggregate of the draws' costs; infinite if one has none."""
         if not np.isfinite(costs).all():
             return float("inf")
-        return float(weights(costs, self.aggregate, self.level) @ costs)
+        return float(draw_weights(costs, self.aggregate, self.level) @ costs)
 
     def excess(self, results: Arrays) -> np.ndarray:
-        """How far each draw misses its worst requirement, relative to the bound; 0 if it meets all."""
+        """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if it meets all."""
         return np.maximum(np.max(self._relative(results), axis=0), 0.0)
 
     def _relative(self, results: Arrays) -> np.ndarray:
@@ -113,19 +115,19 @@ class Goal:
         return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
     def undefined(self, results: Arrays) -> np.ndarray:
-        """Which draws have no cost, or no value of a limited metric: those that ended early, or have no margin."""
+        """Whether each draw lacks a cost or a limited metric, shape (n,): it ended early, or has no margin."""
         undefined = ended_early(results["outcome"]) | np.isnan(self.cost(results))
         for name in self.limits:
             undefined = undefined | np.isnan(results[name])
         return undefined
 
     def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
-        """Evaluate a batch, with derivatives if the results contain them.
+        """Objective and excesses from results of draws and counterexamples, with derivatives if there are some.
 
         Args:
             results: Results of the draws, then of the counterexamples.
-            numbers: The loop's numbers with respect to which there are derivatives.
-            counterexample_count: Counterexamples at the end: they have no cost, and must meet the requirements.
+            numbers: The loop's numbers by which the results have derivatives.
+            counterexample_count: Number of counterexamples; they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - counterexample_count
         ended = int(np.count_nonzero(self.undefined(results)))
@@ -133,7 +135,7 @@ class Goal:
             return Merit(float("inf"), {}, {}, {}, ended)
         draw_results = {name: array[:count] for name, array in results.items()}
         costs = self.cost(draw_results)
-        share = weights(costs, self.aggregate, self.level)
+        share = draw_weights(costs, self.aggregate, self.level)
         excess = {}
         slopes = {}
         for name, bound in self.limits.items():
@@ -151,6 +153,7 @@ class Goal:
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
+        """Derivative of each draw's cost by one of the loop's numbers, shape (n,)."""
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
             total = total + weight * results[Derivative(name, number)]
@@ -175,8 +178,8 @@ class MissedBound:
 
     Args:
         text: The bound, in words.
-        draws: Number of draws that miss it; None of a limit, which bounds the mean over the draws.
-        excess: By how much the worst draw misses it, or the mean over the draws; infinite if its metric is.
+        draws: Number of draws that miss it; None for a limit, which bounds the mean over the draws.
+        excess: Distance from the bound of the worst draw, or of the mean over the draws; infinite if the metric is.
         unit: Unit of the excess.
     """
 
@@ -187,10 +190,10 @@ class MissedBound:
 
 
 def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tuple[MissedBound, ...]:
-    """Every requirement and limit that some draws miss, in the study's order.
+    """The requirements that some draws miss, and the limits that the mean over the draws misses, in the study's order.
 
     Args:
-        goal: The bounds.
+        goal: Requirements and limits.
         results: Results of the draws.
         units: Unit of each limited metric.
     """
@@ -221,20 +224,21 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Start and result on the same fresh draws.
+    """Comparison of the result of a tuning with its start, on the same fresh draws. Pairs are (start, result).
 
     Args:
-        draws: Number of draws; they are the study's own.
-        objective: The aggregate of the costs at the start and of the result; infinite if a draw ended early.
+        draws: Number of draws, which are those of the study itself.
+        objective: The aggregate of the costs; infinite if a draw ended early.
         reduction: 1 - result/start.
-        reduction_interval: Its bootstrap interval over the draws; NaN if a draw ended early.
-        quantile: Exact order-statistic intervals of the cost's quantile at the aggregate's level, start and result.
-        difference: Median and exact interval of the draw-by-draw difference of the cost, result minus start.
-        limits: Bound of each limit, and the means at the start and of the result.
-        failures: Failed draws at the start and of the result.
-        requirements: For each requirement, the draws that violate it at the start and of the result.
-        intervals: Exact (Clopper-Pearson) intervals of both failure probabilities.
-        failure_difference: Exact interval of their paired difference, result minus start, and McNemar's p-value.
+        reduction_interval: Bootstrap interval of the reduction over the draws; NaN if a draw ended early.
+        quantile: Exact order-statistic intervals of the cost's quantile at the level of the aggregate.
+        difference: Median and exact interval of the difference of the cost draw by draw, result minus start.
+        limits: Bound of each limit, and the means at the start and in the result.
+        failures: Number of failed draws.
+        requirements: Number of draws that violate each requirement.
+        intervals: Exact (Clopper-Pearson) intervals of the failure probabilities.
+        failure_difference: Exact interval of the difference of the failure probabilities for paired draws, result minus
+            start, and McNemar's p-value.
     """
 
     draws: Annotated[int, Quantity("1", "number of fresh draws")]
@@ -262,37 +266,42 @@ class Verdict:
 def judge_tuning(
     plan: Plan, goal: Goal, start: Mapping[str, float], best: Mapping[str, float]
 ) -> tuple[Verdict, Arrays]:
-    """Compare the result with the start.
+    """Simulate start and result on the study's own draws, and compare them.
 
     Args:
-        plan: The plan; the study's own draws decide.
+        plan: The plan.
         goal: Costs, aggregate and level.
         start: The loop's numbers at the start.
         best: The loop's numbers in the result.
 
     Returns:
-        The verdict, and the costs of every draw at the start and of the result.
+        The verdict, and the cost of every draw for ``start`` and ``tuned``, shape (draws,) each.
     """
     study = plan.study
     evaluator = Evaluator(study, {name: (start[name], start[name]) for name in start}, min(study.config.draws, 4096))
     indices = np.arange(study.config.draws)
     laws = evaluator.values_of_draws(slice(0, len(indices)))
 
-    def simulated(numbers: Mapping[str, float]) -> Arrays:
+    def simulate(numbers: Mapping[str, float]) -> Arrays:
         return evaluator(indices, laws | {name: np.full(len(indices), value) for name, value in numbers.items()})
 
-    start_results = simulated(start)
-    results = simulated(best)
-    costs = {"start": goal.cost(start_results), "tuned": goal.cost(results)}
-    return compare_objectives(plan, goal, (start_results, results), (costs["start"], costs["tuned"])), costs
+    start_results = simulate(start)
+    results = simulate(best)
+    verdict = compare_results(plan, goal, start_results, results)
+    return verdict, {"start": goal.cost(start_results), "tuned": goal.cost(results)}
 
 
-def compare_objectives(
-    plan: Plan, goal: Goal, results_of_both: tuple[Arrays, Arrays], costs_of_both: tuple[np.ndarray, np.ndarray]
-) -> Verdict:
-    """The verdict, from the results and the costs of every draw, both at the start and at the end."""
-    start_results, results = results_of_both
-    start_costs, costs = costs_of_both
+def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
+    """Compare the results of the same draws at the start and in the result of a tuning.
+
+    Args:
+        plan: The plan.
+        goal: Costs, aggregate and level.
+        start_results: Results of all draws at the start.
+        results: Results of all draws in the result.
+    """
+    start_costs = goal.cost(start_results)
+    costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
     level = goal.level if goal.aggregate == "cvar" else 0.5
@@ -333,12 +342,18 @@ def failure_interval(failures: int, draws: int) -> Pair:
 
 
 def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tuple[float, float]:
-    """Percentile bootstrap of 1 - result/start over the draws, with pairs kept together."""
+    """Percentile bootstrap interval of 1 - result/start over paired draws; NaN if a draw has no cost.
+
+    Args:
+        goal: Aggregate and level.
+        start: Cost of each draw at the start, shape (n,).
+        tuned: Cost of each draw in the result, shape (n,).
+    """
     if not (np.isfinite(start).all() and np.isfinite(tuned).all()):
         return float("nan"), float("nan")
 
     def mean_cost(costs: np.ndarray) -> float:
-        return float(weights(costs, goal.aggregate, goal.level) @ costs)
+        return float(draw_weights(costs, goal.aggregate, goal.level) @ costs)
 
     def reduction(first: np.ndarray, second: np.ndarray) -> float:
         return 1.0 - mean_cost(second) / mean_cost(first)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dssc_jax.analyses.tuning.rules import OBJECTIVE, PROVED_ERROR, WIDTH, inside_range, seed_of, tune_table
-from dssc_jax.analyses.tuning.search_variables import SearchCoordinates, Theorem, split_parameters, unchanged
+from dssc_jax.analyses.tuning.rules import OBJECTIVE, PROVED_ERROR, WIDTH, seed_of, start_value, tune_table
+from dssc_jax.analyses.tuning.search_variables import SearchCoordinates, Theorem, identity, split_parameters
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import SWEEP_BOXES
@@ -17,18 +17,18 @@ from dssc_jax.study.schema import TuneTable
 if TYPE_CHECKING:
     from dssc_jax.proofs.prove import AnyProved
 
-REACH_BOXES = 1  # boxes of uncertain numbers, at each value of a walk: a value without a proof is known early
+REACH_BOXES = 1  # boxes of uncertain numbers at each value of a walk, so that a value without a proof takes little time
 
 NumbersKey: TypeAlias = tuple[tuple[str, float], ...]
 """The loop's numbers, as the key of a proof."""
 
 
 class ProvedAim(NamedTuple):
-    """The proved number at a point.
+    """The proved number of one loop, which a tuning with ``aim`` optimises.
 
     Args:
-        value: Bound of |e| once settled, or the last value at which the loop is proved; None if it is not proved.
-        proof: The proof of that value; None if it is not proved.
+        value: Bound of |e| once settled, or the last value at which the loop is proved; None without a proof.
+        proof: The proof of that value; None without one.
         reason: Why there is no proof; empty otherwise.
     """
 
@@ -71,11 +71,12 @@ class Plan:
 
     @classmethod
     def _of(cls, study: Study) -> "Plan":
+        """As :meth:`of`, with errors that do not name the study's file."""
         table = tune_table(study)
         varied = dict(table.parameters)
-        starts = {name: inside_range(study, name, extent) for name, extent in table.parameters.items()}
+        starts = {name: start_value(study, name, extent) for name, extent in table.parameters.items()}
         theorem = None
-        expand = unchanged
+        expand = identity
         if table.certified:
             free, fixed = split_parameters(table.free)
             theorem = Theorem(study, fixed)
@@ -90,12 +91,12 @@ class Plan:
 
     @property
     def measures(self) -> dict[str, Measure]:
-        """The measures that objective and limits need, by name."""
+        """The metrics that objective and limits need, by name."""
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
     def proof_at(self, numbers: Mapping[str, float]) -> "AnyProved":
-        """The proof of the study with other numbers, as far as there is one."""
+        """Search for a proof of the study with other numbers; once for each set of numbers."""
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())
@@ -109,7 +110,7 @@ class Plan:
         return self.table.aim != OBJECTIVE
 
     def aim_at(self, numbers: Mapping[str, float]) -> ProvedAim:
-        """The proved number that is optimised, of the study with other numbers."""
+        """Compute the proved number that is optimised, for the study with other numbers."""
         if self.table.aim == PROVED_ERROR:
             proof = self.proof_at(numbers)
             if proof.complete:
@@ -125,13 +126,13 @@ class Plan:
         return self._aims[key]
 
     def proof_of_result(self, numbers: Mapping[str, float]) -> "AnyProved | None":
-        """The proof to store: that of the proved number if it is optimised; None if no proof is required."""
+        """The proof to store with the result: that of the proved number, or of the loop; None if none is required."""
         if self.optimises_proof:
             return self.aim_at(numbers).proof
         return self.proof_at(numbers) if self.table.proved else None
 
     def numbers_at(self, z: np.ndarray) -> dict[str, float]:
-        """The loop's numbers at a point of the search."""
+        """The loop's numbers at coordinates of the search, shape (n,), by dotted name."""
         return {name: float(value[0]) for name, value in self.coordinates.numbers(z[None]).items()}
 
     def trial(self) -> Study:
@@ -139,10 +140,8 @@ class Plan:
 
         A metric of a requirement is computed in any case, so ``[metrics]`` need not name it.
         """
-        in_study = {measure.name for measure in self.study.measures}
-        of_requirements = {requirement.measure.name for requirement in self.study.requirements}
-        to_name = in_study - of_requirements
-        names = {self._written_name(measure) for name, measure in self.measures.items() if name in to_name}
+        required = {requirement.measure.name for requirement in self.study.requirements}
+        names = {self._written_name(measure) for name, measure in self.measures.items() if name not in required}
         window = self.study.config.metrics.window.entries()
         return self.study.override(
             {
@@ -154,7 +153,7 @@ class Plan:
         )
 
     def smoothed(self) -> Study:
-        """The study used for derivatives: with the first width of the sign, if it is to be smoothed."""
+        """The study used for derivatives: :meth:`trial`, with the first width of the sign if it is to be smoothed."""
         width = self.table.smoothing
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 

@@ -16,8 +16,15 @@ from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code
 from dssc_jax.engine.sampling import Arrays
 
 
-class Point(NamedTuple):
-    """A point evaluated on a batch: objective, excesses, and their gradients in the search's coordinates."""
+class EvaluatedPoint(NamedTuple):
+    """A point of the search, evaluated on some of the draws.
+
+    Args:
+        z: The search's coordinates, shape (n,).
+        merit: Objective and excesses over the limits.
+        gradient: Derivatives of the objective by the coordinates, shape (n,); NaN if they were not computed.
+        slopes: Derivatives of each excess by the coordinates, shape (n,) each; empty if they were not computed.
+    """
 
     z: np.ndarray
     merit: Merit
@@ -25,8 +32,19 @@ class Point(NamedTuple):
     slopes: dict[str, np.ndarray]
 
 
-class Slacks:
-    """Excesses of Theorem 1's inequalities at a point, and their derivatives, if a slack is required."""
+class StartPoints(NamedTuple):
+    """The start of a search, evaluated on the training and on the validation draws."""
+
+    train: EvaluatedPoint
+    validation: EvaluatedPoint
+
+
+class TheoremSlacks:
+    """Excesses of Theorem 1's inequalities over a required slack, as a compiled function of the search's coordinates.
+
+    Args:
+        plan: A plan that requires a slack.
+    """
 
     def __init__(self, plan: Plan) -> None:
         theorem = plan.theorem
@@ -40,7 +58,7 @@ class Slacks:
         self._excess_and_slopes = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
 
     def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """Excesses, and their derivatives with respect to the coordinates."""
+        """The excess of each inequality at coordinates of shape (n,), and its derivatives by them, shape (n,) each."""
         with jax.enable_x64(True):
             traced_excess, traced_slopes = self._excess_and_slopes(jnp.asarray(z))
         excess = {name: float(value) for name, value in traced_excess.items()}
@@ -50,15 +68,17 @@ class Slacks:
 
 @dataclass
 class Problem:
-    """The plan's objective on training and validation draws, by two programs: with derivatives, and without.
+    """Objective and limits of a tuning as functions of the search's coordinates, by two compiled programs.
 
-    The first ``draws`` draws are for training, the next ``validation`` for validation. Draws and their noise are the
-    same at every point.
+    One program has derivatives, the other has none. The first ``draws`` draws of ``[tune]`` are for training, the next
+    ``validation`` for validation. Draws and their noise are the same at every point.
 
     Args:
         plan: The plan.
-        counterexamples: Values of the laws' numbers, each of shape (n,).
-        width: Width of the smoothed sign in the program with derivatives [m/s], if ``smoothing`` is set.
+        counterexamples: Draws that have to meet the requirements: value of each uncertain number, shape (n,) each.
+        width: Width of the smoothed sign in the program with derivatives [m/s]; None if it is not smoothed.
+        certified: Number of points so far that Theorem 1 certified.
+        proved: Number of points so far that were proved.
     """
 
     plan: Plan
@@ -82,31 +102,31 @@ class Problem:
         self.laws = self.evaluator.values_of_draws(slice(0, trial.config.draws))
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
-        self.slacks = None if table.slack is None else Slacks(self.plan)
+        self.slacks = None if table.slack is None else TheoremSlacks(self.plan)
         self.goal = Goal(table.objective, table.aggregate, table.level, {}, self.evaluator.swept.requirements)
 
     @property
     def extra(self) -> np.ndarray:
-        """Draw indices of the counterexamples: all use the noise of draw 0, with which they were found."""
+        """Draw index of each counterexample, which is 0: they were found with the noise of draw 0."""
         return np.zeros(len(next(iter(self.counterexamples.values()), [])), dtype=int)
 
     @property
     def differentiable(self) -> bool:
-        """Whether derivatives pass through the loop: none do through native code."""
+        """Whether the loop has derivatives: native code has none."""
         return not native_code(self.plain.swept)
 
-    def begin(self) -> tuple[Point, Point]:
-        """Evaluate the start on the training and the validation draws; limits may refer to its values."""
+    def begin(self) -> StartPoints:
+        """Evaluate the start on the training and on the validation draws; limits may refer to its values."""
         origin = self.plan.coordinates.origin
         draws = np.concatenate([self.train, self.validation])
         results = self.results(origin[None], draws, self.plain)
         self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
         plain = self.plan.optimises_proof or not self.differentiable
         train = self.evaluate(origin, self.train) if plain else self.at(origin, self.train)
-        return train, self.evaluate(origin)
+        return StartPoints(train, self.evaluate(origin))
 
     def goal_on(self, draws: np.ndarray) -> Goal:
-        """The goal on some of the draws: a limit relative to the start uses the start's value on the same draws."""
+        """The goal for some of the draws: a limit ``start`` is the value at the start on the same draws."""
         limits = {}
         for name, bound in self.plan.table.limits.items():
             value = np.mean(self.start_metrics[name][draws]) if bound == "start" else bound
@@ -114,10 +134,10 @@ class Problem:
         return replace(self.goal, limits=limits)
 
     def results(self, z: np.ndarray, draws: np.ndarray, evaluator: Evaluator | None = None) -> Arrays:
-        """Results of every draw, then of the counterexamples, at each point.
+        """Simulate draws and then the counterexamples at each of several points.
 
         Args:
-            z: Points, shape (m, n).
+            z: Coordinates of the points, shape (m, n).
             draws: Indices of the draws, shape (d,).
             evaluator: A program to use instead of the one with derivatives.
 
@@ -134,32 +154,38 @@ class Problem:
         return (evaluator or self.with_derivatives)(np.tile(indices, len(z)), lanes)
 
     def with_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """Results of the lanes with derivatives, at the present width of the sign."""
+        """Simulate lanes with derivatives, at the present width of the sign.
+
+        Args:
+            indices: Draw index of each lane, shape (lanes,).
+            lanes: Numbers of each lane by name, shape (lanes,) each.
+        """
         return self.evaluator(indices, lanes | self._width(indices))
 
     def without_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """The same results, without the derivatives."""
+        """Simulate lanes at the same width of the sign, without derivatives; see :meth:`with_derivatives`."""
         if self.width is None:
             return self.plain(indices, lanes)
         evaluator = Evaluator(self.plan.smoothed(), self.evaluator.extents, self.evaluator.lanes)
         return evaluator(indices, lanes | self._width(indices))
 
     def _width(self, indices: np.ndarray) -> Arrays:
+        """The width of the smoothed sign as a number of each lane; empty if the sign is not smoothed."""
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
-    def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
+    def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> EvaluatedPoint:
         """Evaluate a point with the exact sign and without derivatives, by default on the validation draws."""
         draws = self.validation if draws is None else draws
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:
             merit = merit._replace(excess=merit.excess | self.slacks.at(z)[0])
-        return Point(z, merit, gradient=np.full(len(z), np.nan), slopes={})
+        return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
 
-    def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
-        """Evaluate a point with derivatives on some of the draws."""
+    def at(self, z: np.ndarray, draws: np.ndarray) -> EvaluatedPoint:
+        """Evaluate a point with derivatives, at the present width of the sign, on some of the draws."""
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
-            return Point(z, merit, gradient=np.full(len(z), np.nan), slopes={})
+            return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
         number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
 
         def along(slopes: dict[str, float]) -> np.ndarray:
@@ -170,10 +196,10 @@ class Problem:
             excess, excess_slopes = self.slacks.at(z)
             merit = merit._replace(excess=merit.excess | excess)
             slopes |= excess_slopes
-        return Point(z, merit, along(merit.gradient), slopes)
+        return EvaluatedPoint(z, merit, along(merit.gradient), slopes)
 
     def is_admissible(self, z: np.ndarray) -> bool:
-        """Whether the point passes the strict check of Theorem 1, and is proved, if either is required."""
+        """Whether Theorem 1 certifies a point, and the point is proved, as far as either is required."""
         numbers = self.plan.numbers_at(z)
         if self.plan.theorem is not None:
             if not self.plan.theorem.certificate(numbers).certified:
@@ -186,42 +212,44 @@ class Problem:
         return True
 
 
-HEADROOM = 0.01  # relative margin that a search keeps within limits
+HEADROOM = 0.01  # relative distance from each limit that a search keeps
 UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
-BOX_HALF_WIDTH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
-FINAL_WIDTH = 1e-3  # width of the sign before it is 0, relative to the first
-PENALTY = 20.0  # weight of an excess, for objective and excess relative to their scales; more than the multipliers' sum
-UPDATE = 5  # steps or generations between two looks at the validation draws
+BOX_HALF_WIDTH = 6.0  # largest |z| of a search: 0.25 % of an interval's logarithm is left out at each end
+FINAL_WIDTH = 1e-3  # ratio of the last width of the sign above 0 to the first one
+PENALTY = 20.0  # weight of a relative excess beside the relative objective; more than the sum of the multipliers
+UPDATE = 5  # steps or generations between two evaluations on the validation draws
 
 
 @dataclass
-class Search:
-    """The result of a search.
+class SearchRecord:
+    """The record of a search: its history on the validation draws, and its best point.
 
     Args:
         best: The best point on the validation draws.
         history: A row for each evaluation on validation draws: step, objective and violation on training and validation
             draws, tuned numbers.
-        stopped: The reason why it ended.
+        stopped: The reason why the search ended.
         shortened: Number of halvings of steps that led to points that are not allowed.
-        lowest: Sort key of the best point.
+        lowest: Rank of the best point.
     """
 
-    best: Point
+    best: EvaluatedPoint
     history: list[dict[str, float | None]] = field(default_factory=list)
     stopped: str = "all steps done"
     shortened: int = 0
     lowest: tuple[float, float] = (float("inf"), float("inf"))
 
-    def record(self, problem: Problem, step: int, train: Point, validation: Point, score: float | None = None) -> bool:
-        """Record a point; return whether it is the best so far.
+    def record(
+        self, problem: Problem, step: int, train: EvaluatedPoint, validation: EvaluatedPoint, score: float | None = None
+    ) -> bool:
+        """Record a point that was evaluated on the validation draws; return whether it is the best so far.
 
         Args:
             problem: The tuning problem.
-            step: Step of the search.
+            step: Number of the step of the search.
             train: The point on the training draws.
             validation: The point on the validation draws.
-            score: What is minimised in place of the objective on the validation draws; None: that objective.
+            score: Value that is minimised in place of the objective on the validation draws; None: that objective.
         """
         row: dict[str, float | None] = {
             "step": step,
@@ -248,6 +276,6 @@ def headroom(limit: str) -> float:
     return 0.0 if limit.startswith(SLACK) else HEADROOM
 
 
-def rank(point: Point, score: float | None) -> tuple[float, float]:
-    """Sort key: points within the limits first, then by the score, or by the objective."""
+def rank(point: EvaluatedPoint, score: float | None) -> tuple[float, float]:
+    """Rank of a point among others, the smallest is the best: by its violation, then by its score or objective."""
     return point.merit.violation, point.merit.objective if score is None else score

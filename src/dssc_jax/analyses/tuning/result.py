@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.falsification.falsify import PointAnswer
-from dssc_jax.analyses.tuning.derivative_free import Aimed
+from dssc_jax.analyses.tuning.derivative_free import ProvedComparison
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
 from dssc_jax.analyses.tuning.plan import Plan
@@ -33,17 +33,18 @@ from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
 from dssc_jax.study.tables import with_changes
 
-LOOKED = {
+HISTORY = {
     "step": "step of the search",
     "objective": "objective on the training draws",
     "violation": "largest violation of a limit on the training draws, relative",
     "validation": "objective on the validation draws",
     "validation_violation": "largest violation of a limit on the validation draws, relative",
 }
-"""Recorded at each evaluation on validation draws besides the tuned numbers."""
+"""Columns of the history besides the tuned numbers, with their meanings."""
 COST = "cost_"
+"""Prefix of the variables with the costs of the fresh draws."""
 PROOF_FILE = "proof.json"
-"""The result's certificate in its folder; ``dssc-jax prove`` verifies it."""
+"""The file with the result's certificate; ``dssc-jax prove`` verifies it."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class SearchFacts:
     certified_points: Annotated[int | None, Quantity("1", "points certified by Theorem 1; None if not asked")]
     proved_points: Annotated[int | None, Quantity("1", "points that are proved; None if not asked")]
     proof: Annotated[str | None, Quantity("", "what is proved of the result; None if not asked")]
-    aimed: Aimed | None
+    aimed: ProvedComparison | None
     counterexamples: tuple[Counterexample, ...]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
@@ -125,15 +126,16 @@ class TunedAnswer:
 class Tuned(Analysis):
     """The result of a tuning.
 
-    The dataset has the history along ``look``: step, objective and violation on training and validation draws, and the
-    tuned numbers. Along ``draw`` it has the cost of every fresh draw, ``cost_start`` and ``cost_tuned``.
+    The dataset has along ``look``, each evaluation on the validation draws, the step, objective and violation on
+    training and validation draws, and the tuned numbers. Along ``draw`` it has the cost of every fresh draw,
+    ``cost_start`` and ``cost_tuned``.
 
     Args:
         start: The tuned numbers at the start of the search, by name.
         values: The tuned numbers found.
-        numbers: The loop's numbers that follow from them.
+        numbers: The loop's numbers that follow from the tuned ones, by dotted name.
         gradients: The comparison of derivatives with differences; None if there was none.
-        verdict: The evaluation on fresh draws.
+        verdict: The comparison of result and start on fresh draws.
         facts: How the search went.
     """
 
@@ -162,14 +164,14 @@ class Tuned(Analysis):
 
     @property
     def history(self) -> list[dict[str, Any]]:
-        """A row for each evaluation on validation draws."""
+        """The history of the search: a row for each evaluation on validation draws, values by column."""
         looks = self.dataset[[name for name, variable in self.dataset.items() if variable.dims == ("look",)]]
         columns = {str(name): variable.values.tolist() for name, variable in looks.items()}
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
     def proved_loop(self) -> dict[str, Any]:
-        """The loop that the certificate has to be of, as a certificate's file describes it."""
+        """The loop that the result's certificate has to prove, in the form of a certificate's file."""
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
 
@@ -187,13 +189,13 @@ class Tuned(Analysis):
 
     @property
     def met(self) -> bool:
-        """Whether limits and requirements hold on the validation draws, and the last search found no failure."""
-        hunts = self.facts.counterexamples
-        return self.facts.feasible and not (hunts and hunts[-1].worst.slack < 0.0)
+        """Whether limits and requirements hold on the validation draws, and the last worst draw does not fail."""
+        counterexamples = self.facts.counterexamples
+        return self.facts.feasible and not (counterexamples and counterexamples[-1].worst.slack < 0.0)
 
     @property
     def headline(self) -> str:
-        """The objective before and after, on fresh draws."""
+        """The objective before and after on fresh draws, and the proved number if it was optimised, in one line."""
         start, result = self.verdict.objective
         text = f"objective {start:.4g} to {result:.4g} on {self.verdict.draws:,} fresh draws"
         aimed = self.facts.aimed
@@ -202,12 +204,12 @@ class Tuned(Analysis):
         return f"{aim_quantity(self.study).meaning}: {aimed.start:.4g} to {aimed.result:.4g}; {text}"
 
     def figure(self) -> Figure:
-        """Plot the search and the fresh draws' costs: :func:`dssc_jax.plotting.tuning`."""
+        """Plot objective and violation along the search, and the fresh draws' costs."""
         return plotting.tuning(self)
 
     @property
     def answer(self) -> TunedAnswer:
-        """The numbers that summary.json holds."""
+        """The tuned numbers, and how they do on fresh draws, as ``summary.json`` has them."""
         table = tuned_table(self.study)
         gradients = None if self.gradients is None else GradientAnswer(self.gradients, self.gradients.text)
         return TunedAnswer(
@@ -222,7 +224,7 @@ class Tuned(Analysis):
         )
 
     def save(self, folder: str | Path) -> Path:
-        """See :class:`Analysis`; with the certificate as a file of its own, if there is one."""
+        """Save the analysis in a folder, and the certificate in a separate file, if there is one."""
         path = super().save(folder)
         if self.certificate is not None:
             write_json(path / PROOF_FILE, self.certificate)
@@ -230,7 +232,7 @@ class Tuned(Analysis):
 
     @classmethod
     def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
-        """See :class:`Analysis`; the certificate is what the folder claims until it is verified."""
+        """Load an analysis from a folder. Its certificate is not verified; see :meth:`Analysis.load`."""
         tuned = super().load(folder, trust_code)
         path = Path(folder) / PROOF_FILE
         if path.exists():
@@ -241,21 +243,27 @@ class Tuned(Analysis):
         return tuned
 
 
-def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """Store history and costs in a dataset: see :class:`Tuned`."""
-    meanings = {name: Quantity("1", text) for name, text in LOOKED.items()} | study.quantities
-    if (aim := tuned_table(study).aim) != OBJECTIVE:
+def tuning_dataset(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
+    """The dataset of :class:`Tuned`.
+
+    Args:
+        study: The study.
+        history: A row for each evaluation on validation draws.
+        costs: Cost of every fresh draw for ``start`` and ``tuned``, shape (draws,) each.
+    """
+    meanings = {name: Quantity("1", text) for name, text in HISTORY.items()} | study.quantities
+    aim = tuned_table(study).aim
+    if aim != OBJECTIVE:
         meanings[aim] = aim_quantity(study)
     for name, hint in get_type_hints(Free, include_extras=True).items():
         meanings[FREE_PREFIX + name] = hint.__metadata__[0]
     columns = {name: ("look", np.array([row[name] for row in history]), meanings[name]) for name in history[0]}
     for name, values in costs.items():
         columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))
-    described = {
-        name: (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
-        for name, (dimension, values, quantity) in columns.items()
-    }
-    return xr.Dataset(described, attrs={"title": study.name})
+    variables = {}
+    for name, (dimension, values, quantity) in columns.items():
+        variables[name] = (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
+    return xr.Dataset(variables, attrs={"title": study.name})
 
 
 def aim_quantity(study: Study) -> Quantity:
@@ -269,7 +277,7 @@ def aim_quantity(study: Study) -> Quantity:
 
 
 def tuned_table(study: Study) -> TuneTable:
-    """The study's ``[tune]``."""
+    """The ``[tune]`` of a study that has been tuned."""
     table = study.config.tune
     assert table is not None
     return table

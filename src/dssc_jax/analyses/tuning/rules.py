@@ -23,10 +23,10 @@ UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names tha
 
 
 def tune_table(study: Study) -> TuneTable:
-    """The study's ``[tune]``, if it meets all rules.
+    """The ``[tune]`` of a study, after all its rules are checked.
 
     Raises:
-        ConfigError: It is missing, or breaks a rule.
+        ConfigError: the table is missing, or breaks a rule.
     """
     table = study.config.tune
     if table is None:
@@ -50,10 +50,10 @@ def tune_table(study: Study) -> TuneTable:
 
 
 def require_optimiser(table: TuneTable) -> None:
-    """Require an optimiser that exists, and a batch that it can take.
+    """Require an optimiser that exists, and a batch of draws that it can take.
 
     Raises:
-        ConfigError: There is no such optimiser, or the batch does not fit.
+        ConfigError: there is no such optimiser, it takes no batches, or the batch is larger than the training draws.
     """
     if table.optimiser not in OPTIMISERS:
         rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
@@ -65,10 +65,10 @@ def require_optimiser(table: TuneTable) -> None:
 
 
 def require_theorem_settings(table: TuneTable) -> None:
-    """Require settings of the theorem that belong together.
+    """Require settings of Theorem 1 that agree: a slack without, free parameters with ``certified = true``.
 
     Raises:
-        ConfigError: Two of them contradict each other.
+        ConfigError: two settings contradict each other.
     """
     if table.certified and table.slack is not None:
         rule = "belongs to certified = false; a certified design meets the inequalities by construction"
@@ -78,15 +78,14 @@ def require_theorem_settings(table: TuneTable) -> None:
 
 
 def example(study: Study) -> str:
-    """The smallest ``[tune]`` of a study: its controller's first positive gain, and its first metric."""
-    gains = {
-        name: value
-        for name, value in study.leaves().items()
-        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name)
-    }
-    ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
+    """An example of a ``[tune]`` for a study's message: the first positive gain of its controller, its first metric."""
+    gain = ""
+    for name, value in study.leaves().items():
+        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name):
+            gain = f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]'
+            break
     metric = next((measure.name for measure in study.measures), "error_rms")
-    return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+    return f"[tune] parameters = {{ {gain} }}, objective = {{ {metric} = 1.0 }}"
 
 
 def is_free(study: Study, name: str) -> bool:
@@ -95,10 +94,10 @@ def is_free(study: Study, name: str) -> bool:
 
 
 def require_aim(study: Study, table: TuneTable) -> None:
-    """Require what the optimisation of a proved number needs.
+    """Require settings with which ``aim`` can be optimised: for a proved number, a loop that a proof covers.
 
     Raises:
-        ConfigError: the loop is outside of what a proof covers, or settings contradict each other.
+        ConfigError: no proof covers the loop, or settings contradict each other.
     """
     if table.aim == OBJECTIVE:
         if table.over:
@@ -122,15 +121,15 @@ def require_aim(study: Study, table: TuneTable) -> None:
 
 
 def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, float] | None = None) -> None:
-    """Require a loop that a proof covers, and what proofs need.
+    """Require a loop that a proof covers, and the packages that proofs need.
 
     Args:
         study: The study.
-        place: The setting that asks for proofs.
-        at: A number and its value, if the loop with another value is to be proved.
+        place: The setting that asks for proofs, for the message.
+        at: Name and value of a number, if the loop is to be proved with that value; else None.
 
     Raises:
-        ConfigError: it is outside of what a proof covers, or a package is missing.
+        ConfigError: no proof covers the loop, or a package is missing.
     """
     try:
         import dssc_jax.proofs.prove  # noqa: F401  (the verifier's package, too)
@@ -153,10 +152,10 @@ def seed_of(study: Study, table: TuneTable) -> int:
 
 
 def require_metrics(study: Study, table: TuneTable) -> None:
-    """Require that every metric of objective and limits belongs to the study.
+    """Require an objective, and metrics of objective and limits that the study computes.
 
     Raises:
-        ConfigError: one does not, or there is nothing to minimise.
+        ConfigError: the study does not compute a metric, or all weights of the objective are 0.
     """
     names = [measure.name for measure in study.measures]
     for place, metrics in (("objective", table.objective), ("limits", table.limits)):
@@ -169,7 +168,7 @@ def require_metrics(study: Study, table: TuneTable) -> None:
 
 
 def require_room(study: Study, table: TuneTable) -> None:
-    """Require that no two requirements, or a requirement and a limit, contradict each other.
+    """Require that some value of every metric meets all its requirements and limits.
 
     Raises:
         ConfigError: a metric must be above one number and below a smaller one.
@@ -184,10 +183,10 @@ def require_room(study: Study, table: TuneTable) -> None:
 
 
 def require_sign(study: Study) -> None:
-    """Require that every channel's controller has a sign function that can be smoothed and is not smooth already.
+    """Require controllers with a sign function that ``smoothing`` can smooth, and that the study does not smooth.
 
     Raises:
-        ConfigError: one has none, or one has its own width.
+        ConfigError: a controller has no such function, or the study states ``sign_width``.
     """
     if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
         raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
@@ -196,10 +195,16 @@ def require_sign(study: Study) -> None:
 
 
 def require_number(study: Study, name: str, table: TuneTable) -> None:
-    """Require that a dotted name is a plain number of the loop that can be tuned.
+    """Require that a name of ``[tune.parameters]`` is a number of the loop that can be tuned.
+
+    Args:
+        study: The study.
+        name: The dotted name.
+        table: The study's ``[tune]``.
 
     Raises:
-        ConfigError: it is something else, or is determined by other numbers.
+        ConfigError: the name is not that of a number, the number is uncertain or follows from others, or the theorem
+            fixes it.
     """
     place = f"tune.parameters.{name}"
     if table.certified and name in PARAMETER_OF_NUMBER:
@@ -208,14 +213,8 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         raise ConfigError(place, reason_unfit(study, name))
     if study.numbers[name].expression:
         raise ConfigError(place, study.numbers[name].follows)
-    for follower in study.followers(name) if table.certified or table.slack is not None else ():
-        parts = follower.split(".")
-        if parts[0] in ASSUMED or "nominal" in parts:
-            raise ConfigError(
-                place, "is what the theorem's bounds are made of, so that they would move; give it a number"
-            )
-        if follower != name and follower in PARAMETER_OF_NUMBER:
-            raise ConfigError(place, f"decides {follower}, which the theorem takes as it is; give the gain a number")
+    if table.certified or table.slack is not None:
+        require_fixed_bounds(study, name)
     if not study.quantities[name].law:
         raise ConfigError(place, "is fixed before tracing (a whole number, a length), so it has no derivative")
     leaf = study.leaves()[name]
@@ -223,8 +222,24 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         raise ConfigError(place, f"is uncertain: {leaf}; give it a number to tune it")
 
 
+def require_fixed_bounds(study: Study, name: str) -> None:
+    """Require that Theorem 1's bounds do not depend on a number that is tuned.
+
+    Raises:
+        ConfigError: the bounds follow from the number, or a gain of Table 1 does.
+    """
+    place = f"tune.parameters.{name}"
+    for follower in study.followers(name):
+        parts = follower.split(".")
+        if parts[0] in ASSUMED or "nominal" in parts:
+            rule = "is what the theorem's bounds are made of, so that they would move; give it a number"
+            raise ConfigError(place, rule)
+        if follower != name and follower in PARAMETER_OF_NUMBER:
+            raise ConfigError(place, f"decides {follower}, which the theorem takes as it is; give the gain a number")
+
+
 def reason_unfit(study: Study, name: str) -> str:
-    """The reason why a name cannot be tuned, as the predicate of a sentence."""
+    """Why a name that is not that of a number cannot be tuned, as the predicate of a sentence."""
     value: object = study.table
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None
@@ -239,11 +254,16 @@ def reason_unfit(study: Study, name: str) -> str:
     return "has no value in this study; give one to start from"
 
 
-def inside_range(study: Study, name: str, extent: tuple[float, float]) -> float:
-    """The study's own value, which is the start of the search.
+def start_value(study: Study, name: str, extent: tuple[float, float]) -> float:
+    """The value of a number in the study, with which a search for it starts.
+
+    Args:
+        study: The study.
+        name: Dotted name of the number.
+        extent: Lowest and highest value of the search.
 
     Raises:
-        ConfigError: it is outside its interval, or an end of the interval is not admissible.
+        ConfigError: the value is outside this interval, or an end of the interval is not admissible.
     """
     low, high = extent
     value = study.leaves()[name]

@@ -1,4 +1,4 @@
-"""Variables of the search: tuned numbers without bounds, and the design that Theorem 1 makes of them."""
+"""Variables of a search: tuned numbers mapped to unbounded coordinates, and the design that Theorem 1 makes of them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -22,24 +22,26 @@ Numbers: TypeAlias = Mapping[str, Scalar]
 """Tuned numbers or the loop's numbers by name, traced or not."""
 
 
-def unchanged(tuned: Numbers) -> Numbers:
-    """The tuned numbers, as the loop's numbers."""
+def identity(tuned: Numbers) -> Numbers:
+    """The tuned numbers as the loop's numbers, if no design follows from them."""
     return dict(tuned)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchCoordinates:
-    """The map value = low (high/low)^s(z) with s(z) = 1/(1 + e^-z), for each tuned number.
+    """The map between tuned numbers in intervals and unbounded coordinates z of a search.
+
+    The value of a number is low (high/low)^s(z) with s(z) = 1/(1 + e^-z).
 
     Args:
-        extents: Lowest and highest value of each, 0 < low < high.
-        start: The start of the search, inside the intervals.
-        expand: Computes the loop's numbers, by dotted name, from the tuned ones.
+        extents: Lowest and highest value of each tuned number, 0 < low < high.
+        start: Values at the start of the search, inside the intervals.
+        expand: (tuned numbers) -> the loop's numbers, by dotted name.
     """
 
     extents: dict[str, tuple[float, float]]
     start: dict[str, float]
-    expand: Callable[[Numbers], Numbers] = unchanged
+    expand: Callable[[Numbers], Numbers] = identity
 
     @property
     def names(self) -> list[str]:
@@ -48,7 +50,7 @@ class SearchCoordinates:
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of the intervals' ends."""
+        """Logarithms of the lower and of the upper ends of the intervals, shape (n,) each."""
         low, high = np.log(np.array(list(self.extents.values()))).T
         return low, high
 
@@ -67,12 +69,12 @@ class SearchCoordinates:
     def numbers(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """The loop's numbers at points of shape (m, n), each of shape (m,)."""
         with jax.enable_x64(True):
-            return to_numpy(_numbers(self.traced, jnp.asarray(z)))
+            return on_host(_numbers(self.traced, jnp.asarray(z)))
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of the loop's numbers with respect to the coordinates at points (m, n), each (m, n)."""
         with jax.enable_x64(True):
-            return to_numpy(_slopes(self.traced, jnp.asarray(z)))
+            return on_host(_slopes(self.traced, jnp.asarray(z)))
 
     def traced(self, z: jax.Array) -> dict[str, jax.Array]:
         """The loop's numbers at one traced point of shape (n,)."""
@@ -82,18 +84,20 @@ class SearchCoordinates:
         return {name: jnp.asarray(value) for name, value in numbers.items()}
 
 
-def to_numpy(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:
-    """The arrays by name, on the host."""
+def on_host(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:
+    """Copies of arrays as those of NumPy, by name."""
     return {name: np.asarray(array) for name, array in arrays.items()}
 
 
 @partial(jax.jit, static_argnums=0)
 def _numbers(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+    """Values of a function at points z of shape (m, n), by name, shape (m,) each."""
     return jax.vmap(function)(z)
 
 
 @partial(jax.jit, static_argnums=0)
 def _slopes(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+    """Derivatives of a function at points z of shape (m, n), by name, shape (m, n) each."""
     return jax.vmap(jax.jacfwd(function))(z)
 
 
@@ -102,7 +106,7 @@ REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._f
 
 
 def dotted_name(name: str) -> str:
-    """The dotted name in a study of a parameter of Table 1."""
+    """The dotted name in a study of a parameter of Table 1: ``eps`` is ``controller.functions.epsilon``."""
     if name == "l0":
         return "controller.l0"
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
@@ -116,12 +120,12 @@ PARAMETER_OF_NUMBER = {dotted_name(name): name for name in Parameters._fields}
 
 @dataclass
 class Theorem:
-    """Theorem 1 for a study's loop.
+    """Theorem 1 for the loop of a study: the design from free parameters, and the check of any design.
 
     Args:
         study: The study, whose controller has the functions of Table 1.
         fixed: Values of the free parameters that are not varied.
-        option: The option that requires the theorem, for messages.
+        option: The setting that requires the theorem, for messages.
 
     Raises:
         ConfigError: the theorem does not apply to this loop, or its bounds are not known beforehand.
@@ -149,17 +153,15 @@ class Theorem:
         self.ends = ends_of(self.study)
 
     def free_parameters(self, tuned: Numbers) -> Free:
-        """All free parameters of Theorem 1: those among the tuned numbers, named with ``FREE_PREFIX``, and the others.
-
-        The others have their fixed or default values.
-        """
-        values = {
-            name.removeprefix(FREE_PREFIX): value for name, value in tuned.items() if name.startswith(FREE_PREFIX)
-        }
-        return Free(**{**self.fixed, **values})
+        """The free parameters of Theorem 1: values among the tuned numbers, else fixed values, else defaults."""
+        values: dict[str, Scalar] = dict(self.fixed)
+        for name, value in tuned.items():
+            if name.startswith(FREE_PREFIX):
+                values[name.removeprefix(FREE_PREFIX)] = value
+        return Free(**values)
 
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
-        """The loop's numbers: the certified design, and the other tuned numbers."""
+        """The loop's numbers: the design that follows from the free parameters, and the other tuned numbers."""
         free = self.free_parameters(tuned)
         # bounds of the nominal control depend on l0
         _, bounds = self.parameters_and_bounds({dotted_name("l0"): free.l0})
@@ -168,18 +170,19 @@ class Theorem:
         return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
     def parameters_and_bounds(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
-        """Parameters of Table 1 and the loop's bounds, with these numbers of the loop in place of the study's.
+        """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers in place of the study's.
 
-        Numbers that are no parameters of Table 1 do not count.
+        Numbers that are no parameters of Table 1 are ignored.
         """
-        parameter_changes = {
-            name: numbers[loop_name] for loop_name, name in PARAMETER_OF_NUMBER.items() if loop_name in numbers
-        }
-        parameters = self.parameters._replace(**parameter_changes)
+        changes = {}
+        for loop_name, name in PARAMETER_OF_NUMBER.items():
+            if loop_name in numbers:
+                changes[name] = numbers[loop_name]
+        parameters = self.parameters._replace(**changes)
         return parameters, loop_bounds.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
-        """Check a design strictly."""
+        """Check the inequalities of Theorem 1 for the loop with these numbers, without any tolerance."""
         return check(*self.parameters_and_bounds({name: float(value) for name, value in numbers.items()}))
 
     def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
@@ -190,7 +193,7 @@ class Theorem:
             slack: The relative slack.
 
         Returns:
-            The excesses: not positive if within, 1 if the bound has no meaning.
+            The excess of each inequality by name: not positive if the slack is kept, 1 if the bound is not finite.
         """
         parameters, bounds = self.parameters_and_bounds(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
@@ -207,7 +210,10 @@ class Theorem:
 def split_parameters(
     free: Mapping[str, tuple[float, float] | float],
 ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-    """Split the free parameters into intervals of the varied ones and values of the fixed ones.
+    """Split the free parameters of ``[tune.free]`` into those that are varied and those that are fixed.
+
+    Returns:
+        The interval of each varied one, by its name with :data:`FREE_PREFIX`, and the value of each fixed one.
 
     Raises:
         ConfigError: one is missing or unknown, or none is varied.

@@ -2,6 +2,7 @@
 
 import json
 import time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
 from dssc_jax.analyses.tuning.objective import MissedBound, judge_tuning, missed_bounds
 from dssc_jax.analyses.tuning.plan import Plan
-from dssc_jax.analyses.tuning.problem import Point, Problem, Search
-from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, dataset_of
+from dssc_jax.analyses.tuning.problem import EvaluatedPoint, Problem, SearchRecord, StartPoints
+from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, tuning_dataset
 from dssc_jax.analyses.tuning.rules import EVOLUTION, PROGRAMMING, SIMPLEX
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -66,53 +67,35 @@ def tune(
     if plan.theorem is not None:
         require_certified(plan)
     require_proved(plan)
-    problem = Problem(plan)
-    outcome, gradients = solve(problem, progress)
-    certified = problem.certified
-    proved = problem.proved
-    counterexamples: Arrays = {}
-    hunts: list[Counterexample] = []
-    while robust:
-        tuned = plan.study.override(plan.numbers_at(outcome.best.z))
-        worst = falsify(tuned, budget=budget, seed=len(hunts))
-        hunts.append(Counterexample(worst.point_answer(worst.worst), worst.simulations))
-        if worst.slack >= 0.0 or len(hunts) == rounds:
-            break
-        counterexamples = with_witness(counterexamples, worst.witness)
-        problem = Problem(plan, counterexamples)
-        outcome, gradients = solve(problem, progress)
-        certified += problem.certified
-        proved += problem.proved
+    solution = solve_rounds(plan, rounds if robust else 0, budget, progress)
+    best = solution.record.best
     start = plan.numbers_at(plan.coordinates.origin)
-    numbers = plan.numbers_at(outcome.best.z)
-    verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
+    numbers = plan.numbers_at(best.z)
+    verdict, costs = judge_tuning(plan, solution.problem.goal, start, numbers)
     proof = plan.proof_of_result(numbers)
+    certificate = None if proof is None else verify_certificate(proof.certificate())
     facts = SearchFacts(
-        method=method_of(plan, gradients is not None and useful(gradients)),
-        stopped=outcome.stopped,
-        feasible=outcome.best.merit.violation == 0.0,
-        violation=float(outcome.best.merit.violation),
-        missed=() if outcome.best.merit.violation == 0.0 else still_missed(problem, outcome.best),
-        shortened=outcome.shortened,
-        certified_points=certified if plan.theorem else None,
-        proved_points=proved if plan.table.proved else None,
+        method=search_method(plan, solution.gradients is not None and are_useful(solution.gradients)),
+        stopped=solution.record.stopped,
+        feasible=best.merit.violation == 0.0,
+        violation=float(best.merit.violation),
+        missed=() if best.merit.violation == 0.0 else missed_on_validation(solution.problem, best),
+        shortened=solution.record.shortened,
+        certified_points=solution.certified if plan.theorem else None,
+        proved_points=solution.proved if plan.table.proved else None,
         proof=None if proof is None else proof.statement(),
         aimed=compare_proved(plan, start, numbers) if plan.optimises_proof else None,
-        counterexamples=tuple(hunts),
+        counterexamples=solution.counterexamples,
         seconds=time.perf_counter() - began,
     )
-    result_values = plan.coordinates.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
-    values = {name: float(numbers.get(name, value)) for name, value in result_values.items()}
-    dataset = dataset_of(plan.study, outcome.history, costs)
-    certificate = None if proof is None else verified(proof.certificate())
-    start_values = dict(plan.coordinates.start)
+    values = plan.coordinates.tuned(best.z)  # NumPy; the loop has JAX's digits
     tuned = Tuned(
         study=plan.study,
-        dataset=dataset,
-        start=start_values,
-        values=values,
+        dataset=tuning_dataset(plan.study, solution.record.history, costs),
+        start=dict(plan.coordinates.start),
+        values={name: float(numbers.get(name, value)) for name, value in values.items()},
         numbers=numbers,
-        gradients=gradients,
+        gradients=solution.gradients,
         verdict=verdict,
         facts=facts,
     )
@@ -120,8 +103,66 @@ def tune(
     return tuned
 
 
-def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, GradientAgreement | None]:
-    """Run one search, by descent if derivatives are requested and useful.
+class Solution(NamedTuple):
+    """The solution of a tuning, after all its rounds.
+
+    Args:
+        problem: The problem of the last round, with all counterexamples before it.
+        record: The search of the last round.
+        gradients: The comparison of derivatives with differences in the last round; None if there was none.
+        counterexamples: The worst draw found after each round of a robust tuning.
+        certified: Number of points that Theorem 1 certified, in all rounds.
+        proved: Number of points that were proved, in all rounds.
+    """
+
+    problem: Problem
+    record: SearchRecord
+    gradients: GradientAgreement | None
+    counterexamples: tuple[Counterexample, ...]
+    certified: int
+    proved: int
+
+
+def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallback | None) -> Solution:
+    """Search for the best point; then search for its worst draw, require that draw too, and search again.
+
+    The rounds end when no failure is found, or after the given number.
+
+    Args:
+        plan: The plan.
+        rounds: Largest number of searches for the worst draw; 0: the tuning is not robust.
+        budget: Simulations of each search for the worst draw.
+        progress: Called with the steps done.
+    """
+    problem = Problem(plan)
+    record, gradients = solve(problem, progress)
+    certified = problem.certified
+    proved = problem.proved
+    required: Arrays = {}
+    found: list[Counterexample] = []
+    while len(found) < rounds:
+        tuned = plan.study.override(plan.numbers_at(record.best.z))
+        worst = falsify(tuned, budget=budget, seed=len(found))
+        found.append(Counterexample(worst.point_answer(worst.worst), worst.simulations))
+        if worst.slack >= 0.0 or len(found) == rounds:
+            break
+        required = {name: np.append(required.get(name, []), value) for name, value in worst.witness.items()}
+        problem = Problem(plan, required)
+        record, gradients = solve(problem, progress)
+        certified += problem.certified
+        proved += problem.proved
+    return Solution(problem, record, gradients, tuple(found), certified, proved)
+
+
+def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRecord, GradientAgreement | None]:
+    """Run one search, by gradients if the study names such a method and derivatives prove useful.
+
+    Args:
+        problem: The problem.
+        progress: Called with the steps done.
+
+    Returns:
+        The search, and the comparison of derivatives with differences; None if the method needs no derivatives.
 
     Raises:
         ConfigError: draws end early at the start, so that there is no objective to descend on.
@@ -135,12 +176,12 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
     by_descent = problem.plan.table.optimiser != EVOLUTION and not problem.plan.optimises_proof
     if by_descent and problem.differentiable:
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
-    differentiable = problem.differentiable and (gradients is None or useful(gradients))
-    return search(problem, first, differentiable, progress), gradients
+    differentiable = problem.differentiable and (gradients is None or are_useful(gradients))
+    return run_search(problem, first, differentiable, progress), gradients
 
 
-def still_missed(problem: Problem, point: Point) -> tuple[MissedBound, ...]:
-    """What a point misses on the validation draws."""
+def missed_on_validation(problem: Problem, point: EvaluatedPoint) -> tuple[MissedBound, ...]:
+    """The requirements and limits that a point misses on the validation draws."""
     goal = problem.goal_on(problem.validation)
     results = problem.results(point.z[None], problem.validation, problem.plain)
     draw_results = {name: column[: len(problem.validation)] for name, column in results.items()}
@@ -148,32 +189,42 @@ def still_missed(problem: Problem, point: Point) -> tuple[MissedBound, ...]:
     return missed_bounds(goal, draw_results, units)
 
 
-def search(
-    problem: Problem, first: tuple[Point, Point], differentiable: bool, progress: ProgressCallback | None
-) -> Search:
-    """Run the search that the study names, or evolution if derivatives are not useful."""
-    return METHODS.get(method_of(problem.plan, differentiable), descend)(problem, first, progress)
+def run_search(
+    problem: Problem,
+    first: StartPoints,
+    differentiable: bool,
+    progress: ProgressCallback | None,
+) -> SearchRecord:
+    """Run the search that the study names, or differential evolution if derivatives cannot be used.
+
+    Args:
+        problem: The problem.
+        first: The start, evaluated on the training and on the validation draws.
+        differentiable: Whether derivatives can be used.
+        progress: Called with the steps done.
+    """
+    return METHODS.get(search_method(problem.plan, differentiable), descend)(problem, first, progress)
 
 
-def method_of(plan: Plan, differentiable: bool) -> str:
-    """The name of the search.
+def search_method(plan: Plan, differentiable: bool) -> str:
+    """The name of the search method.
 
     Args:
         plan: The plan.
-        differentiable: Whether derivatives can be used for descent.
+        differentiable: Whether derivatives can be used; if not, it is differential evolution.
     """
     if plan.optimises_proof:
         return SIMPLEX
     return plan.table.optimiser if differentiable else EVOLUTION
 
 
-def useful(gradients: GradientAgreement) -> bool:
-    """Whether derivatives can be used for descent: they are correct, and not only for the smallest of steps."""
+def are_useful(gradients: GradientAgreement) -> bool:
+    """Whether derivatives can be used for descent: most agree with differences, and most predict a longer step."""
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
-def verified(certificate: JsonObject) -> JsonObject:
-    """A certificate as its file will hold it, verified once more from that alone.
+def verify_certificate(certificate: JsonObject) -> JsonObject:
+    """Verify a certificate once more, from its content as the file will have it; return that content.
 
     Raises:
         RuntimeError: the verifier refuses it.
@@ -187,16 +238,11 @@ def verified(certificate: JsonObject) -> JsonObject:
     return content
 
 
-def with_witness(counterexamples: Arrays, witness: dict[str, float]) -> Arrays:
-    """Add one counterexample to the others."""
-    return {name: np.append(counterexamples.get(name, []), value) for name, value in witness.items()}
-
-
 def require_certified(plan: Plan) -> None:
-    """Require that the start passes the strict check, with the required slack.
+    """Require that Theorem 1 certifies the start, with the required slack.
 
     Raises:
-        ConfigError: it does not pass.
+        ConfigError: it does not.
     """
     assert plan.theorem is not None
     numbers = plan.numbers_at(plan.coordinates.origin)
@@ -212,7 +258,7 @@ def require_certified(plan: Plan) -> None:
 
 
 def require_proved(plan: Plan) -> None:
-    """Require that the start is proved, as far as the settings need it.
+    """Require a proof of the start, if the settings require proofs or optimise a proved number.
 
     Raises:
         ConfigError: it is not.
@@ -230,5 +276,12 @@ def require_proved(plan: Plan) -> None:
 
 
 def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> ConfigError:
-    """The error of a start that is not proved."""
+    """The error for a start that has no proof.
+
+    Args:
+        plan: The plan.
+        place: The setting that needs the proof.
+        missing: What is missing, as a clause.
+        reason: Why there is no proof.
+    """
     return ConfigError(plan.study.source, f"{place}: the start is infeasible: {missing}: {reason}")

@@ -12,18 +12,18 @@ from dssc_jax.study.known_draws import study_of_draw
 
 MOST_GROWTH = 4.0
 GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
-"""Factors by which the box may grow, largest first; the first one is used at which the loop is defined everywhere."""
+"""Factors by which the box may grow, largest first; the search takes the first one at which the loop is defined."""
 
 
 class Side(NamedTuple):
-    """The range of one uncertain number.
+    """The range of one uncertain number, a side of the box, with a coordinate u from -1 to 1.
 
     Args:
-        name: Its dotted name in the study.
-        low: Lower end.
-        high: Upper end.
-        logarithmic: Whether the coordinate is linear in the logarithm.
-        cut: Whether the law has no end there.
+        name: Dotted name of the number in the study.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        logarithmic: Whether the coordinate is linear in the logarithm of the number.
+        cut: Whether the law has no ends, so that these are set.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Side(NamedTuple):
     cut: bool
 
     def at(self, u: np.ndarray) -> np.ndarray:
-        """Values at coordinates."""
+        """Values of the number at coordinates u, of the same shape; u may lie beyond -1 and 1."""
         if self.logarithmic:
             middle = 0.5 * (np.log(self.low) + np.log(self.high))
             half = 0.5 * (np.log(self.high) - np.log(self.low))
@@ -42,20 +42,20 @@ class Side(NamedTuple):
 
 
 class Box(NamedTuple):
-    """The ranges of a study's uncertain numbers; correlations are not used."""
+    """All values of a study's uncertain numbers within their ranges, in any combination; correlations are ignored.
+
+    Args:
+        sides: The range of each number.
+    """
 
     sides: tuple[Side, ...]
 
     def values(self, points: np.ndarray) -> Arrays:
-        """Values of the uncertain numbers by name.
-
-        Args:
-            points: Coordinates, shape (n, sides).
-        """
+        """Values of the uncertain numbers by name, shape (n,) each, at coordinates of shape (n, sides)."""
         return {side.name: side.at(column) for side, column in zip(self.sides, points.T, strict=True)}
 
     def numbers(self, point: np.ndarray) -> dict[str, float]:
-        """The uncertain numbers at one point, as overrides of the study."""
+        """The uncertain numbers at one point, shape (sides,), by dotted name."""
         return {name: float(column[0]) for name, column in self.values(point[None]).items()}
 
 
@@ -66,7 +66,7 @@ def box_of(study: Study, sigma: float) -> Box:
     at both ends. That a lognormal number is above 0 is no end: no deviation reaches it.
 
     Raises:
-        ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
+        ConfigError: the study has no uncertain number, or ``sigma`` is not admissible.
     """
     if not sigma > 0.0 or not np.isfinite(sigma):
         raise ConfigError("sigma", f"must be positive and finite, got {sigma:g}")
@@ -88,12 +88,15 @@ def box_of(study: Study, sigma: float) -> Box:
 
 
 def admissible_growths(study: Study, box: Box) -> list[float]:
-    """The factors of :data:`GROWTHS` at whose corners the study accepts all numbers, largest first; always 1."""
-    return [growth for growth in GROWTHS if growth == 1.0 or admits(study, box, growth)]
+    """The factors of :data:`GROWTHS` by which the box can grow so that the study accepts its ends, largest first.
+
+    The factor 1 is always among them.
+    """
+    return [growth for growth in GROWTHS if growth == 1.0 or accepts_box(study, box, growth)]
 
 
-def admits(study: Study, box: Box, growth: float) -> bool:
-    """Whether a study accepts the ends of a grown box, all numbers together and each alone."""
+def accepts_box(study: Study, box: Box, growth: float) -> bool:
+    """Whether a study accepts the ends of a grown box, for all numbers together and for each alone."""
     try:
         for end in (growth, -growth):
             numbers = box.numbers(np.full(len(box.sides), end))

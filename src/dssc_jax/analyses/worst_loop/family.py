@@ -12,27 +12,27 @@ from dssc_jax.engine.linearisation.smooth_parts import Finding
 
 BATCH_POINTS = 64  # points that are linearised at once
 KEYS = 8  # draws whose random keys are compared
-SAME = 1e-9  # relative difference of matrices that counts as none
-PROBES = 4  # points from which each number is moved
-DIGITS = 12  # digits of a coordinate, by which points are told apart
+SAME = 1e-9  # largest relative difference of matrices that count as equal
+PROBES = 4  # points from which each number is moved, to see whether it matters
+DIGITS = 12  # decimal digits of a coordinate; points that agree in them are one
 UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
 RemainingPoints = Callable[[], int]
-"""The number of points that may still be evaluated."""
+"""() -> the number of points that may still be evaluated."""
 
 
-def unlimited() -> int:
-    """No limit of points."""
+def no_point_limit() -> int:
+    """A number of remaining points that no search uses up."""
     return UNLIMITED
 
 
-class Family:
-    """The linearised loop over the box; points that were linearised are kept.
+class LoopFamily:
+    """The linearised loop at points of the box. It linearises each point once, in batches.
 
     Args:
-        resting: The undisturbed loop.
+        resting: The undisturbed loop of the study.
         box: The box of the uncertain numbers.
         findings: The :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` of each part at the operating
             points, the same for all draws, shape (parts,).
@@ -56,7 +56,7 @@ class Family:
         for first in range(0, len(new_points), BATCH_POINTS):
             batch = np.array(new_points[first : first + BATCH_POINTS])
             padded_batch = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
-            matrices = self.linearised(padded_batch, np.zeros(BATCH_POINTS, int))
+            matrices = self.linearise(padded_batch, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
                 self.row_of_point[point.tobytes()] = len(self.cache)
                 self.cache.append(StateMatrices(*(part[row] for part in matrices)))
@@ -64,8 +64,8 @@ class Family:
         rows = [self.cache[self.row_of_point[key]] for key in keys]
         return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
-    def remainder(self, most: int) -> int:
-        """Number of points that may still be linearised, of ``most`` in all."""
+    def remaining_points(self, most: int) -> int:
+        """Number of points that may still be linearised, if ``most`` is the limit for all searches together."""
         return max(0, most - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
@@ -73,8 +73,13 @@ class Family:
         most_rows = len(self.cache) + points
         return lambda: max(0, most_rows - len(self.cache))
 
-    def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
-        """Matrices at points, with the random keys of the draws ``indices``."""
+    def linearise(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
+        """Linearise the loop at points of shape (n, sides); NaN where there is no equilibrium.
+
+        Args:
+            points: The points.
+            indices: The draw whose random key is used at each point, shape (n,).
+        """
         values = self.box.values(points)
         states, matrices, settled, _ = self.resting.settle(values, indices)
         if np.any(self.findings == Finding.CORNER):
@@ -84,13 +89,13 @@ class Family:
         return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
-        """Require that the uncertain numbers alone determine the loop.
+        """Require that the uncertain numbers alone determine the linearised loop.
 
         Raises:
-            ConfigError: It depends on a draw's random key too.
+            ConfigError: the loop depends on the random key of a draw, too.
         """
         centre = np.zeros((BATCH_POINTS, len(self.box.sides)))
-        matrices = self.linearised(centre, np.arange(BATCH_POINTS) % KEYS)
+        matrices = self.linearise(centre, np.arange(BATCH_POINTS) % KEYS)
         for part in matrices[1:]:
             if not np.allclose(part, part[:1], rtol=SAME, atol=SAME, equal_nan=True):
                 raise ConfigError(
@@ -101,15 +106,15 @@ class Family:
 
 
 class BrokenFamily:
-    """The loop broken at one place or at several at once, as a function of those numbers that it depends on.
+    """The loop broken at one place or at several at once, as a function of the numbers on which it depends.
 
     Args:
-        family: The whole loop.
-        state_indices: Its states that matter here.
+        family: The whole loop over the whole box.
+        state_indices: Indices of the states between the break points.
         places: Indices of the break points.
     """
 
-    def __init__(self, family: Family, state_indices: np.ndarray, places: Sequence[int]) -> None:
+    def __init__(self, family: LoopFamily, state_indices: np.ndarray, places: Sequence[int]) -> None:
         self.family = family
         self.state_indices = state_indices
         self.places = list(places)
@@ -117,20 +122,20 @@ class BrokenFamily:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The numbers that it depends on."""
+        """Dotted names of the numbers on which this loop depends."""
         return tuple(self.family.box.sides[side].name for side in self.sides)
 
     def in_whole_box(self, points: np.ndarray) -> np.ndarray:
-        """These points in the whole box, shape (n, sides of the box).
+        """Points, shape (n, sides), as points of the whole box, shape (n, sides of the box).
 
-        Numbers on which this loop does not depend are in the middle, at 0.
+        Numbers on which this loop does not depend get the middle of their ranges, 0.
         """
         result = np.zeros((len(points), len(self.family.box.sides)))
         result[:, self.sides] = points
         return result
 
     def numbers(self, point: np.ndarray) -> dict[str, float]:
-        """The numbers that it depends on at one point, by name."""
+        """The numbers on which this loop depends at one point, shape (sides,), by dotted name."""
         numbers = self.family.box.numbers(self.in_whole_box(point[None])[0])
         return {name: numbers[name] for name in self.names}
 
@@ -141,30 +146,27 @@ class BrokenFamily:
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """[[A, B], [C, 0]] at points of shape (n, sides), shape (n, states + places, states + places)."""
-        return self._matrices(self.in_whole_box(points))
+        return self.break_loops(self.family.at(self.in_whole_box(points)))
 
-    def _matrices(self, points: np.ndarray) -> np.ndarray:
-        return self.broken(self.family.at(points))
-
-    def broken(self, matrices: StateMatrices) -> np.ndarray:
-        """[[A, B], [C, 0]] of whole loops, broken here, shape (n, states + places, states + places)."""
+    def break_loops(self, matrices: StateMatrices) -> np.ndarray:
+        """[[A, B], [C, 0]] of this broken loop, from the matrices of n whole loops; (n, states + places, the same)."""
         _, a, b, c = matrices
-        state_indices = self.state_indices
+        states = self.state_indices
         places = self.places
-        top = np.concatenate([a[:, state_indices][:, :, state_indices], b[:, state_indices][:, :, places]], axis=2)
-        bottom = np.concatenate(
-            [c[:, places][:, :, state_indices], np.zeros((len(a), len(places), len(places)))], axis=2
-        )
+        zeros = np.zeros((len(a), len(places), len(places)))
+        top = np.concatenate([a[:, states][:, :, states], b[:, states][:, :, places]], axis=2)
+        bottom = np.concatenate([c[:, places][:, :, states], zeros], axis=2)
         return np.concatenate([top, bottom], axis=1)
 
     def _influential(self) -> list[int]:
-        """The sides of the box that change the loop."""
+        """Indices of the sides of the box that change this loop, found by moving each number from random points."""
         sides = len(self.family.box.sides)
         bases = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
         neighbours = np.repeat(bases[:, None], sides, axis=1)
         neighbours[:, range(sides), range(sides)] += 0.5
-        reference = self._matrices(bases)
-        variants = self._matrices(neighbours.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
+        reference = self.break_loops(self.family.at(bases))
+        variants = self.break_loops(self.family.at(neighbours.reshape(-1, sides)))
+        variants = variants.reshape(PROBES, sides, *reference.shape[1:])
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
-        is_unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
+        is_unchanged = np.abs(variants - reference[:, None]) <= limit  # False where there is no equilibrium
         return np.flatnonzero(np.any(~is_unchanged, axis=(0, 2, 3))).tolist()

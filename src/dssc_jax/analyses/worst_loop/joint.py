@@ -5,25 +5,25 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.multiloop import JointLoops, JointMargins, balanced_bounds, joint_margins
-from dssc_jax.analyses.worst_loop.cells import Covered, cover
+from dssc_jax.analyses.worst_loop.cells import CoverBounds, cover_box
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, RemainingPoints
-from dssc_jax.analyses.worst_loop.readouts import joint
-from dssc_jax.analyses.worst_loop.search import Worst, radii_of, worst_values
+from dssc_jax.analyses.worst_loop.readouts import joint_readout
+from dssc_jax.analyses.worst_loop.search import WorstPoint, radii_of, worst_values
 
 
 class JointCase(NamedTuple):
-    """The worst disk margin of all commands at once.
+    """The worst case of the disk margin alpha of all commands at once.
 
     Args:
         channels: Names of the channels whose commands are perturbed.
-        names: Numbers that it depends on.
-        drawn: Worst of the draws; 0: a loop is unstable.
-        found: Worst found in the box.
-        numbers: The numbers that have it, by name.
-        frequency: The critical frequency there [rad/s].
-        factors: The factors of the commands with which that loop oscillates, shape (channels,).
-        bounded: Margin that holds on all of the box; NaN: none.
-        cells: Cells computed.
+        names: Dotted names of the numbers on which the loop depends.
+        drawn: Worst margin of the draws; 0: a loop is unstable.
+        found: Worst margin found in the box; 0: a loop is unstable.
+        numbers: The numbers at which it was found, by name.
+        frequency: Frequency at which that loop oscillates with the perturbation found [rad/s].
+        factors: Complex factor of each command in that perturbation, shape (channels,).
+        bounded: Margin that holds on all of the box; NaN if no bound was found.
+        cells: Number of cells that were computed.
     """
 
     channels: tuple[str, ...]
@@ -38,7 +38,7 @@ class JointCase(NamedTuple):
 
 
 def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
-    """The disk margins of loops, with the balanced bound; 0 where a loop is unstable.
+    """The disk margins of n loops, with the balanced bound of mu; 0 where a loop is unstable.
 
     Args:
         matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels).
@@ -61,8 +61,16 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
 
 def worst_joint_margin(
     evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: RemainingPoints
-) -> Worst:
-    """The worst margin that a search finds in the box, and its point."""
+) -> WorstPoint:
+    """Search the box for the worst disk margin of all commands at once.
+
+    Args:
+        evaluate: Gives the loops at points of the box [-1, 1]^n.
+        sides: Number n of coordinates.
+        channels: Number of commands.
+        sample_time: T_s [s].
+        budget: Number of points that may still be evaluated.
+    """
 
     def values_at(points: np.ndarray) -> np.ndarray:
         return margins_of(evaluate(points), channels, sample_time).attained[:, None]
@@ -72,8 +80,8 @@ def worst_joint_margin(
 
 def joint_mu_bound(
     evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: RemainingPoints
-) -> Covered:
-    """An upper bound of mu over the whole box: 1/mu is the disk margin of all commands at once.
+) -> CoverBounds:
+    """Bound mu from above over the whole box; 1/mu is the disk margin of all commands at once.
 
     Cells are halved until the bound is ``goal`` or less, or their number or the budget is spent.
 
@@ -86,7 +94,7 @@ def joint_mu_bound(
         budget: Number of points that may still be evaluated.
     """
     ones = np.ones(sides)  # the box is [-1, 1]^n
-    return cover(evaluate, (-ones, ones), np.array([goal]), cells, budget, joint(channels))
+    return cover_box(evaluate, (-ones, ones), np.array([goal]), cells, budget, joint_readout(channels))
 
 
 def joint_case(
@@ -98,23 +106,23 @@ def joint_case(
     cells: int,
     points: int,
 ) -> JointCase:
-    """The worst disk margin of all commands at once.
+    """Find the worst disk margin of all commands at once: that of the draws, that of a search, and a bound.
 
     Args:
-        broken_family: The loops, broken at these commands.
+        broken_family: The loop over the box, broken at these commands.
         channels: Names of the channels.
-        drawn_loops: Loops of the draws, shape (n, states + channels, states + channels).
+        drawn_loops: [[A, B], [C, 0]] of the draws, shape (n, states + channels, states + channels).
         sample_time: T_s [s].
         gap: Ratio of bound and value found at which the search for a better bound ends.
         cells: Largest number of cells.
-        points: Largest number of points to linearise.
+        points: Largest number of points to linearise; a third of them is for the search.
     """
     sides = len(broken_family.sides)
     count = len(channels)
     budget = broken_family.family.allowance(points)
     worst = worst_joint_margin(broken_family.at, sides, count, sample_time, broken_family.family.allowance(points // 3))
     at_worst = margins_of(broken_family.at(worst.point[None]), count, sample_time)
-    covered = Covered(np.array([np.inf]), 0)
+    covered = CoverBounds(np.array([np.inf]), 0)
     if worst.value > 0.0:
         covered = joint_mu_bound(broken_family.at, sides, count, gap / worst.value, cells, budget)
     bounded = 1.0 / covered.gains[0] if covered.stable else np.nan

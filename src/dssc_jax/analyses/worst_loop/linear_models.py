@@ -9,22 +9,22 @@ from scipy.linalg import schur
 from dssc_jax.analyses.worst_loop.family import Evaluate
 
 WIDENED = 1.5
-"""Multiple of the measured deviations from a linear dependence, for those between the points of measurement."""
-CORNERED = 4  # numbers up to which the deviations are measured at all corners and edges
-RANDOM_CORNERS = 32  # of a box with more numbers
-MOST_PARALLEL = 1e6  # condition number of the modes
+"""Factor of the measured deviations from a linear dependence, since those between the points may be larger."""
+CORNERED = 4  # most numbers with which the deviations are measured at all corners and edges
+RANDOM_CORNERS = 32  # corners at which they are measured with more numbers
+MOST_PARALLEL = 1e6  # largest condition number of the matrix of modes
 
 
 class LinearModel(NamedTuple):
-    """[[A, B], [C, 0]] on a part of the box as centre + sum of u_i slopes_i, up to ``deviation`` entry by entry.
+    """M = [[A, B], [C, 0]] on a part of the box as centre + sum of u_i slopes_i + E, u_i in [-1, 1].
 
-    The states are the modes in the middle.
+    The states are the modes of the loop in the middle of the part.
 
     Args:
-        centre: [[A, B], [C, 0]] in the middle, shape (m, m).
-        slopes: Shape (sides, m, m).
-        deviation: Shape (m, m).
-        bends: The part of the deviation along each side, shape (sides, m, m).
+        centre: M in the middle, shape (m, m).
+        slopes: The slope of M along each side, shape (sides, m, m).
+        deviation: A bound of abs(E), entry by entry, shape (m, m).
+        bends: The part of the deviation that comes from each side alone, shape (sides, m, m).
     """
 
     centre: np.ndarray
@@ -33,11 +33,11 @@ class LinearModel(NamedTuple):
     bends: np.ndarray
 
 
-def pattern(sides: int) -> np.ndarray:
-    """Points of [-1, 1]^sides at which deviations are measured, shape (n, sides).
+def measurement_points(sides: int) -> np.ndarray:
+    """Points of [-1, 1]^sides at which deviations from a linear dependence are measured, shape (n, sides).
 
-    The centre, the middles of faces and the points halfway to them come first. With few sides all corners and edges
-    follow, else the corners of each pair of sides and random corners.
+    The centre, the middles of faces and the points halfway to them come first. With few sides all corners and middles
+    of edges follow, else the corners of each pair of sides and random corners.
     """
     unit = np.eye(sides)
     points = [np.zeros((1, sides)), unit, -unit, 0.5 * unit, -0.5 * unit]
@@ -52,10 +52,10 @@ def pattern(sides: int) -> np.ndarray:
 
 
 class LinearModels:
-    """The linear models on parts of the box, each computed once.
+    """The linear models of a loop on parts of the box, each computed once.
 
     Args:
-        evaluate: The loop at points of the box.
+        evaluate: (points) -> M = [[A, B], [C, 0]] of the loop there.
         channels: Columns of B.
     """
 
@@ -68,33 +68,33 @@ class LinearModels:
         """The model of each part of the box; the loop is evaluated once for all parts that are new.
 
         Args:
-            lows: Lower corners, shape (n, sides).
-            highs: Upper corners.
+            lows: Lower corner of each part, shape (n, sides).
+            highs: Upper corner of each part, shape (n, sides).
         """
         keys = [low.tobytes() + high.tobytes() for low, high in zip(lows, highs, strict=True)]
         new_parts = {key: index for index, key in enumerate(keys) if key not in self.models}
         if new_parts:
             indices = list(new_parts.values())
-            points = pattern(lows.shape[1])
+            points = measurement_points(lows.shape[1])
             middle = 0.5 * (lows + highs)[indices, None]
             half = 0.5 * (highs - lows)[indices, None]
-            pattern_points = middle + half * points
-            matrices = self.evaluate(pattern_points.reshape(-1, pattern_points.shape[-1]))
-            for key, matrices_there in zip(new_parts, np.split(matrices, len(indices)), strict=True):
-                self.models[key] = linear_model(points, matrices_there, self.channels)
+            points_of_parts = middle + half * points
+            matrices = self.evaluate(points_of_parts.reshape(-1, points_of_parts.shape[-1]))
+            for key, matrices_of_part in zip(new_parts, np.split(matrices, len(indices)), strict=True):
+                self.models[key] = linear_model(points, matrices_of_part, self.channels)
         return [self.models[key] for key in keys]
 
 
 def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> LinearModel:
-    """The linear model on a part of the box.
+    """Fit a linear model to the loop on a part of the box.
 
     Args:
-        points: The points of :func:`pattern`, at which deviations are measured, shape (n, sides).
-        matrices: The loop at these points, shape (n, m, m).
-        channels: Number of columns of B.
+        points: The points of :func:`measurement_points`, shape (n, sides).
+        matrices: M = [[A, B], [C, 0]] of the loop at these points of the part, shape (n, m, m).
+        channels: Columns of B.
     """
     sides = points.shape[1]
-    matrices = modal(matrices, channels)
+    matrices = to_modes(matrices, channels)
     centre = matrices[0]
     slopes = 0.5 * (matrices[1 : 1 + sides] - matrices[1 + sides : 1 + 2 * sides])
     deviations = np.abs(matrices - centre - np.einsum("ni,ijk->njk", points, slopes))
@@ -103,8 +103,11 @@ def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> Lin
     return LinearModel(centre, slopes, WIDENED * deviation, bends)
 
 
-def modal(matrices: np.ndarray, channels: int) -> np.ndarray:
-    """[[A, B], [C, 0]] in the modes of the first A, or in its Schur vectors where modes are nearly parallel."""
+def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
+    """Matrices [[A, B], [C, 0]] with the modes of the first A as states, shape (n, m, m) both.
+
+    Where the modes are nearly parallel, the Schur vectors of the first A take their place.
+    """
     a = matrices[0, :-channels, :-channels]
     if not np.all(np.isfinite(a)):
         return matrices.astype(complex)

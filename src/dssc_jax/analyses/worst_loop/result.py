@@ -20,7 +20,7 @@ from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
 
 ALL_COMMANDS = "all commands"
-"""The name under which the margin of all commands at once stands."""
+"""Name of the margin of all commands at once, beside those of the break points."""
 OPERATING_POINT = "whether the nearest unstable loop has an operating point within its limits"
 BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 """Shares by which an unstable witness may lie farther from the middle of the box than the point found."""
@@ -30,17 +30,17 @@ class LoopCase(NamedTuple):
     """The worst case of one broken loop.
 
     Args:
-        names: Numbers that it depends on.
-        drawn: Worst margins of the draws, shape (margins,).
-        found: Worst margins found in the box.
-        numbers: The numbers that have them, by name, for each margin.
-        bounded: Margins that hold on all of the box; NaN: none.
-        growth_found: Smallest growth of the box found that reaches an unstable loop; infinite: none was found.
+        names: Dotted names of the numbers on which the loop depends.
+        drawn: Worst value of each margin among the draws, shape (margins,).
+        found: Worst value of each margin found in the box, shape (margins,).
+        numbers: For each margin the numbers at which its worst value was found, by name.
+        bounded: Values of the margins that hold on all of the box, shape (margins,); NaN if none was found.
+        growth_found: Smallest growth of the box found that reaches an unstable loop; infinite if none was found.
         unstable: The numbers of that loop, by name.
         has_operating_point: Whether that loop has an operating point within its limits; one without counts as unstable.
-        growth_bounded: Growth up to which the loop is stable.
+        growth_bounded: Growth up to which the loop is proved to be stable.
         growable: Largest growth that was searched.
-        cells: Cells computed.
+        cells: Number of cells that were computed.
     """
 
     names: tuple[str, ...]
@@ -137,9 +137,9 @@ class WorstLoop(Analysis):
     Args:
         sigma: Standard deviations at which laws without ends are cut.
         taken: What is taken for parts of the loop that have no derivative, in words.
-        points: Points of the box at which the loop was linearised.
+        points: Number of points of the box at which the loop was linearised.
         most_points: Largest number of these points.
-        seconds: Computing time.
+        seconds: Computing time [s].
     """
 
     kind = "worst-loop"
@@ -154,7 +154,7 @@ class WorstLoop(Analysis):
 
     def numbers(self, loop: str, margin: str) -> dict[str, float]:
         """The numbers of the study that have the worst value found of a margin."""
-        return present(self.dataset["perturbation"].sel(loop=loop, margin=margin))
+        return numbers_present(self.dataset["perturbation"].sel(loop=loop, margin=margin))
 
     def witness(self, loop: str, margin: str) -> Study:
         """The study with the numbers of :meth:`numbers` in place of their laws."""
@@ -162,12 +162,13 @@ class WorstLoop(Analysis):
 
     def unstable(self, loop: str) -> dict[str, float]:
         """Numbers of the nearest unstable loop found; empty: none was found."""
-        return present(self.dataset["unstable"].sel(loop=loop))
+        return numbers_present(self.dataset["unstable"].sel(loop=loop))
 
     def unstable_witness(self, loop: str) -> Study | None:
-        """The study with numbers up to 2 % beyond those of :meth:`unstable`, from the middle of the box.
+        """The study of an unstable loop: its numbers lie up to 2 % beyond those of :meth:`unstable`.
 
-        Nearer ones are taken where the study has no such loop, as beyond the root of a difference. None: none is found.
+        Nearer numbers are taken if the study does not accept those, as where a root of a difference is undefined. None
+        if no unstable loop was found.
         """
         if not self.unstable(loop):
             return None
@@ -179,7 +180,7 @@ class WorstLoop(Analysis):
         return study_of_draw(self.study, self.unstable(loop))
 
     def numbers_beyond(self, loop: str, share: float) -> dict[str, float]:
-        """Numbers that are farther from the middle of the box than those of :meth:`unstable`, by a share."""
+        """Numbers that lie farther from the middle of the box than those of :meth:`unstable`, by a share."""
         numbers = {}
         for name, value in self.unstable(loop).items():
             side = self.dataset.sel(number=name)
@@ -212,7 +213,7 @@ class WorstLoop(Analysis):
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """Whether the loop broken at the first place is stable on all of the box, and its disk margin, in one line."""
         loop = self.loops[0]
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]
@@ -235,11 +236,11 @@ class WorstLoop(Analysis):
         return text
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the worst drawn, the worst found and the bounded value of each margin, at every break point."""
         return plotting.worst_loop(self)
 
     def worst_of(self, loop: str) -> LoopWorst:
-        """The worst case of one broken loop."""
+        """The worst case of the loop broken at one place, read from the dataset."""
         data = self.dataset.sel(loop=loop)
         margins = {}
         for name in MARGINS:
@@ -277,7 +278,7 @@ class WorstLoop(Analysis):
             return {}
         data = self.dataset
         channels = list(map(str, data["channel"].values))
-        numbers = present(data["multiloop_perturbation"])
+        numbers = numbers_present(data["multiloop_perturbation"])
         return {
             ALL_COMMANDS: MultiloopWorst(
                 drawn=float(data["multiloop_drawn"]),
@@ -294,7 +295,7 @@ class WorstLoop(Analysis):
 
     @property
     def answer(self) -> WorstLoopAnswer:
-        """The numbers that summary.json holds."""
+        """The worst case at every break point, as ``summary.json`` has it."""
         box = {}
         for name in self.dataset["number"].values:
             side = self.dataset.sel(number=name)
@@ -312,17 +313,22 @@ class WorstLoop(Analysis):
         )
 
 
-def present(values: xr.DataArray) -> dict[str, float]:
-    """The numbers along ``number`` that are not missing, by name."""
-    present_values = values.dropna("number")
-    return {
-        str(name): float(value)
-        for name, value in zip(present_values["number"].values, present_values.values, strict=True)
-    }
+def numbers_present(values: xr.DataArray) -> dict[str, float]:
+    """The values along ``number`` that are not missing, by the number's name."""
+    numbers = {}
+    for name, value in zip(values["number"].values, values.values, strict=True):
+        if not np.isnan(value):
+            numbers[str(name)] = float(value)
+    return numbers
 
 
 def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
-    """The dataset of :class:`WorstLoop`."""
+    """The dataset of :class:`WorstLoop` for single break points.
+
+    Args:
+        box: The box of the laws.
+        cases: The worst case at each break point, by name.
+    """
     names = [side.name for side in box.sides]
     of_margin = {"units": "that of the margin"}
     of_number = {"units": "that of the number"}
@@ -377,7 +383,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
 
 
 def multiloop_dataset(box: Box, case: JointCase | None) -> xr.Dataset:
-    """The variables of all commands at once; empty if they were not computed."""
+    """The variables of a :class:`WorstLoop` for all commands at once; an empty dataset if there is no such case."""
     if case is None:
         return xr.Dataset()
     numbers = [case.numbers.get(side.name, np.nan) for side in box.sides]

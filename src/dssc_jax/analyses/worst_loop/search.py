@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS
-from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, unlimited
+from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, no_point_limit
 from dssc_jax.engine.linearisation.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 
 MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_peak", "complementary_peak")
@@ -22,22 +22,27 @@ RADII = 24  # at which stability is tested along a direction
 BISECTIONS = 16
 
 
-class Worst(NamedTuple):
-    """The worst value found of a margin, and the point of the box that has it."""
+class WorstPoint(NamedTuple):
+    """The worst value of a quantity that a search found, and the point of the box that has it, shape (sides,)."""
 
     value: float
     point: np.ndarray
 
 
 class Instability(NamedTuple):
-    """The nearest unstable point found; the growth of the box that reaches it is infinite if none was."""
+    """The unstable point nearest to the middle of the box that a search found.
+
+    Args:
+        growth: Factor by which the box has to grow to reach it; infinite if no such point was found.
+        point: Coordinates, shape (sides,); NaN if no such point was found.
+    """
 
     growth: float
     point: np.ndarray
 
 
 def start_points(sides: int) -> np.ndarray:
-    """The centre, corners and random points of the box, shape (n, sides)."""
+    """The centre, corners and random points of the box [-1, 1]^sides, shape (n, sides)."""
     rng = np.random.default_rng(0)
     corners = rng.choice([-1.0, 1.0], (RANDOM_POINTS, sides))
     if sides <= MOST_CORNERS:
@@ -46,7 +51,12 @@ def start_points(sides: int) -> np.ndarray:
 
 
 def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
-    """Spectral radius of A in each [[A, B], [C, 0]]; infinite where there is no equilibrium."""
+    """Spectral radius of A in each [[A, B], [C, 0]], shape (n,); infinite where there is no equilibrium.
+
+    Args:
+        matrices: Shape (n, states + channels, states + channels).
+        channels: Columns of B.
+    """
     finite = np.all(np.isfinite(matrices), axis=(1, 2))
     radii = np.full(len(matrices), np.inf)
     if finite.any():
@@ -55,11 +65,11 @@ def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
 
 
 def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: float) -> np.ndarray:
-    """The margins of loops, shape (n, margins); unstable ones have the worst value.
+    """The :data:`MARGINS` of n loops, shape (n, margins); an unstable loop has the worst values.
 
     Args:
         matrices: [[A, b], [c, 0]], shape (n, states + 1, states + 1).
-        common_angles: Angles at which every loop is evaluated.
+        common_angles: omega T_s at which every loop is evaluated, besides angles near its poles.
         sample_time: T_s [s].
     """
     result = np.tile([UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS], (len(matrices), 1))
@@ -76,7 +86,7 @@ def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: flo
 
 
 def badness(margins: np.ndarray) -> np.ndarray:
-    """Margins, shape (..., margins), with a sign such that larger values are worse."""
+    """The :data:`MARGINS`, shape (..., margins), signed so that larger values are worse."""
     return margins * np.array([-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS])
 
 
@@ -85,9 +95,17 @@ def worst_margins(
     sides: int,
     common_angles: np.ndarray,
     sample_time: float,
-    remaining_points: RemainingPoints = unlimited,
-) -> list[Worst]:
-    """The worst value found of each margin of a loop that is broken in one channel."""
+    remaining_points: RemainingPoints = no_point_limit,
+) -> list[WorstPoint]:
+    """Search the box for the worst value of each of the :data:`MARGINS`; the loop is broken in one channel.
+
+    Args:
+        evaluate: The loop at points of the box.
+        sides: Number of coordinates.
+        common_angles: omega T_s at which every loop is evaluated.
+        sample_time: T_s [s].
+        remaining_points: Number of points that may still be evaluated.
+    """
 
     def margins(points: np.ndarray) -> np.ndarray:
         return margins_at(evaluate(points), common_angles, sample_time)
@@ -99,9 +117,9 @@ def worst_values(
     values_at: Callable[[np.ndarray], np.ndarray],
     badness: Callable[[np.ndarray], np.ndarray],
     sides: int,
-    remaining_points: RemainingPoints = unlimited,
-) -> list[Worst]:
-    """The worst value found of each quantity: the worst of many points, improved by steps along each number.
+    remaining_points: RemainingPoints = no_point_limit,
+) -> list[WorstPoint]:
+    """Search the box for the worst value of each quantity: the worst of many points, improved by coordinate steps.
 
     Args:
         values_at: (points, shape (n, sides)) -> values, shape (n, quantities).
@@ -131,16 +149,18 @@ def worst_values(
                 worst_points[index] = trials[index, k]
                 has_improved = True
         step = step if has_improved else 0.5 * step
-    return [Worst(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
+    return [WorstPoint(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
 def nearest_instability(
-    evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints = unlimited
+    evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints = no_point_limit
 ) -> Instability:
-    """The least growth of the box found that reaches an unstable loop.
+    """Search for the least growth of the box that reaches an unstable loop.
+
+    The growth is found along many directions from the middle, and the best direction is improved by coordinate steps.
 
     Args:
-        evaluate: The loop at points.
+        evaluate: The loop at points of the grown box.
         sides: Number of coordinates.
         most: Largest growth to try.
         remaining_points: Number of points that may still be evaluated.
@@ -148,6 +168,7 @@ def nearest_instability(
     points_per_direction = RADII + 1 + BISECTIONS
 
     def growths(directions: np.ndarray) -> np.ndarray:
+        """The growth at which the loop becomes unstable along each direction; infinite if it does not."""
         grid = np.linspace(0.0, most, RADII + 1)
         points = (grid[:, None, None] * directions).reshape(-1, sides)
         unstable = radii_of(evaluate(points)).reshape(RADII + 1, -1) >= 1.0

@@ -10,15 +10,15 @@ from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINE
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operating_points import equilibria
 from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
-from dssc_jax.analyses.worst_loop.cells import Covered, cover
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, RemainingPoints
+from dssc_jax.analyses.worst_loop.cells import CoverBounds, cover_box
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, LoopFamily, RemainingPoints
 from dssc_jax.analyses.worst_loop.joint import joint_case
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, multiloop_dataset, worst_dataset
 from dssc_jax.analyses.worst_loop.search import (
     MARGINS,
     Instability,
-    Worst,
+    WorstPoint,
     badness,
     margins_at,
     nearest_instability,
@@ -38,9 +38,9 @@ from dssc_jax.study.known_draws import study_of_draw
 
 GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
-"""The growths that are tried for the guarantee, relative to the smallest one with an unstable loop."""
+"""The growths for which stability is tried to be proved, relative to the smallest one with an unstable loop."""
 SEARCHED = 0.25  # share of the points for each of the two searches
-TRIALS = 3  # covers among which the remaining points of the growth are shared
+TRIALS = 3  # one part in so many of the remaining points is for each further bound
 LOOSEST = np.full(len(GAINS), 1e300)
 """Goals that any finite bounds meet."""
 
@@ -101,22 +101,22 @@ def worst_loop(
         if progress:
             progress(min(linearised_points, most), most)
 
-    family = Family(resting, box, settled_findings[0], advance)
+    family = LoopFamily(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
     broken_loops = loops_broken_at(study, names, family, operating)
     joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
     remaining_loops = len(broken_loops) + (joint is not None)
     cases = {}
     for name, broken in broken_loops.items():
-        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // remaining_loops)
+        cases[name] = loop_case(study, broken, operating, cells, family.remaining_points(most) // remaining_loops)
         remaining_loops -= 1
     multiloop = None
     if joint is not None:
         broken = BrokenFamily(family, joint.states, joint.points.tolist())
         channels = tuple(study.loop.channels[i] for i in joint.channels)
-        drawn_loops = broken.broken(reached_matrices(operating))
+        drawn_loops = broken.break_loops(reached_matrices(operating))
         sample_time = study.config.loop.sample_time
-        multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remainder(most))
+        multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remaining_points(most))
     return WorstLoop(
         study=study,
         dataset=worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop)),
@@ -132,7 +132,7 @@ def require_sizes(cells: int, points: int | None) -> None:
     """Require admissible numbers of cells and of points.
 
     Raises:
-        ConfigError: One of them is too large or not positive.
+        ConfigError: a number is too large or not positive.
     """
     if not 0 < cells <= MOST_CELLS:
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
@@ -144,27 +144,27 @@ def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, 
     """The break points of the given names; without names, the command of each channel.
 
     Raises:
-        ConfigError: The loop has no break point of a name.
+        ConfigError: the loop has no break point of a name.
     """
     names = place_names(study.loop.channels)
     for name in broken_at:
         if name not in names:
-            raise ConfigError(
-                "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
-            )
+            hint = f"{nearest(name, names)}{signal_hint(study, name)}"
+            raise ConfigError("broken_at", f"has no break point '{name}'; {hint}")
     return tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
 
 
 def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> None:
-    """Require that every part has the same linear form in all draws.
+    """Require that every part of the loop has the same linear form in all draws.
 
     Args:
         study: The study.
         places: The parts.
-        findings: Findings on the parts of the draws that have an equilibrium, shape (draws, parts).
+        findings: The :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` on each part in each draw that has
+            an equilibrium, shape (draws, parts).
 
     Raises:
-        ConfigError: A part rests at or beyond a boundary of its smooth range in some of the draws.
+        ConfigError: a part rests at or beyond a boundary of its smooth range in some of the draws.
     """
     differing_parts = np.flatnonzero(np.any(findings != findings[0], axis=0))
     if not differing_parts.size:
@@ -180,12 +180,18 @@ def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: 
 
 
 def loops_broken_at(
-    study: Study, names: Sequence[str], family: Family, operating: Operating
+    study: Study, names: Sequence[str], family: LoopFamily, operating: Operating
 ) -> dict[str, BrokenFamily]:
-    """The loop broken at each break point that has an effect.
+    """The loop over the box, broken at each of some break points, by name; those without an effect are left out.
+
+    Args:
+        study: The study.
+        names: Names of the break points.
+        family: The whole loop over the box.
+        operating: The loops of the draws.
 
     Raises:
-        ConfigError: None has an effect, or no uncertain number changes one of the loops.
+        ConfigError: none has an effect, or no uncertain number changes one of the loops.
     """
     all_names = place_names(study.loop.channels)
     broken_loops = {}
@@ -202,8 +208,8 @@ def loops_broken_at(
     return broken_loops
 
 
-def signal_text(study: Study, name: str) -> str:
-    """A hint for a break point that is named like a measured signal; else empty."""
+def signal_hint(study: Study, name: str) -> str:
+    """A hint for the message about an unknown break point that has the name of a measured signal; else empty."""
     measured_names = [signal.name for signal in study.loop.measures]
     if name not in measured_names and not name.startswith("measured_"):
         return ""
@@ -214,31 +220,44 @@ def signal_text(study: Study, name: str) -> str:
 
 
 def reached_matrices(operating: Operating) -> StateMatrices:
-    """Matrices of the draws that have an operating point."""
+    """The matrices of those draws that have an operating point."""
     return StateMatrices(*(part[operating.reached] for part in operating.matrices))
 
 
-class Bounds(NamedTuple):
-    """Bounds of the gains on the box, and the growth of the box up to which stability is bounded."""
+class GainBounds(NamedTuple):
+    """What is proved of one broken loop.
 
-    covered: Covered
+    Args:
+        covered: Bounds of the gains on all of the box.
+        growth: Growth of the box up to which the loop is proved to be stable.
+    """
+
+    covered: CoverBounds
     growth: float
 
 
 def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: int, points: int) -> LoopCase:
-    """The worst case of one broken loop, from a number of cells and of points to linearise."""
+    """Find the worst case of one broken loop: that of the draws, that of searches, and bounds.
+
+    Args:
+        study: The study.
+        broken: The broken loop over the box.
+        operating: The loops of the draws.
+        cells: Largest number of cells.
+        points: Largest number of points to linearise.
+    """
     family = broken.family
     remaining_points = family.allowance(points)
     search_points = round(SEARCHED * points)
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
-    drawn_loops = broken.broken(reached_matrices(operating))
+    drawn_loops = broken.break_loops(reached_matrices(operating))
     common_angles = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
     drawn_margins = margins_at(drawn_loops, common_angles, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
     worst_cases = worst_margins(broken.at, sides, common_angles, sample_time, family.allowance(search_points))
     growable, instability = defined_instability(study, broken, lambda: family.allowance(search_points))
-    bounds = bounds_of(broken, worst_cases, instability, growable, sample_time, cells, remaining_points)
+    bounds = find_bounds(broken, worst_cases, instability, growable, sample_time, cells, remaining_points)
     return LoopCase(
         names=broken.names,
         drawn=worst_drawn,
@@ -257,18 +276,21 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
 def defined_instability(
     study: Study, broken: BrokenFamily, allowance: Callable[[], RemainingPoints]
 ) -> tuple[float, Instability]:
-    """The nearest unstable loop within the largest growth of the box without one of undefined numbers, and that growth.
+    """Find the nearest unstable loop, in the largest growth of the box in which that loop's numbers are defined.
 
-    Beyond the box a number may be undefined that its ends do not show, such as the root of a difference. A loop of it
-    has no stability.
+    Within a grown box a number may be undefined although it is defined at the ends, such as the root of a difference.
+    A point with such a number is neither stable nor unstable.
 
     Args:
         study: The study.
-        broken: The loop over the box.
-        allowance: The points that a search may evaluate.
+        broken: The broken loop over the box.
+        allowance: () -> the number of points that a further search may evaluate.
+
+    Returns:
+        The growth that was searched, and the unstable loop.
 
     Raises:
-        ConfigError: A number is undefined within the box.
+        ConfigError: a number is undefined within the box itself.
     """
     for growth in admissible_growths(study, broken.family.box):
         instability = nearest_instability(broken.at, len(broken.sides), growth, allowance())
@@ -284,20 +306,30 @@ def defined_instability(
     raise AssertionError("the box is always one of its growths")
 
 
-def bounds_of(
+def find_bounds(
     broken: BrokenFamily,
-    worst_cases: list[Worst],
+    worst_cases: list[WorstPoint],
     instability: Instability,
     growable: float,
     sample_time: float,
     cells: int,
     remaining_points: RemainingPoints,
-) -> Bounds:
-    """Bounds of the gains on the box, and the growth up to which the loop is shown to be stable."""
+) -> GainBounds:
+    """Bound the gains of one broken loop on the box, and the growth of the box up to which the loop is stable.
+
+    Args:
+        broken: The broken loop over the box.
+        worst_cases: The worst values found of the :data:`MARGINS`, which are the goals of the bounds.
+        instability: The nearest unstable loop found.
+        growable: Largest growth that was searched.
+        sample_time: T_s [s].
+        cells: Largest number of cells.
+        remaining_points: Number of points that may still be linearised.
+    """
     sides = len(broken.sides)
-    unbounded = Covered(np.full(len(GAINS), np.inf), 0)
+    unbounded = CoverBounds(np.full(len(GAINS), np.inf), 0)
     if radii_of(broken.at(np.zeros((1, sides))))[0] >= 1.0:
-        return Bounds(unbounded, 0.0)
+        return GainBounds(unbounded, 0.0)
     ones = np.ones(sides)
     covered = unbounded
     growth = 0.0
@@ -309,7 +341,7 @@ def bounds_of(
             1.0 / worst["disk"],
             sample_time / worst["delay"] if np.isfinite(worst["delay"]) else 1e-3,
         )
-        covered = cover(
+        covered = cover_box(
             broken.at,
             (-ones, ones),
             GAP * np.array(gains_found),
@@ -324,18 +356,18 @@ def bounds_of(
         if trial_growth <= growth:
             break
         ends = (-trial_growth * ones, trial_growth * ones)
-        trial = cover(broken.at, ends, LOOSEST, cells // 4, broken.family.allowance(remaining_points() // TRIALS))
+        trial = cover_box(broken.at, ends, LOOSEST, cells // 4, broken.family.allowance(remaining_points() // TRIALS))
         cell_count += trial.cells
         if trial.stable:
             growth = trial_growth
             break
-    return Bounds(covered._replace(cells=cell_count), growth)
+    return GainBounds(covered._replace(cells=cell_count), growth)
 
 
 def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
-    """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN if a bound is not finite.
+    """The :data:`MARGINS` that bounds of the gains guarantee, shape (margins,); NaN if a bound is not finite.
 
-    A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases; the widest range counts.
+    A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases. The widest range counts.
 
     Args:
         gains: Bounds of |S|, |T|, |S - T|/2 and |T| theta, the order of :data:`GAINS`; theta is the angle per sample.

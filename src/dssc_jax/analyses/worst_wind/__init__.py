@@ -1,1 +1,1 @@
-"""The worst wind within bounds, and many flights in given winds."""
+"""The worst wind within bounds for each signal of a flight, and many flights in given winds."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.falsification.search_sets import SEARCH_EDGE
-from dssc_jax.analyses.worst_wind.flights import Slopes, WindFlights
+from dssc_jax.analyses.worst_wind.flights import WindFlights
 from dssc_jax.analyses.worst_wind.wind_set import WindSet
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import medians
@@ -22,32 +22,32 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study.laws import Law
 
 RANDOM = 1024
-"""Random switching winds among the candidates."""
+"""Number of random winds among the candidates."""
 STARTS = 2
-"""Winds of each kind, resonant and random, from which each signal is improved."""
+"""Number of candidates of each kind, resonant and random, from which the climb of each signal starts."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Steps towards the extreme wind that are tried, as shares of the way."""
+"""Lengths of the steps towards the extreme wind that are tried, as shares of the way."""
 LEAST_GAIN = 3e-4
 """Relative improvement below which a climb ends."""
 
 
 class Points(NamedTuple):
-    """Winds with values of the uncertain numbers.
+    """Points of the search: n winds, each with values of the uncertain numbers.
 
     Args:
-        winds: Shape (n, size, 3) [m/s].
+        winds: The winds [m/s], shape (n, size, 3).
         numbers: Value of each uncertain number, shape (n,) each.
     """
 
     winds: np.ndarray
     numbers: Arrays
 
-    def selected(self, places: np.ndarray) -> "Points":
-        """Some of the points."""
+    def select(self, places: np.ndarray) -> "Points":
+        """The points with some indices."""
         return Points(self.winds[places], {name: column[places] for name, column in self.numbers.items()})
 
-    def replaced(self, places: np.ndarray, replacements: "Points") -> "Points":
-        """The points with others at some places."""
+    def replace(self, places: np.ndarray, replacements: "Points") -> "Points":
+        """A copy of the points, with other points at some indices."""
         winds = np.array(self.winds)
         winds[places] = replacements.winds
         numbers = {name: np.array(column) for name, column in self.numbers.items()}
@@ -56,33 +56,42 @@ class Points(NamedTuple):
         return Points(winds, numbers)
 
 
-def joined(parts: list[Points]) -> Points:
-    """All points of several sets."""
+def join_points(parts: list[Points]) -> Points:
+    """The points of several sets, one set after the other."""
     names = parts[0].numbers
     numbers = {name: np.concatenate([part.numbers[name] for part in parts]) for name in names}
     return Points(np.concatenate([part.winds for part in parts]), numbers)
 
 
-def box_of(laws: dict[str, Law], names: list[str]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each uncertain number that can move; laws without ends are cut at a small level."""
-    box = {}
-    for name in names:
-        if not laws[name].movable:
-            continue
-        ends = laws[name].quantile(np.array([SEARCH_EDGE, 1.0 - SEARCH_EDGE]))
-        support = np.array(laws[name].support)
-        low, high = support if np.all(np.isfinite(support)) else ends
-        box[name] = (float(low), float(high))
-    return box
-
-
-class Worst(NamedTuple):
-    """What the search has found of one signal.
+def number_ranges(laws: dict[str, Law], names: list[str]) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of each uncertain number that the search can move: not of a choice.
 
     Args:
-        value: The worst value; +-inf if the flight ends early.
-        candidate: The worst value among the candidates.
-        point: The wind and the numbers, a single point.
+        laws: The laws of a study, by name.
+        names: Names of the uncertain numbers.
+
+    Returns:
+        The support of each law; one without ends is cut at its levels 1e-6 and 1 - 1e-6.
+    """
+    ranges = {}
+    for name in names:
+        law = laws[name]
+        if not law.movable:
+            continue
+        low, high = law.support
+        if not (np.isfinite(low) and np.isfinite(high)):
+            low, high = law.quantile(np.array([SEARCH_EDGE, 1.0 - SEARCH_EDGE]))
+        ranges[name] = (float(low), float(high))
+    return ranges
+
+
+class WorstFlight(NamedTuple):
+    """The worst flight found for one signal.
+
+    Args:
+        value: Worst value of the signal; +-inf if the flight ends early.
+        candidate: Worst value among the candidates, before any climb.
+        point: The wind and the uncertain numbers of the flight, a single point.
     """
 
     value: float
@@ -92,17 +101,17 @@ class Worst(NamedTuple):
 
 @dataclass
 class Ascent:
-    """A search in progress.
+    """The search for the worst wind of each signal; :meth:`run` runs it.
 
     Args:
-        flights: The study, compiled.
-        winds: The winds within the bounds.
+        flights: The compiled study.
+        winds: The set of winds within the bounds.
         signals: Names of the signals to drive to their worst.
-        rounds: Most steps of a climb.
+        rounds: Largest number of steps of a climb.
         rng: Random generator of the candidates.
         progress: Called with the rounds done.
-        flown: Flights so far.
-        differentiated: Flights with the derivative along one number so far.
+        flown: Number of flights so far.
+        differentiated: Number of flights with the derivative by one number so far.
     """
 
     flights: WindFlights
@@ -115,10 +124,10 @@ class Ascent:
     differentiated: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self.box = box_of(self.flights.flying.laws, self.flights.numbers)
+        self.ranges = number_ranges(self.flights.flying.laws, self.flights.numbers)
 
-    def run(self) -> dict[str, Worst]:
-        """The worst wind of each signal."""
+    def run(self) -> dict[str, WorstFlight]:
+        """Search for the worst flight of each signal, by name."""
         kinds = [self.candidates(winds) for winds in self.first_winds()]
         names: list[str] = []
         starts: list[Points] = []
@@ -128,32 +137,36 @@ class Ascent:
             for name in self.signals:
                 worst = np.argsort(-heights[name], kind="stable")[:STARTS]
                 names += [name] * len(worst)
-                starts.append(kind.selected(worst))
+                starts.append(kind.select(worst))
                 columns.append(heights[name][worst])
-        points = joined(starts)
+        points = join_points(starts)
         best = np.concatenate(columns)
         first = np.array(best)
         points, best = self.climb(names, points, best)
-        worst_points = {}
+        worst_flights = {}
         for name in self.signals:
             places = np.array([place for place, signal in enumerate(names) if signal == name])
             top = places[np.argmax(best[places])]
             sign = self.flights.signals[name].sign
             candidate = float(first[places].max())
-            worst_points[name] = Worst(sign * float(best[top]), sign * candidate, points.selected(np.array([top])))
-        return worst_points
+            worst_flights[name] = WorstFlight(sign * float(best[top]), sign * candidate, points.select(np.array([top])))
+        return worst_flights
 
     def report(self, rounds: int) -> None:
-        """Tell how many rounds are done; the candidates count as one."""
+        """Report the rounds done, of which the candidates are the first; an early end leaves the last one open."""
         if self.progress:
             self.progress(rounds, self.rounds + 1)
 
     def first_winds(self) -> list[np.ndarray]:
-        """The winds to begin with, by their kind: resonant ones and random ones, shape (n, size, 3) each."""
-        return [self.winds.resonant(), self.winds.switching(RANDOM, self.rng)]
+        """The winds of the candidates, by kind: resonant ones and random ones, shape (n, size, 3) each."""
+        return [self.winds.resonant_winds(), self.winds.random_winds(RANDOM, self.rng)]
 
     def candidates(self, winds: np.ndarray) -> Points:
-        """Winds with the median vehicle; with uncertain numbers, each also with a corner of the box."""
+        """Winds, shape (n, size, 3), as points: with the median vehicle, then with random ends of the numbers' ranges.
+
+        Numbers that the search cannot move have random values instead of ends. Without uncertain numbers there is only
+        the median vehicle.
+        """
         count = len(winds)
         laws = self.flights.flying.laws
         middle = medians(self.flights.flying)
@@ -163,25 +176,25 @@ class Ascent:
         corners = {}
         for name in self.flights.numbers:
             random_values = laws[name].quantile(self.rng.uniform(SEARCH_EDGE, 1.0 - SEARCH_EDGE, count))
-            corners[name] = self.rng.choice(self.box[name], count) if name in self.box else random_values
-        return joined([median_points, Points(winds, corners)])
+            corners[name] = self.rng.choice(self.ranges[name], count) if name in self.ranges else random_values
+        return join_points([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
-        """Each signal at some points, signed so that more is worse, shape (n,) each."""
+        """Fly at some points: each signal by name, signed so that a larger value is worse, shape (n,) each."""
         self.flown += len(points.winds)
         results = self.flights(points.winds, points.numbers)
         return {name: self.flights.signals[name].sign * results[name] for name in self.signals}
 
     def climb(self, names: list[str], points: Points, best: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Improve each point for its own signal, all at once.
+        """Improve n points at once, each for one signal, by steps towards the extreme wind of its gradient.
 
         Args:
-            names: The signal of each point, shape (n,).
-            points: Where to begin.
-            best: The signal's height there, shape (n,).
+            names: The signal of each point, n names.
+            points: The points at which the climbs start.
+            best: Height of the signal at each of them, shape (n,).
 
         Returns:
-            The points reached, and their heights.
+            The points reached, and the height at each, shape (n,).
         """
         active = np.flatnonzero(np.isfinite(best))
         for finished_rounds in range(self.rounds):
@@ -189,8 +202,8 @@ class Ascent:
             if not active.size:
                 break
             signals = [names[place] for place in active]
-            trials = self.trials(signals, points.selected(active))
-            heights = self.heights(joined(trials))
+            trials = self.trials(signals, points.select(active))
+            heights = self.heights(join_points(trials))
             rows = np.array([heights[signal].reshape(len(trials), -1)[:, i] for i, signal in enumerate(signals)])
             best_trials = np.argmax(rows, axis=1)
             trial_heights = rows[np.arange(len(active)), best_trials]
@@ -198,7 +211,7 @@ class Ascent:
             improved_points = active[better]
             places = np.flatnonzero(better)
             for step, place in zip(best_trials[better], places, strict=True):
-                points = points.replaced(active[[place]], trials[step].selected(np.array([place])))
+                points = points.replace(active[[place]], trials[step].select(np.array([place])))
             gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
             best = np.array(best)
             best[improved_points] = trial_heights[better]
@@ -207,34 +220,47 @@ class Ascent:
         return points, best
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
-        """Steps of each point towards the extreme wind and vehicle of its signal's gradient, and that wind later.
+        """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.
 
-        A flight's worst moment may come before its end. The last trial moves the extreme wind, so that this moment
-        becomes the last one and more wind can precede it.
+        The worst moment of a flight may come before its end. The last trial delays the extreme wind, so that this
+        moment becomes the last one and more wind can precede it.
+
+        Args:
+            signals: The signal of each point, n names.
+            points: The n points.
+
+        Returns:
+            Sets of n points: a share of the way for each of :data:`SHARES`, the extreme wind with the present numbers,
+            and the delayed extreme wind.
         """
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
         self.differentiated += len(signals) * (3 * self.winds.grid.size + len(self.flights.numbers))
         signs = np.array([self.flights.signals[name].sign for name in signals])
-        signed_slopes = Slopes(
-            signs[:, None, None] * slopes.wind, {n: signs * column for n, column in slopes.numbers.items()}
-        )
-        extreme = Points(self.winds.extreme(signed_slopes.wind, points.winds), self.corners(signed_slopes, points))
-        trials = [between(points, extreme, share) for share in SHARES]
+        wind_slopes = signs[:, None, None] * slopes.wind
+        number_slopes = {name: signs * column for name, column in slopes.numbers.items()}
+        extreme_winds = self.winds.extreme_winds(wind_slopes, points.winds)
+        extreme = Points(extreme_winds, self.extreme_numbers(number_slopes, points.numbers))
+        trials = [interpolate(points, extreme, share) for share in SHARES]
         trials.append(Points(extreme.winds, points.numbers))
-        trials.append(Points(self.winds.within(postponed(extreme.winds, signed_slopes.wind)), extreme.numbers))
+        trials.append(Points(self.winds.follow(postpone(extreme.winds, wind_slopes)), extreme.numbers))
         return trials
 
-    def corners(self, signed_slopes: Slopes, points: Points) -> Arrays:
-        """Each number at the end of its range towards which the signal rises; the present value if the slope is 0."""
-        numbers = dict(points.numbers)
-        for name, (low, high) in self.box.items():
-            slope = signed_slopes.numbers[name]
-            numbers[name] = np.where(slope > 0.0, high, np.where(slope < 0.0, low, points.numbers[name]))
-        return numbers
+    def extreme_numbers(self, slopes: Arrays, numbers: Arrays) -> Arrays:
+        """Each uncertain number at the end of its range towards which the signal gets worse, shape (n,) each.
+
+        Args:
+            slopes: Derivatives of the signed signal by each number, shape (n,) each; where one is 0, the number stays.
+            numbers: The present values, shape (n,) each.
+        """
+        extreme = dict(numbers)
+        for name, (low, high) in self.ranges.items():
+            slope = slopes[name]
+            extreme[name] = np.where(slope > 0.0, high, np.where(slope < 0.0, low, numbers[name]))
+        return extreme
 
 
-def between(points: Points, extreme: Points, share: float) -> Points:
-    """Points at a share of the way to others."""
+def interpolate(points: Points, extreme: Points, share: float) -> Points:
+    """Points at a share of the way from ``points``, at 0, to ``extreme``, at 1."""
     winds = (1.0 - share) * points.winds + share * extreme.winds
     numbers = {}
     for name, column in points.numbers.items():
@@ -242,14 +268,18 @@ def between(points: Points, extreme: Points, share: float) -> Points:
     return Points(winds, numbers)
 
 
-def postponed(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Winds postponed until the last vector with a slope is the last of the wind, shape (n, size, 3) all.
+def postpone(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Delay winds so that the last vector with an effect becomes the last vector of the wind, shape (n, size, 3).
 
-    The first vectors are then those that came last, which had no effect.
+    The vectors behind it, which have no effect, move to the beginning.
+
+    Args:
+        winds: Shape (n, size, 3).
+        slopes: Derivatives of a signal by the winds, shape (n, size, 3); 0 for a vector without an effect.
     """
-    moved_winds = np.array(winds)
+    delayed_winds = np.array(winds)
     for row, (wind, slope) in enumerate(zip(winds, slopes, strict=True)):
         effective = np.flatnonzero(np.any(slope != 0.0, axis=1))
         if effective.size:
-            moved_winds[row] = np.roll(wind, len(wind) - 1 - effective[-1], axis=0)
-    return moved_winds
+            delayed_winds[row] = np.roll(wind, len(wind) - 1 - effective[-1], axis=0)
+    return delayed_winds

@@ -1,10 +1,11 @@
-"""Many flights in given winds by one compiled program, and what each signal reaches at most.
+"""Many flights in given winds by one compiled program, and the worst value of each signal in a flight.
 
 A wind is a table of vectors at the times of a grid. Where the wind may jump, each vector holds until the next time (the
 kind ``piecewise``). Where its rate is bounded, the vectors are the knots of a cubic spline (the kind ``spline``), which
 stays within every bound on the knots and on their differences.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -23,20 +24,20 @@ from dssc_jax.study import Study
 
 AXES = ("x", "y", "z")
 KINDS = ("error_max", "error_rate_max", "sigma_max", "tilt_max", "rotor_thrust_max", "rotor_thrust_min")
-"""Metrics of a flight."""
+"""The metrics of a flight that are its signals."""
 SMALLEST = ("rotor_thrust_min",)
-"""Metrics of which the smallest value is the worst."""
+"""The metrics of which the smallest value is the worst."""
 REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
-"""Tables of a study that say nothing of a flight in a given wind."""
+"""Tables of a study that do not matter for a flight in a given wind."""
 BEYOND = 3
-"""Knots that a spline needs in addition to one for each segment: one before the flight, at its end and after it."""
+"""Knots of a spline besides one for each segment: before the flight, at its end and after it."""
 
 
 class WindGrid(NamedTuple):
-    """Times at which a wind is given.
+    """The times at which a wind has a vector.
 
     Args:
-        interval: Time between two of them [s].
+        interval: Time between two vectors [s].
         size: Number of vectors.
         smooth: Whether the vectors are knots of a spline; otherwise each one holds for the interval.
     """
@@ -47,64 +48,65 @@ class WindGrid(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
-        """The grid with at most ``segments`` segments over a flight, each of whole samples."""
-        samples = -(-study.loop.steps // segments)
-        count = -(-study.loop.steps // samples)
+        """The grid that divides a study's flight into at most ``segments`` segments of whole samples."""
+        samples = math.ceil(study.loop.steps / segments)
+        count = math.ceil(study.loop.steps / samples)
         return cls(samples * study.loop.sample_time, count + BEYOND * smooth, smooth)
 
     @property
     def times(self) -> np.ndarray:
-        """Times of the vectors [s], shape (size,); of a spline, one lies before the flight and two after it."""
+        """Times of the vectors [s], shape (size,); the first knot of a spline lies before the flight."""
         return (np.arange(self.size) - (1.0 if self.smooth else 0.0)) * self.interval
 
     @property
     def names(self) -> list[str]:
-        """Names of a wind's numbers, one component after the other."""
+        """Dotted names of the numbers of a wind, one component after the other: ``wind.x.0``, ``wind.x.1``."""
         return [f"wind.{axis}.{place}" for axis in AXES for place in range(self.size)]
 
     def table(self, columns: Sequence[Sequence[object]]) -> TomlTable:
-        """The table ``[wind]`` of a study, from its three components."""
+        """The table ``[wind]`` of a study, from ``size`` values of each of the three components."""
         components = {axis: list(column) for axis, column in zip(AXES, columns, strict=True)}
         if self.smooth:
             return {"kind": "spline", "interval": self.interval, "at": float(self.times[0]), **components}
         return {"kind": "piecewise", "times": self.times.tolist(), **components}
 
     def values(self, winds: np.ndarray) -> Arrays:
-        """Value of each number for some winds, shape (n, size, 3) -> (n,) each."""
+        """The numbers of n winds by their dotted names, shape (n,) each, from winds of shape (n, size, 3)."""
         columns = np.moveaxis(winds, 2, 1).reshape(len(winds), -1)
         return dict(zip(self.names, columns.T, strict=True))
 
 
 class Signal(NamedTuple):
-    """What a flight reaches at most, or at least.
+    """A metric of a flight that a wind can drive to its worst value.
 
     Args:
-        measure: Its metric.
+        measure: The metric.
         sign: 1 if the largest value is the worst, -1 if the smallest is.
     """
 
     measure: Measure
     sign: float
 
-    @property
-    def name(self) -> str:
-        """Name of the metric in results."""
-        return self.measure.name
+    @classmethod
+    def of(cls, measure: Measure) -> "Signal":
+        """The signal of a metric."""
+        return cls(measure, -1.0 if measure.kind in SMALLEST else 1.0)
 
 
 @dataclass
 class WindFlights:
-    """A study compiled once, which flies in any winds and with any values of its uncertain numbers.
+    """A study that is compiled once, and flies in any winds and with any values of its uncertain numbers.
 
     The study's own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of draw 0.
 
     Args:
         study: The study.
-        grid: Times at which the winds are given.
-        lanes: Most flights of a batch.
+        grid: Times at which the winds have vectors.
+        lanes: Largest number of flights in a batch.
+        flying: The study that is compiled, whose wind is a table of free numbers.
 
     Raises:
-        ConfigError: The plant does not fly, or a number of the wind is uncertain.
+        ConfigError: the plant does not fly, or a number of the wind is uncertain.
     """
 
     study: Study
@@ -114,13 +116,13 @@ class WindFlights:
 
     def __post_init__(self) -> None:
         self.flying = flying_study(self.study, self.grid)
-        self.signals = {measure.name: Signal(measure, sign_of(measure)) for measure in self.flying.measures}
+        self.signals = {measure.name: Signal.of(measure) for measure in self.flying.measures}
         self.numbers = [name for name in self.flying.laws if not name.startswith("wind.")]
         self._plain = Evaluator(self.flying, {}, self.lanes)
-        self._steep = GradientEvaluator(self.flying, {}, self.lanes, names=[*self.grid.names, *self.numbers])
+        self._with_gradients = GradientEvaluator(self.flying, {}, self.lanes, names=[*self.grid.names, *self.numbers])
 
     def __call__(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray]) -> Arrays:
-        """Fly.
+        """Fly once in each wind.
 
         Args:
             winds: The winds [m/s], shape (n, size, 3).
@@ -132,17 +134,17 @@ class WindFlights:
         return self._worst(self._plain(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers)))
 
     def with_slopes(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray], names: Sequence[str]) -> "Slopes":
-        """Fly, and differentiate one signal of each flight.
+        """Fly once in each wind, and differentiate one signal of each flight.
 
         Args:
             winds: The winds [m/s], shape (n, size, 3).
             numbers: Value of each uncertain number, shape (n,) each.
             names: The signal of each flight, n names.
         """
-        results = self._steep(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
+        results = self._with_gradients(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
 
-        def slope(by: str) -> np.ndarray:
-            return np.array([results[Derivative(name, by)][flight] for flight, name in enumerate(names)])
+        def slope(number: str) -> np.ndarray:
+            return np.array([results[Derivative(name, number)][flight] for flight, name in enumerate(names)])
 
         columns = np.stack([slope(name) for name in self.grid.names], axis=1)
         by_wind = np.moveaxis(columns.reshape(len(winds), 3, self.grid.size), 1, 2)
@@ -150,7 +152,7 @@ class WindFlights:
         return Slopes(np.nan_to_num(by_wind), {name: np.nan_to_num(column) for name, column in by_numbers.items()})
 
     def _worst(self, results: Arrays) -> Arrays:
-        """The signals, with the worst value where a flight ended early."""
+        """The value of each signal, shape (n,) each; the worst one, +-inf, where a flight ended early."""
         ended = results["outcome"] != Outcome.OK
         values = {}
         for name, signal in self.signals.items():
@@ -162,28 +164,32 @@ class Slopes(NamedTuple):
     """Derivatives of one signal of each flight.
 
     Args:
-        wind: With respect to the wind, shape (n, size, 3).
-        numbers: With respect to each uncertain number, shape (n,) each.
+        wind: Derivatives by the vectors of the wind, shape (n, size, 3).
+        numbers: Derivatives by each uncertain number, shape (n,) each.
     """
 
     wind: np.ndarray
     numbers: dict[str, np.ndarray]
 
 
-def sign_of(measure: Measure) -> float:
-    """1 if the largest value of a metric is the worst, -1 if the smallest is."""
-    return -1.0 if measure.kind in SMALLEST else 1.0
-
-
-def flying_study(study: Study, grid: WindGrid) -> Study:
-    """The study whose wind is a table of free numbers, and which measures the signals.
+def require_certain_wind(study: Study) -> None:
+    """Require a wind without uncertain numbers, since a search varies the wind itself.
 
     Raises:
-        ConfigError: The plant does not fly, or a number of its wind is uncertain.
+        ConfigError: a number of the wind has a law.
     """
     uncertain = [name for name in study.laws if name.startswith("wind.")]
     if uncertain:
         raise ConfigError(uncertain[0], "is uncertain; the wind's bounds must be numbers")
+
+
+def flying_study(study: Study, grid: WindGrid) -> Study:
+    """The study with a table of free numbers as its wind, and with the signals as its metrics.
+
+    Raises:
+        ConfigError: the plant does not fly, or a number of its wind is uncertain.
+    """
+    require_certain_wind(study)
     table = {name: value for name, value in study.table.items() if name not in REPLACED}
     free = [{"uniform": [-1.0, 1.0]}] * grid.size
     loop = {name: value for name, value in dict(study.table["loop"]).items() if name != "settled"}
@@ -216,7 +222,7 @@ def fly_winds(
         the flight ended early, whose values are then infinite.
 
     Raises:
-        ConfigError: The winds do not have this shape, a number is unknown, or the plant does not fly.
+        ConfigError: the winds do not have this shape, a number is unknown, or the plant does not fly.
 
     Example:
         >>> import numpy as np
@@ -244,9 +250,6 @@ def fly_winds(
     variables = {}
     for name, signal in flights.signals.items():
         variables[name] = ("flight", results[name], {"units": signal.measure.unit, "long_name": signal.measure.meaning})
-    variables["outcome"] = (
-        "flight",
-        results["outcome"],
-        {"long_name": "outcome code, above 0 if the flight ended early"},
-    )
+    outcome_meaning = "outcome code, above 0 if the flight ended early"
+    variables["outcome"] = ("flight", results["outcome"], {"long_name": outcome_meaning})
     return xr.Dataset(variables, attrs={"title": study.name})

@@ -1,7 +1,6 @@
 """Search for the wind within bounds that drives each signal of a flight to its worst value.
 
-The result is a lower bound of what winds within the bounds can do: each wind found can be flown again. Nothing is
-claimed of winds that were not tried.
+Each wind found can be flown again. Nothing is claimed of winds that were not tried, which may be worse.
 """
 
 import time
@@ -14,8 +13,8 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import CLIMBS, LEAST_SEGMENTS, MOST_CLIMBS, MOST_SEGMENTS, SEGMENTS
-from dssc_jax.analyses.worst_wind.ascent import Ascent, Worst
-from dssc_jax.analyses.worst_wind.flights import AXES, WindFlights, WindGrid
+from dssc_jax.analyses.worst_wind.ascent import Ascent, WorstFlight
+from dssc_jax.analyses.worst_wind.flights import AXES, WindFlights, WindGrid, require_certain_wind
 from dssc_jax.analyses.worst_wind.wind_set import Limits, WindSet
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
@@ -25,9 +24,9 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
 
-UNASKED = ("error_rate_max",)
-"""Metrics of a flight that are driven to their worst only on request."""
-ALONE = ("sampling", "replicates", "correlation", "sweep", "draws")
+ON_REQUEST = ("error_rate_max",)
+"""Metrics of a flight that are signals only on request."""
+OF_ALL_DRAWS = ("sampling", "replicates", "correlation", "sweep", "draws")
 """Settings of a study for all its draws together."""
 UNIT_OF_SIGNAL = "that of the signal"
 
@@ -70,12 +69,12 @@ class WorstWind(Analysis):
 
     Args:
         units: Unit of each signal.
-        meanings: What each signal is.
+        meanings: What each signal is, in words.
         limits: The bounds of the wind.
         interval: Time between two vectors [s].
-        flights: Flights in given winds.
-        slopes: Flights with the derivative along one number.
-        seconds: Computing time.
+        flights: Number of flights in given winds.
+        slopes: Number of flights with the derivative by one number.
+        seconds: Computing time [s].
     """
 
     kind = "worst-wind"
@@ -97,7 +96,7 @@ class WorstWind(Analysis):
 
     @property
     def grid(self) -> WindGrid:
-        """Times at which a wind is given."""
+        """The times at which the winds have vectors."""
         return WindGrid(self.interval, self.dataset.sizes["time"], self.limits.rate is not None)
 
     def wind(self, signal: str) -> np.ndarray:
@@ -116,31 +115,36 @@ class WorstWind(Analysis):
         Example:
             ``dj.simulate(worst.flight("error_max_x"))``
         """
-        table = {name: value for name, value in self.study.table.items() if name not in ALONE}
+        table = {name: value for name, value in self.study.table.items() if name not in OF_ALL_DRAWS}
         wind = self.grid.table(self.wind(signal).T.tolist())
         return study_of_draw(Study.from_table(table | {"wind": wind}, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """The dataset of one signal; raises ConfigError if it was not searched for."""
+        """The row of the dataset for one signal.
+
+        Raises:
+            ConfigError: the signal was not searched for.
+        """
         if signal not in self.signals:
             raise ConfigError("signal", f"'{signal}' was not searched for; {nearest(signal, self.signals)}")
         return self.dataset.sel(signal=signal)
 
     @property
     def headline(self) -> str:
-        """The answer in one line."""
+        """The effect of the worst wind on the first signal, in one line."""
         first = self.answer.signals[0]
-        effect = "ends the flight early" if first.worst is None else f"drives {first.signal} to {first.worst:.4g}"
-        unit = "" if first.worst is None else f" {first.unit}"
-        return f"the worst wind found of at most {self.limits.speed:g} m/s {effect}{unit}".removesuffix(" 1")
+        effect = "ends the flight early"
+        if first.worst is not None:
+            effect = f"drives {first.signal} to {first.worst:.4g} {first.unit}".removesuffix(" 1")
+        return f"the worst wind found of at most {self.limits.speed:g} m/s {effect}"
 
     def figure(self) -> Figure:
-        """Plot the answer."""
+        """Plot the wind that drives each signal to its worst value."""
         return plotting.worst_wind(self)
 
     @property
     def answer(self) -> WorstWindAnswer:
-        """The numbers that summary.json holds."""
+        """The bounds, and the worst value found of each signal, as ``summary.json`` has them."""
         return WorstWindAnswer(
             speed=self.limits.speed,
             vertical=self.limits.vertical,
@@ -154,7 +158,7 @@ class WorstWind(Analysis):
         )
 
     def signal_answer(self, signal: str) -> SignalAnswer:
-        """The worst value found of one signal."""
+        """The worst value found of one signal, read from the dataset."""
         row = self._row(signal)
         place = self.signals.index(signal)
         return SignalAnswer(
@@ -168,7 +172,7 @@ class WorstWind(Analysis):
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number, or None if it is infinite."""
+    """The value, or None in place of an infinite one, which JSON does not have."""
     return value if np.isfinite(value) else None
 
 
@@ -221,21 +225,21 @@ def worst_wind(
     for name in signals or ():
         if name not in flights.signals:
             raise ConfigError("signals", f"unknown signal '{name}'; {nearest(name, flights.signals)}")
-    default_names = [name for name, signal in flights.signals.items() if signal.measure.kind not in UNASKED]
-    selected_names = list(dict.fromkeys(signals or default_names))
+    default_names = [name for name, signal in flights.signals.items() if signal.measure.kind not in ON_REQUEST]
+    names = list(dict.fromkeys(signals or default_names))
     ascent = Ascent(
         flights=flights,
         winds=WindSet(limits, grid),
-        signals=selected_names,
+        signals=names,
         rounds=rounds,
         rng=np.random.default_rng(seed),
         progress=progress,
     )
-    worst_winds = ascent.run()
-    measures = [flights.signals[name].measure for name in selected_names]
+    worst_flights = ascent.run()
+    measures = [flights.signals[name].measure for name in names]
     return WorstWind(
         study,
-        dataset_of(flights, worst_winds),
+        worst_wind_dataset(flights, worst_flights),
         units=tuple(measure.unit for measure in measures),
         meanings=tuple(measure.meaning for measure in measures),
         limits=limits,
@@ -263,27 +267,27 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
         ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows.
+        ConfigError: The wind has no known bounds or uncertain ones, or never blows; or a number is too small.
 
     Example:
         >>> import dssc_jax as dj
         >>> dj.switching_winds(dj.Study.load("studies/hover_wind.toml"), 7).shape
         (7, 100, 3)
     """
+    if count < 0 or segments < 1:
+        raise ConfigError("winds", f"need a count >= 0 and segments >= 1, got {count} and {segments}")
     limits = limits_of(study)
     grid = WindGrid.of(study, segments, limits.rate is not None)
-    return WindSet(limits, grid).switching(count, np.random.default_rng(seed))
+    return WindSet(limits, grid).random_winds(count, np.random.default_rng(seed))
 
 
 def limits_of(study: Study) -> Limits:
     """The bounds of a study's wind in plain numbers.
 
     Raises:
-        ConfigError: They are not known, or uncertain, or the wind never blows.
+        ConfigError: the bounds are not known, or uncertain, or the wind never blows.
     """
-    uncertain = [name for name in study.laws if name.startswith("wind.")]
-    if uncertain:
-        raise ConfigError(uncertain[0], "is uncertain; the bounds of the wind must be numbers")
+    require_certain_wind(study)
     bounds = study.loop.wind.bounds
     if bounds is None:
         raise ConfigError("wind.kind", "this wind declares no bounds; use kind = 'bounded', or one that declares them")
@@ -293,29 +297,32 @@ def limits_of(study: Study) -> Limits:
     return Limits(float(speed), float(vertical), None if rate is None else float(rate))
 
 
-def dataset_of(flights: WindFlights, worst_winds: dict[str, Worst]) -> xr.Dataset:
-    """The dataset of :class:`WorstWind`."""
+def worst_wind_dataset(flights: WindFlights, worst_flights: dict[str, WorstFlight]) -> xr.Dataset:
+    """The dataset of :class:`WorstWind`.
+
+    Args:
+        flights: The compiled study.
+        worst_flights: The worst flight of each signal, by name.
+    """
+    worst_values = [worst.value for worst in worst_flights.values()]
+    candidates = [worst.candidate for worst in worst_flights.values()]
     columns = {
-        "worst": ([worst.value for worst in worst_winds.values()], UNIT_OF_SIGNAL, "worst value found"),
-        "candidate": (
-            [worst.candidate for worst in worst_winds.values()],
-            UNIT_OF_SIGNAL,
-            "worst value of the candidates",
-        ),
+        "worst": (worst_values, UNIT_OF_SIGNAL, "worst value found"),
+        "candidate": (candidates, UNIT_OF_SIGNAL, "worst value of the candidates"),
     }
     for name in flights.numbers:
         quantity = flights.study.quantities[name]
-        values = [float(worst.point.numbers[name][0]) for worst in worst_winds.values()]
+        values = [float(worst.point.numbers[name][0]) for worst in worst_flights.values()]
         columns[name] = (values, quantity.unit, quantity.meaning)
     variables = {}
     for name, (values, unit, meaning) in columns.items():
         variables[name] = ("signal", np.asarray(values), {"units": unit, "long_name": meaning})
     for index, axis in enumerate(AXES):
-        winds = np.stack([worst.point.winds[0, :, index] for worst in worst_winds.values()])
+        winds = np.stack([worst.point.winds[0, :, index] for worst in worst_flights.values()])
         attributes = {"units": "m/s", "long_name": f"worst wind along {axis}"}
         variables[f"wind_{axis}"] = (("signal", "time"), winds, attributes)
     coords = {
-        "signal": ("signal", list(worst_winds), {"units": "", "long_name": "signal, by the name of its metric"}),
+        "signal": ("signal", list(worst_flights), {"units": "", "long_name": "signal, by the name of its metric"}),
         "time": ("time", flights.grid.times, {"units": "s", "long_name": "time of the wind's vector"}),
     }
     return xr.Dataset(variables, coords=coords, attrs={"title": flights.study.name})
