@@ -229,6 +229,7 @@ class Result:
         return lines(self._content(self.points(), CONFIDENCE))
 
     def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
+        """The summary with points that may be made one by one."""
         times = self.manifest.get("times", {})
         return {
             "study": self.study.name,
