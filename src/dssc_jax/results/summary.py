@@ -229,9 +229,12 @@ def missing_value_texts(point: SummaryRow) -> list[str]:
         if any(counts):
             names_by_counts.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, unsettled), names in names_by_counts.items():
-        reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
-        reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
+    for (unstable, no_operating_point), names in names_by_counts.items():
+        reasons = []
+        if unstable:
+            reasons.append(f"in {unstable:,} the loop is unstable")
+        if no_operating_point:
+            reasons.append(f"in {no_operating_point:,} it has no operating point within the limits")
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
     for row in point["requirements"]:
         if row.get("undefined"):
