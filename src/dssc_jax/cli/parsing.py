@@ -1,4 +1,4 @@
-"""Parse the texts of options, such as ``NAME=LO:HI``."""
+"""Parse the texts of options, such as ``NAME=LO:HI``, and refuse options without a meaning."""
 
 import math
 import tomllib
@@ -115,3 +115,18 @@ def parse_times(text: str | None) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(",")) if text else ()
     except ValueError:
         raise ConfigError("--at", f"must be times in seconds, T1,T2,.., got '{text}'") from None
+
+
+def require_unset(circumstance: str, **options: object) -> None:
+    """Require that options without a meaning in a circumstance, such as "with a result", are not given.
+
+    Args:
+        circumstance: The circumstance, for the message.
+        options: Values of the options; None and an empty list mean that an option is not given.
+
+    Raises:
+        ConfigError: An option is given.
+    """
+    for name, value in options.items():
+        if value is not None and value != []:
+            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning {circumstance}")

@@ -8,7 +8,7 @@ from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
-from dssc_jax.cli.requirements import require_unset
+from dssc_jax.cli.parsing import require_unset
 from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
 from dssc_jax.console.terminal import progress_bar, show_line
 from dssc_jax.core.errors import ConfigError

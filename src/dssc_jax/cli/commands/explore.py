@@ -9,8 +9,7 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import load_study, stored_result
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
-from dssc_jax.cli.parsing import parse_changes
-from dssc_jax.cli.requirements import require_unset
+from dssc_jax.cli.parsing import parse_changes, require_unset
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration import require_panel
 from dssc_jax.exploration.live import LiveStudy

@@ -9,8 +9,7 @@ from dssc_jax.cli.analysing import finish, free_folder
 from dssc_jax.cli.declarations.statistics import Laws
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_result, study_of
-from dssc_jax.cli.parsing import parse_within
-from dssc_jax.cli.requirements import require_unset
+from dssc_jax.cli.parsing import parse_within, require_unset
 from dssc_jax.console.laws import show_laws
 from dssc_jax.console.ranges import show_ranges
 from dssc_jax.console.terminal import progress_bar

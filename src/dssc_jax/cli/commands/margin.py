@@ -7,7 +7,7 @@ from dssc_jax.cli.declarations.robustness import Margin
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import controller_names, study_of
 from dssc_jax.cli.parsing import parse_walk
-from dssc_jax.cli.requirements import require_proofs
+from dssc_jax.cli.proving import require_proofs
 from dssc_jax.console.margins import show_margin_contest, show_margins
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError

@@ -11,7 +11,7 @@ from dssc_jax.cli.declarations.designs import Prove
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import load_study, read_json
 from dssc_jax.cli.parsing import parse_changes, parse_walk
-from dssc_jax.cli.requirements import proof_coverage
+from dssc_jax.cli.proving import proof_coverage
 from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdict
 from dssc_jax.console.terminal import progress_bar, show_line
 from dssc_jax.core.errors import ConfigError

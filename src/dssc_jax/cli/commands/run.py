@@ -5,8 +5,7 @@ from pathlib import Path
 from dssc_jax.cli.analysing import usual_folder
 from dssc_jax.cli.declarations.simulation import Run
 from dssc_jax.cli.exit_codes import DONE, FAILS
-from dssc_jax.cli.parsing import parse_within
-from dssc_jax.cli.requirements import require_unset
+from dssc_jax.cli.parsing import parse_within, require_unset
 from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.terminal import progress_bar

@@ -6,7 +6,7 @@ from dssc_jax.cli.analysing import attempt, usual_folder
 from dssc_jax.cli.declarations.simulation import Sweep
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.parsing import parse_overs
-from dssc_jax.cli.requirements import proof_coverage, require_proofs
+from dssc_jax.cli.proving import proof_coverage, require_proofs
 from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError

@@ -1,4 +1,4 @@
-"""Requirements that several commands check before they compute anything."""
+"""Requirements of the commands that prove."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,21 +7,6 @@ from importlib.util import find_spec
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.study import Study
-
-
-def require_unset(circumstance: str, **options: object) -> None:
-    """Require that options without a meaning in a circumstance, such as "with a result", are not given.
-
-    Args:
-        circumstance: The circumstance, for the message.
-        options: Values of the options; None and an empty list mean that an option is not given.
-
-    Raises:
-        ConfigError: An option is given.
-    """
-    for name, value in options.items():
-        if value is not None and value != []:
-            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning {circumstance}")
 
 
 def require_proofs() -> None:
