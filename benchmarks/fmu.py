@@ -8,7 +8,7 @@ import numpy as np
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.cli.fmu_library import built_library
+from dssc_jax.cli.native_build import build_fmu_library
 from dssc_jax.engine.batching import Engine, lanes_of, values_of_draws
 from dssc_jax.flight_code.folder import FlightFolder
 from tests import fmus
@@ -39,7 +39,7 @@ def motor(folder: Path) -> tuple[dj.Study, dj.Study]:
     """The motor's loop with its PID as an FMU that this package has written, and without."""
     own = dj.Study.load("motor").without_sweep()
     unit = FlightFolder(own).fmu()
-    library, reason = built_library(unit)
+    library, reason = build_fmu_library(unit)
     if library is None:
         raise SystemExit(f"no FMU can be built here: {reason}")
     file = folder / "motor.fmu"

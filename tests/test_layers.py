@@ -42,7 +42,6 @@ MOVES = {"replace", "rename"}
 ALLOWED = {
     "__init__.py": {"Path(__file__).with_suffix('.pyi').read_text"},  # of the package
     "cli/main.py": {"open"},  # the null device
-    "cli/fmu_library.py": {"TemporaryDirectory"},  # private to the process
     "cli/native_build.py": {"TemporaryDirectory"},  # private to the process
     "cli/trajectories.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
     "core/native/fmu.py": {"TemporaryDirectory"},  # private to the process

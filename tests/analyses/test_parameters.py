@@ -12,7 +12,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered, mark, reach
 from dssc_jax.design.ends import ends_of
-from dssc_jax.exploration.sliders import changes_of, sliders_of
+from dssc_jax.exploration.sliders import sliders_of, study_changes
 from dssc_jax.flight_code.controller import sampled_controllers
 from dssc_jax.flight_code.recording import recorded_draws
 from dssc_jax.proofs.coverage import problem_of
@@ -128,7 +128,7 @@ def test_sliders_move_parameters_and_nothing_that_follows(study):
     assert not {"plant.k_p", "controller.k_p", "unmodelled.mu"} & set(names)
     (slider,) = (slider for slider in sliders if slider.name == "parameters.w")
     assert slider.unit == "rad/s"
-    moved = study.override(changes_of(study, {slider: 3.0}))
+    moved = study.override(study_changes(study, {slider: 3.0}))
     assert moved.template.controller[0].k_p == 9.0
     with pytest.raises(ConfigError, match=r"'controller.k_p' follows from parameters.w"):
         sliders_of(study, ["controller.k_p"])

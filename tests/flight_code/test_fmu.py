@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli.fmu_library import built_library
 from dssc_jax.cli.main import guarded
+from dssc_jax.cli.native_build import build_fmu_library
 from dssc_jax.core.signals import ReferencePoint
 from dssc_jax.flight_code import fmu as fmu_module
 from dssc_jax.flight_code.controller import COMMAND
@@ -60,7 +60,7 @@ def opened(tmp_path):
     def make(study):
         folder = FlightFolder(study)
         unit = folder.fmu()
-        library, reason = built_library(unit)
+        library, reason = build_fmu_library(unit)
         assert reason is None
         file = tmp_path / f"{unit.name}.fmu"
         file.write_bytes(unit.archive(library))
@@ -349,6 +349,6 @@ def test_a_compiler_that_fails_gives_its_reason(monkeypatch):
     broken = fmu_module.ControllerFmu(
         unit.name, unit.description, unit.sources | {"fmu.c": "int main(void) { nothing }"}
     )
-    library, reason = built_library(broken)
+    library, reason = build_fmu_library(broken)
     assert library is None
     assert "error" in str(reason)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.cli.fmu_library import built_library
+from dssc_jax.cli.native_build import build_fmu_library
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native import fmu_instances
 from dssc_jax.core.native.fmu_instances import FmuPorts, Instances, require_no_faults
@@ -94,7 +94,7 @@ def test_a_generated_controller_flies_as_an_fmu(place):
     gains = {"kind": "pid", "k_p": K_P, "k_i": 2.0, "k_d": 3.0, "filter": 0.02, "low": -4.0, "high": 4.0}
     original = loop_of(OWN_PLANT, gains)
     unit = FlightFolder(original).fmu()
-    library, reason = built_library(unit)
+    library, reason = build_fmu_library(unit)
     if library is None:
         pytest.skip(f"no library: {reason}")
     file = place / "generated.fmu"

@@ -1,7 +1,7 @@
-"""Steps that all commands on analyses share: choose a free folder, check, save, draw and print."""
+"""Steps that the commands on analyses share: the folder, the check of integration, saving, printing."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -17,31 +17,31 @@ AnalysisKind = TypeVar("AnalysisKind", bound=Analysis)
 
 
 class PrintedOptions(Protocol):
-    """Options that say how an analysis is checked and printed."""
+    """Options on the check and the output of an analysis."""
 
     @property
     def no_check(self) -> bool:
-        """Whether the error of integration is not checked."""
+        """Whether to skip the check of the integration between the samples."""
         ...
 
     @property
     def as_json(self) -> bool:
-        """Whether JSON is printed."""
+        """Whether to print JSON."""
         ...
 
 
 def free_folder(study: Study, kind: str, out: Path | None, *options: object, name: str = "") -> Path:
-    """The folder of an analysis, before anything is computed.
+    """The folder for a new analysis, which is checked before anything is computed.
 
     Args:
         study: The study.
-        kind: Kind of analysis.
+        kind: Kind of the analysis.
         out: The folder that the user names; None: the usual one.
-        options: Options that change the question, for the usual folder.
-        name: Name of the usual folder besides the study's; empty: the kind.
+        options: Options that change the question, for the name of the usual folder.
+        name: Name of the usual folder, after that of the study; empty: the kind.
 
     Raises:
-        ConfigError: the folder holds something else.
+        ConfigError: The folder holds something else than this analysis of the study.
     """
     folder = out or usual_folder(study, name or kind, *options)
     require_free_folder(folder, kind, study)
@@ -49,7 +49,11 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
 
 
 def usual_folder(study: Study, command: str, *options: object) -> Path:
-    """results/NAME-COMMAND, followed by a digest of the question if an option or an edit has changed it."""
+    """The usual folder of a command: ``results/STUDY-COMMAND``.
+
+    A digest follows the name if options change the question, or if the folder holds results of another study, such as
+    an earlier version of the same file.
+    """
     folder = Path("results") / f"{study.name}-{command}"
     option_texts = [str(option) for option in options if option not in (None, [])]
     if not option_texts and not is_foreign(folder, study):
@@ -59,7 +63,7 @@ def usual_folder(study: Study, command: str, *options: object) -> Path:
 
 
 def is_foreign(folder: Path, study: Study) -> bool:
-    """Whether a folder holds results, and none of this study."""
+    """Whether a folder holds results, but none of the study."""
     contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
@@ -82,7 +86,7 @@ def finish(
 
 
 def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
-    """Warn of the study, check the integration, save the analysis with its figure; return the figure's files."""
+    """Check the integration of an analysis and save it with its figure; return the files of the figure."""
     warn_of_study(analysis.study)
     if not options.no_check:
         analysis.integration = checked_integration(analysis.study)
@@ -98,14 +102,14 @@ def print_analysis(
     show: Callable[[AnalysisKind, list[Path]], None],
     files_by_name: Mapping[str, Path],
 ) -> None:
-    """Print an analysis.
+    """Print an analysis as JSON or for people.
 
     Args:
         analysis: The analysis.
-        figures: Files of its figure.
+        figures: Files of the figure.
         options: Options of the command.
         show: Prints the analysis for people, and the files written.
-        files_by_name: Folders and other files written, by their names in the JSON.
+        files_by_name: Folders and other files that were written, by their names in the JSON.
     """
     if options.as_json:
         places = {name: str(path) for name, path in files_by_name.items()}
@@ -114,8 +118,21 @@ def print_analysis(
         show(analysis, [*files_by_name.values(), *figures])
 
 
+def write_text(path: Path, text: str | Iterable[str]) -> None:
+    """Write a text file that the user named, or that lies in such a folder.
+
+    Raises:
+        ConfigError: The file cannot be written.
+    """
+    attempt(path, lambda: files.write_text(path, text))
+
+
 def attempt(path: Path, write: Callable[[], object]) -> None:
-    """Write a file that the user named; a failure to write is reported as bad input."""
+    """Call a function that writes a file or a folder that the user named.
+
+    Raises:
+        ConfigError: It cannot be written.
+    """
     try:
         write()
     except (OSError, ValueError) as error:

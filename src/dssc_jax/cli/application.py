@@ -1,7 +1,7 @@
-"""The application: its commands, whose options are declared in :mod:`dssc_jax.cli.declarations`.
+"""The command-line application, made from the options that :mod:`dssc_jax.cli.declarations` declares.
 
-The command NAME is the function ``run`` of ``dssc_jax.cli.commands.NAME``, which is imported when the command runs:
-so help is fast, and a command loads only what it needs.
+The command NAME is the function ``run`` of ``dssc_jax.cli.commands.NAME``. It is imported when the command runs, so
+that help is fast, and a command loads only what it needs.
 """
 
 import importlib
@@ -34,7 +34,7 @@ DECLARATIONS = (simulation, robustness, searches, statistics, results, designs, 
 
 
 def declared_commands() -> dict[str, type]:
-    """The options of each command by its name: ``compare-log`` is declared by the dataclass ``CompareLog``."""
+    """Collect the dataclasses of options by command: ``CompareLog`` declares the options of ``compare-log``."""
     commands = {}
     for module in DECLARATIONS:
         for name, declared in vars(module).items():
@@ -46,8 +46,8 @@ def declared_commands() -> dict[str, type]:
 COMMANDS = declared_commands()
 """The options of each command, in the order of the help."""
 
-MEANT = {word: name for name, options in COMMANDS.items() for word in getattr(options, "synonyms", ())}
-"""Words of other programs for what a command does, with its name."""
+SYNONYMS = {word: name for name, options in COMMANDS.items() for word in getattr(options, "synonyms", ())}
+"""Names that other programs have for a command, with the command's name here."""
 
 EXTRAS = {"clarabel": "proofs", "flint": "proofs", "panel": "explore", "bokeh": "explore"}
 """Packages that commands need and a plain installation lacks, by the extra that installs them."""
@@ -62,14 +62,14 @@ app = typer.Typer(
 
 
 def print_version(requested: bool) -> None:
-    """Print the version and end."""
+    """Print the version and end the program, if the option is given."""
     if requested:
         print(f"dssc-jax {version('dssc_jax')}")
         raise typer.Exit(DONE)
 
 
 def silence(requested: bool) -> None:
-    """Show no progress and no notices; errors are still reported."""
+    """Turn progress and notices off, if the option is given; errors are still reported."""
     if requested:
         errors().quiet = True
 
@@ -90,11 +90,11 @@ def dssc_jax(
 
 
 def command(name: str, options: type) -> Callable[..., int]:
-    """The function that typer calls for a command: its parameters are the fields of the options.
+    """Make the function that typer calls for a command; its parameters are the fields of the options.
 
     Args:
         name: Name of the command.
-        options: The dataclass of its options.
+        options: Dataclass of the options.
     """
 
     def run_command(**values: object) -> int:
@@ -108,7 +108,7 @@ def command(name: str, options: type) -> Callable[..., int]:
 
     hints = get_type_hints(options, include_extras=True)
     parameters = []
-    for field in sorted(fields(options), key=lambda field: place(field, options, hints)):
+    for field in sorted(fields(options), key=lambda field: help_rank(field, options, hints)):
         default = inspect.Parameter.empty if field.default is MISSING else field.default
         keyword = inspect.Parameter.KEYWORD_ONLY
         parameters.append(inspect.Parameter(field.name, keyword, default=default, annotation=hints[field.name]))
@@ -118,8 +118,8 @@ def command(name: str, options: type) -> Callable[..., int]:
     return run_command
 
 
-def place(field: "Field[object]", options: type, hints: dict[str, object]) -> int:
-    """Where an option stands in the help: arguments, then the command's options, then those it shares."""
+def help_rank(field: "Field[object]", options: type, hints: dict[str, object]) -> int:
+    """Rank of an option in the help: arguments first, then options of the command alone, then shared options."""
     if any(isinstance(note, ArgumentInfo) for note in get_args(hints[field.name])):
         return 0
     return 1 if field.name in options.__annotations__ else 2

@@ -1,4 +1,4 @@
-"""Shared by the commands check and design: print a design with its certificate."""
+"""Steps that the commands check and design share: print a design with its certificate."""
 
 import json
 
@@ -12,17 +12,17 @@ from dssc_jax.results.summary import jsonable
 
 
 def require_one_form(as_json: bool, as_latex: bool) -> None:
-    """Require at most one output format on stdout.
+    """Require that at most one of the formats JSON and LaTeX is requested.
 
     Raises:
-        ConfigError: both are requested.
+        ConfigError: Both are requested.
     """
     if as_json and as_latex:
         raise ConfigError("--latex", "cannot be combined with --json: each is the only output on stdout")
 
 
 def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
-    """Print a design with its certificate; the exit code says whether it is certified."""
+    """Print a design with its certificate, and return the exit code, which tells whether it is certified."""
     certificate = check(design.parameters, design.bounds)
     reach = limits(design.parameters, design.bounds) if certificate.certified else None
     if as_json:

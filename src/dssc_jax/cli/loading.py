@@ -1,4 +1,4 @@
-"""Load the study or the result that a command is about, and show which code of its own is about to run."""
+"""Load the study or the result of a command, and announce the code of others that is about to run."""
 
 import os
 import re
@@ -24,7 +24,11 @@ from dssc_jax.study.tables import with_changes
 
 
 def study_of(options: StudyOptions) -> Study:
-    """The study of a command, with the changes that its options ask for."""
+    """The study of a command, with the changes that the options request.
+
+    Raises:
+        ConfigError: The study is not valid, or an option and ``--set`` give the same number.
+    """
     settings = parse_changes(options.settings)
     numbers: dict[str, object] = {}
     if isinstance(options, DrawsOptions) and options.draws is not None:
@@ -38,13 +42,13 @@ def study_of(options: StudyOptions) -> Study:
 
 
 def load_study(name: str, changes: Mapping[str, object], local: bool, native: bool = False) -> Study:
-    """Load a study, changed.
+    """Load a study with changes.
 
     Args:
         name: A file, or the name of a packaged study.
-        changes: Values by dotted name.
-        local: Let its ``module:object`` names also import from its folder.
-        native: Load the shared objects that it names, after showing which.
+        changes: New values by dotted name.
+        local: Whether ``module:object`` names in the study may be imported from its folder.
+        native: Whether to load the shared objects that the study names, after announcing them.
     """
     path = find_study(name)
     if local:
@@ -62,18 +66,18 @@ def load_study(name: str, changes: Mapping[str, object], local: bool, native: bo
 
 
 def spare_gpu_memory() -> None:
-    """Leave a GPU's memory to the worker that computes on it; called before a study is validated, which starts JAX."""
+    """Leave a GPU's memory to the worker that computes on it; called before a study is loaded, which starts JAX."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 def stored_result(folder: Path, trust_code: bool = False, local: bool = False, native: bool = False) -> Result:
-    """Load a stored result, which may be from an untrusted source.
+    """Load a stored result, which may come from an untrusted source.
 
     Args:
         folder: The results folder.
-        trust_code: Import the code that its study names, after showing which.
-        local: As in :func:`load_study`, for the study file it was made from; only used if its code is trusted.
-        native: As in :func:`load_study`.
+        trust_code: Whether to import the code that the study names, after announcing it.
+        local: Whether trusted code may be imported from the folder of the study file, see :func:`show_trusted`.
+        native: Whether to load the shared objects that the study names, after announcing them.
     """
     if native:
         load_stored_native(read_manifest(folder))
@@ -92,22 +96,24 @@ def stored_analysis(folder: Path, trust_code: bool = False, local: bool = False,
 
 
 def load_stored_native(manifest: Manifest) -> None:
-    """Load the native code of a stored study, after showing which: that of the run, by its digest."""
+    """Announce and load the native code of a stored study, which must have the digest that the run recorded."""
     table = manifest["study"]
     show_native("result", table)
     load_native(table, [Path(str(manifest.get("source", ""))).parent], manifest.get("code"))
 
 
 def show_native(subject: str, table: Mapping[str, object]) -> None:
-    """Show which native code is about to be loaded, with file and digest; arguments as for :func:`show_code`."""
+    """Announce the native code that is about to be loaded, with file and digest; arguments as for :func:`show_code`."""
     for native in native_files(table):
         say(f"this {subject} runs {native.text}")
 
 
 def show_trusted(manifest: Manifest, local: bool) -> None:
-    """Show which code of a stored study is about to run, and make it importable if requested.
+    """Announce the code of a stored study that is about to be imported.
 
-    It may then come from the folder of the study file, or from the folders of the modules that the run used.
+    Args:
+        manifest: Manifest of the result.
+        local: Whether the code may come from the folder of the study file, or from those of the modules that ran.
     """
     if local:
         for folder in (Path(str(manifest.get("source", ""))).parent, *module_folders(manifest.get("code"))):
@@ -116,11 +122,11 @@ def show_trusted(manifest: Manifest, local: bool) -> None:
 
 
 def show_code(subject: str, table: Mapping[str, object], recorded: Manifest | None = None) -> None:
-    """Show which code is about to run, and from which files, before it is imported.
+    """Announce the code that is about to be imported, with its files.
 
     Args:
-        subject: What runs it: a study, a result or a command.
-        table: The table that names it.
+        subject: What runs the code: a study, a result or a command.
+        table: The table that names the code.
         recorded: The code that a stored result ran.
     """
     if names := describe_modules(table, recorded):
@@ -128,7 +134,11 @@ def show_code(subject: str, table: Mapping[str, object], recorded: Manifest | No
 
 
 def controller_names(text: str) -> list[str]:
-    """Parse the names of ``A,B,..``, and show which code is about to run if some are of one's own."""
+    """Parse controllers from ``A,B,..``, and announce code that is about to be imported for them.
+
+    Raises:
+        ConfigError: The names are separated by something other than commas.
+    """
     names = [name.strip() for name in text.split(",")]
     if any(set(name) & set("; +&") for name in names):
         suggestion = ",".join(re.split(r"[\s,;+&]+", text.strip()))
@@ -138,10 +148,10 @@ def controller_names(text: str) -> list[str]:
 
 
 def read_json(path: Path) -> object:
-    """The content of a file.
+    """Read a JSON file.
 
     Raises:
-        ConfigError: it cannot be read, or it is no plain JSON.
+        ConfigError: The file cannot be read, or is not plain JSON.
     """
     try:
         return certificate_content(files.read_text(path))

@@ -1,4 +1,4 @@
-"""Reading of logged flights by the options that several commands share."""
+"""Read logged flights by the options that several commands share."""
 
 from pathlib import Path
 
@@ -10,7 +10,16 @@ from dssc_jax.study import Study, read_toml
 
 
 def logged_flight(options: LogOptions, path: Path, study: Study) -> FlightLog:
-    """A log, with the table of its columns and the options that change it."""
+    """Read a log by the table of its columns and the options that change this table.
+
+    Args:
+        options: Options on the log.
+        path: The log.
+        study: The study, for its channels.
+
+    Raises:
+        ConfigError: The log or its table cannot be read, or does not fit the study.
+    """
     table = read_toml(options.columns) if options.columns is not None else {}
     columns = dict(parse_assignment(text, "--column") for text in options.column or [])
     if columns:

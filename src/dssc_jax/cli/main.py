@@ -13,55 +13,58 @@ from dataclasses import fields
 from types import FrameType
 from typing import NoReturn
 
-from dssc_jax.cli.application import COMMANDS, MEANT, app
+from dssc_jax.cli.application import COMMANDS, SYNONYMS, app
 from dssc_jax.cli.exit_codes import BAD_INPUT, DONE
 from dssc_jax.cli.output import say, show_warning
 from dssc_jax.core.errors import ConfigError
 
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+END_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that end a command as Ctrl-C does: finished work is kept."""
-INTERRUPTED = [128 + number for number in ENDING]
+SIGNAL_CODES = [128 + number for number in END_SIGNALS]
 """Exit codes of a command that a signal ended."""
-CRASHED = 1  # exit code after an exception, as Python has it
-HUNG_UP = 129  # as if the terminal's signal had come
-RECEIVED: list[int] = []
-"""Exit codes of the signals that have come to this process."""
-YOUNG = 1_000_000  # objects between two garbage collections: imports and traces create a million that stay
+CRASHED = 1
+"""Exit code after an exception, which is that of Python."""
+HUNG_UP = 129
+"""Exit code after SIGHUP, the signal of a terminal that is closed."""
+RECEIVED_CODES: list[int] = []
+"""Exit codes of the signals that this process has received."""
+COLLECTION_THRESHOLD = 1_000_000
+"""Number of new objects before a garbage collection; imports and traces create a million objects that stay."""
 
 
 def main() -> None:
     """Run the command line; bad input gives a one-line message without a traceback."""
-    gc.set_threshold(YOUNG)
+    gc.set_threshold(COLLECTION_THRESHOLD)
     warnings.showwarning = show_warning
     codes = [CRASHED]
-    atexit.register(lambda: leave(codes[-1]))  # libraries' own callbacks are registered later and come first
-    for number in ENDING:
-        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
-            signal.signal(number, end)
+    atexit.register(lambda: exit_at_once(codes[-1]))  # libraries register their callbacks later, which run first
+    for number in END_SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup sets SIG_IGN
+            signal.signal(number, handle_signal)
     try:
         code = guarded(sys.argv[1:])
     except BaseException:
-        if not RECEIVED:  # a library may turn the end by a signal into an error of its own
+        if not RECEIVED_CODES:  # a library may turn the end by a signal into an error of its own
             raise
-        code = RECEIVED[0]
-    code = RECEIVED[0] if RECEIVED else code
-    if code in INTERRUPTED:  # threads may still run machine code, which Python would wait for and then pull away
-        leave(code)
+        code = RECEIVED_CODES[0]
+    code = RECEIVED_CODES[0] if RECEIVED_CODES else code
+    if code in SIGNAL_CODES:  # threads may still run machine code, which Python would wait for and then pull away
+        exit_at_once(code)
     codes.append(code)
     sys.exit(code)
 
 
-def leave(code: int) -> NoReturn:
-    """End the process without Python's final clean-up of every object, which would take up to half a second."""
+def exit_at_once(code: int) -> NoReturn:
+    """End the process without Python's final clean-up of all objects, which would take up to half a second."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()
     os._exit(code)
 
 
-def end(number: int, _: FrameType | None) -> None:
-    """Stop the running command; its folders are closed and its processes end."""
-    RECEIVED.append(128 + number)
+def handle_signal(number: int, _: FrameType | None) -> None:
+    """Stop the running command by an exception, so that its folders are closed and its processes end."""
+    RECEIVED_CODES.append(128 + number)
     discard_closed_output()
     if number == signal.SIGINT:
         raise KeyboardInterrupt  # a search may end with the best so far
@@ -69,7 +72,7 @@ def end(number: int, _: FrameType | None) -> None:
 
 
 def discard_closed_output() -> bool:
-    """Send further output nowhere if its terminal is closed; return whether it is."""
+    """Discard further output if its terminal is closed; return whether it is."""
     is_closed = False
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
@@ -82,7 +85,7 @@ def discard_closed_output() -> bool:
 
 
 def continuation(arguments: list[str]) -> str:
-    """The end of an interruption's message: the command line that continues the work, if there is one."""
+    """The command line that continues interrupted work, for the end of a message; empty if there is none."""
     options = COMMANDS.get(arguments[0] if arguments else "")
     if options is None or "resume" not in {field.name for field in fields(options)}:
         return ""
@@ -91,7 +94,7 @@ def continuation(arguments: list[str]) -> str:
 
 
 def with_options(text: str, arguments: list[str]) -> str:
-    """A message in which each `argument` that is an option of the command has the option's form, --argument."""
+    """Write arguments of Python in a message as options of the command line: `argument` becomes --argument."""
     options = COMMANDS.get(arguments[0] if arguments else "")
     names = {field.name for field in fields(options)} if options else set()
 
@@ -103,8 +106,8 @@ def with_options(text: str, arguments: list[str]) -> str:
 
 
 def guarded(arguments: list[str]) -> int:
-    """Run a command and turn an exception that ends it into an exit code."""
-    suggestion = MEANT.get(arguments[0].lower()) if arguments else None
+    """Run a command, report an exception that ends it in one line, and return the exit code."""
+    suggestion = SYNONYMS.get(arguments[0].lower()) if arguments else None
     if suggestion is not None:
         answer = f"dssc-jax {suggestion} answers that, see dssc-jax {suggestion} --help"
         say(f"error: '{arguments[0]}' is no command; {answer}")
@@ -130,6 +133,6 @@ def guarded(arguments: list[str]) -> int:
             raise
         say(f"error: {usage()}")
         return BAD_INPUT
-    if code in INTERRUPTED:
+    if code in SIGNAL_CODES:
         say(f"interrupted{continuation(arguments)}")
     return code if isinstance(code, int) else DONE

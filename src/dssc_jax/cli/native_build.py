@@ -1,4 +1,4 @@
-"""Builds a shared object from a user's C files with the first compiler found."""
+"""Build shared objects with the first C compiler that is found: of a user's C files, and of an FMU."""
 
 import subprocess
 from collections.abc import Sequence
@@ -7,21 +7,26 @@ from tempfile import TemporaryDirectory
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_code.fmu import COMPILERS, compiler
+from dssc_jax.flight_code.fmu import COMPILERS, LIBRARY_FLAGS, ControllerFmu, compiler, no_library_reason
 from dssc_jax.flight_code.template_files import FOLDER
 
 FLAGS = (
     *("-O2", "-ffp-contract=off", "-shared", "-fPIC", "-DDSSC_JAX_LIBRARY"),
     *("-Wall", "-Werror=implicit-function-declaration"),
 )
-"""Without contraction the bits are the same on every machine. The macro includes the description."""
+"""Without contraction, the bits are the same on every machine. The macro includes the description in the headers."""
+LIBRARY = "library.so"
 
 
 def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
-    """The content of a shared object of some C files.
+    """Build a shared object from C files, and return its content.
+
+    Args:
+        sources: The C files.
+        include: Folders of headers.
 
     Raises:
-        ConfigError: There is no compiler, or it fails; the first line of its complaint.
+        ConfigError: There is no compiler, a source is not a file, or the compiler fails.
     """
     program = compiler()
     if program is None:
@@ -29,13 +34,43 @@ def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
     for source in sources:
         if not source.is_file():
             raise ConfigError(str(source), "is not a file")
-    folders = [f"-I{folder}" for folder in (*include, FOLDER)]
+    headers = [f"-I{folder.resolve()}" for folder in (*include, FOLDER)]
+    names = [str(source.resolve()) for source in sources]
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
-        library = Path(folder) / "library.so"
-        command = [program, *FLAGS, *folders, *(str(source.resolve()) for source in sources), "-o", str(library), "-lm"]
-        compilation = subprocess.run(command, capture_output=True, text=True, check=False)
-        if compilation.returncode != 0:
-            output = compilation.stderr
-            complaint = next((line for line in output.splitlines() if "error:" in line), output[:200])
-            raise ConfigError(str(sources[0]), f"does not compile: {complaint.strip()}")
-        return files.read_bytes(library)
+        complaint = compile_library([program, *FLAGS, *headers, *names], Path(folder))
+        if complaint:
+            raise ConfigError(str(sources[0]), f"does not compile: {complaint}")
+        return files.read_bytes(Path(folder) / LIBRARY)
+
+
+def build_fmu_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
+    """Build the library of an FMU for this machine; return its content, or None and the reason why there is none."""
+    reason = no_library_reason()
+    program = compiler()
+    if reason is not None or program is None:
+        return None, reason
+    with TemporaryDirectory(prefix="dssc-jax-fmu-") as name:
+        folder = Path(name)
+        for file, text in fmu.sources.items():
+            files.write_text(folder / file, text, durable=False)
+        complaint = compile_library([program, *LIBRARY_FLAGS, *fmu.c_files], folder)
+        if complaint:
+            return None, f"{program} fails: {complaint}"
+        return files.read_bytes(folder / LIBRARY), None
+
+
+def compile_library(command: list[str], folder: Path) -> str:
+    """Compile :data:`LIBRARY` in a folder; return the first error of the compiler, empty if it succeeds.
+
+    Args:
+        command: The compiler with flags and sources.
+        folder: Folder in which the compiler runs.
+    """
+    command = [*command, "-o", LIBRARY, "-lm"]
+    compilation = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if compilation.returncode == 0:
+        return ""
+    for line in compilation.stderr.splitlines():
+        if "error:" in line:
+            return line.strip()
+    return compilation.stderr[:200].strip() or f"exit code {compilation.returncode}"

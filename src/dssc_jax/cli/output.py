@@ -1,9 +1,10 @@
-"""Messages beside a command's results: lines on standard error."""
+"""Messages beside the results of a command, on standard error."""
 
 import sys
 from typing import TextIO
 
-LONGEST = 1000  # characters of a message
+LONGEST = 1000
+"""Largest number of characters of a message."""
 
 
 def show_warning(
@@ -14,12 +15,12 @@ def show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning of the library as one line, without the place in the source; for ``warnings.showwarning``."""
+    """Print a warning in one line without its place in the source, in the place of ``warnings.showwarning``."""
     say(f"warning: {message}")
 
 
 def say(text: str) -> None:
-    """Print one line on stderr, so that stdout is left for results; control characters are replaced."""
+    """Print one line to standard error; control characters are replaced, and a long text is cut off."""
     line = " ".join(text.split())
     line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
-    print("".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
+    print("".join(character if character.isprintable() else "?" for character in line), file=sys.stderr)

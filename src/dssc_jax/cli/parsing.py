@@ -1,4 +1,4 @@
-"""Parse the texts of options, such as ``NAME=LO:HI``."""
+"""Parse the texts of options, such as ``NAME=LO:HI``, and refuse options without a meaning."""
 
 import math
 import tomllib
@@ -10,12 +10,12 @@ from dssc_jax.study.separators import separator_hint
 TomlValue = str | int | float | bool | list["TomlValue"] | dict[str, "TomlValue"]
 
 
-class Walked(NamedTuple):
-    """A number and the ends between which it is walked.
+class Walk(NamedTuple):
+    """A walk over the values of a number.
 
     Args:
-        name: Its dotted name.
-        bounds: The safe end, then the other.
+        name: Dotted name of the number.
+        bounds: The safe end, then the other end.
     """
 
     name: str
@@ -23,7 +23,7 @@ class Walked(NamedTuple):
 
 
 def parse_assignment(text: str, option: str) -> tuple[str, str]:
-    """Parse name and value of ``NAME=VALUE``."""
+    """Parse ``NAME=VALUE``, the text of an option, to name and value."""
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
         raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separator_hint(text, 1)}")
@@ -31,7 +31,7 @@ def parse_assignment(text: str, option: str) -> tuple[str, str]:
 
 
 def parse_within(texts: list[str] | None) -> dict[str, float]:
-    """Parse all ``--within`` options, ``NAME=RADIUS`` each."""
+    """Parse the texts ``NAME=RADIUS`` of ``--within`` to radii by name."""
     radii = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--within")
@@ -43,7 +43,7 @@ def parse_within(texts: list[str] | None) -> dict[str, float]:
 
 
 def parse_value(text: str) -> TomlValue:
-    """Parse a TOML value; text that is not valid TOML is a string."""
+    """Parse a TOML value; text that is not valid TOML is a string itself."""
     try:
         table = tomllib.loads(f"value = {text}")
     except ValueError:  # TOMLDecodeError is one, so are integers too long
@@ -52,7 +52,7 @@ def parse_value(text: str) -> TomlValue:
 
 
 def parse_changes(texts: list[str] | None) -> dict[str, TomlValue]:
-    """Parse all ``--set`` options."""
+    """Parse the texts ``NAME=VALUE`` of ``--set`` to values by name."""
     changes = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--set")
@@ -61,7 +61,7 @@ def parse_changes(texts: list[str] | None) -> dict[str, TomlValue]:
 
 
 def parse_point(texts: list[str] | None) -> dict[str, float]:
-    """Parse all ``--at`` options, ``NAME=NUMBER`` each."""
+    """Parse the texts ``NAME=NUMBER`` of ``--at`` to finite numbers by name."""
     point = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--at")
@@ -76,7 +76,7 @@ def parse_point(texts: list[str] | None) -> dict[str, float]:
 
 
 def parse_over(text: str) -> tuple[str, dict[str, list[float]]]:
-    """Parse name and axis of ``NAME=LO:HI:COUNT[:log]``."""
+    """Parse ``NAME=LO:HI:COUNT[:log]`` to the name and the table of an axis, as a study's ``[sweep]`` has it."""
     try:
         name, value = text.split("=")
         low, high, count, *scale = value.split(":")
@@ -89,7 +89,7 @@ def parse_over(text: str) -> tuple[str, dict[str, list[float]]]:
 
 
 def parse_overs(texts: list[str]) -> dict[str, dict[str, list[float]]]:
-    """Parse the axes of all ``--over`` options."""
+    """Parse the texts of ``--over`` to the tables of axes by name, see :func:`parse_over`."""
     axes: dict[str, dict[str, list[float]]] = {}
     for text in texts:
         name, axis = parse_over(text)
@@ -99,19 +99,34 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[float]]]:
     return axes
 
 
-def parse_walk(text: str) -> Walked:
-    """Parse name and ends of ``NAME=LO:HI``."""
+def parse_walk(text: str) -> Walk:
+    """Parse ``NAME=LO:HI`` to the walk over a number."""
     try:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
     except ValueError:
         raise ConfigError("--over", f"must be NAME=LO:HI, got '{text}'{separator_hint(text, 2)}") from None
-    return Walked(name, (start, end))
+    return Walk(name, (start, end))
 
 
 def parse_times(text: str | None) -> tuple[float, ...]:
-    """Parse the times of ``T1,T2,..``."""
+    """Parse ``T1,T2,..`` to times [s]; none for None."""
     try:
         return tuple(float(part) for part in text.split(",")) if text else ()
     except ValueError:
         raise ConfigError("--at", f"must be times in seconds, T1,T2,.., got '{text}'") from None
+
+
+def require_unset(circumstance: str, **options: object) -> None:
+    """Require that options without a meaning in a circumstance, such as "with a result", are not given.
+
+    Args:
+        circumstance: The circumstance, for the message.
+        options: Values of the options; None and an empty list mean that an option is not given.
+
+    Raises:
+        ConfigError: An option is given.
+    """
+    for name, value in options.items():
+        if value is not None and value != []:
+            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning {circumstance}")

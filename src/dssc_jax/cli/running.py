@@ -1,4 +1,4 @@
-"""Shared by the commands run and sweep: show a complete result, compute anything else."""
+"""Steps that the commands run and sweep share: compute a result unless its folder is complete, and print it."""
 
 import sys
 from pathlib import Path
@@ -20,32 +20,24 @@ from dssc_jax.runs import run as runs
 from dssc_jax.runs.design_choice import recorded_choice
 from dssc_jax.study import Study
 
+NO_AMOUNTS = StatedAmounts({}, None, None)
+
 
 def simulated_study(options: Run | Sweep) -> Study:
-    """The study to simulate, here or on a cluster."""
+    """Load the study to simulate, here or on a cluster."""
     if options.cluster:
         spare_gpu_memory()
     return study_of(options)
 
 
-def require_unset(purpose: str, **options: object) -> None:
-    """Require that options without a meaning here are not given."""
-    for name, value in options.items():
-        if value is not None:
-            raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
-
-
-NONE_STATED = StatedAmounts({}, None, None)
-
-
-def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: StatedAmounts = NONE_STATED) -> Result:
-    """The result in the folder if it is complete, else that of a run into it.
+def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: StatedAmounts = NO_AMOUNTS) -> Result:
+    """The result in a folder if it is complete, else that of a run into the folder.
 
     Args:
         study: The study.
-        out: The folder.
+        out: The results folder.
         options: Options of the command.
-        amounts: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
+        amounts: Amounts by which the laws may be wrong, which are added to a complete result, too.
     """
     resume = options.resume
     if not options.fresh and (result := complete_result(study, out)) is not None:
@@ -72,7 +64,7 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: Stat
 
 
 def complete_result(study: Study, out: Path) -> Result | None:
-    """The complete result of the same study in a folder, computed with the same software and device; None otherwise."""
+    """The result in a folder if it is complete, of the same study, and by the same software and device; else None."""
     if not (out / MANIFEST).exists():
         return None
     try:
@@ -91,7 +83,7 @@ def complete_result(study: Study, out: Path) -> Result | None:
 
 
 def print_result(result: Result, out: Path, as_json: bool) -> None:
-    """Print the result, then draw its figures, which take longer."""
+    """Print a result, and then draw its figures, which takes longer."""
     warn_of_integration(result.manifest.get("integration"))
     if as_json:
         sys.stdout.writelines(line.replace("\n", "") for line in result.lines())

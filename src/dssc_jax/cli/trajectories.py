@@ -1,4 +1,4 @@
-"""Shared by the commands simulate and replay: write the files of a trajectory."""
+"""Steps that the commands simulate and replay share: write the files of a trajectory, and print it."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -21,14 +21,14 @@ AXES = (
     "inertial x, y, z: east, north, up (ENU); body: forward, left, up (FLU); attitude R_z(psi) R_y(theta) R_x(phi) and "
     "its quaternion: body to inertial"
 )
-"""The axes of a vehicle's trajectory, for its file."""
+"""Description of the axes of a vehicle's trajectory, for the metadata of its file."""
 
 
 def require_writable(options: Simulate | Replay) -> None:
-    """Require that the files of a trajectory can be written, before it is simulated.
+    """Require that the files of a trajectory can be written, before the draw is simulated.
 
     Raises:
-        ConfigError: the figure's type is unknown, or a folder does not exist.
+        ConfigError: The type of the figure is unknown, or a folder does not exist.
     """
     figure = options.figure
     if figure is not None and figure.suffix.lower() not in FIGURES:
@@ -41,13 +41,13 @@ def require_writable(options: Simulate | Replay) -> None:
 def print_trajectory(
     trajectory: xr.Dataset, options: Simulate | Replay, units: Mapping[str, str], flight_files: Sequence[Path] = ()
 ) -> None:
-    """Write the requested files of a trajectory, and show how the draw ended.
+    """Write the requested files of a trajectory, and print how the draw ended.
 
     Args:
         trajectory: The trajectory.
-        options: The files to write.
-        units: Unit of each number that is printed, by name.
-        flight_files: Files that are written already, and shown with the others.
+        options: Options of the command, with the files.
+        units: Unit of each printed number, by name.
+        flight_files: Files that have already been written, and are printed with the others.
     """
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
         (options.csv, lambda path: write_table(trajectory, path)),
@@ -75,8 +75,8 @@ def write_table(trajectory: xr.Dataset, path: Path) -> None:
 def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     """Write a trajectory as Parquet.
 
-    The metadata of each field have its unit and meaning, those of the file the study's name, the draw, its numbers and
-    how it ended; of a vehicle also the axes.
+    The metadata of each column have its unit and meaning. Those of the file have the study's name, the draw, its
+    numbers and how it ended, and for a vehicle the axes.
 
     Raises:
         ConfigError: pyarrow is not installed.

@@ -1,4 +1,4 @@
-"""Warnings of a command, on standard error: of unused parameters, noise, unusual vehicles, integration."""
+"""Warnings about a study, on standard error: numbers without effect, noise, unusual vehicles, integration."""
 
 from collections.abc import Mapping
 
@@ -19,7 +19,7 @@ from dssc_jax.study.actuators import kind_in
 
 
 def warn_of_vehicle(study: Study) -> None:
-    """Print a warning of a wind without effect, and for each number that multirotors usually do not have."""
+    """Warn of a wind without effect, and of numbers that multirotors usually do not have."""
     vehicle = getattr(study.template.plant, "vehicle", None)
     if not isinstance(vehicle, Vehicle):
         return
@@ -38,24 +38,13 @@ def warn_of_vehicle(study: Study) -> None:
 
 
 def warn_of_signals(study: Study) -> None:
-    """Print a warning of sensors that no controller of the study reads, and of a y that is read exactly beside one."""
-    if not study.loop.measures:
+    """Warn of sensors of measured signals that no controller reads, and of a y that is exact beside its sensor."""
+    loop = study.loop
+    if not loop.measures:
         return
-    loop, template = study.loop, study.template
-    if any(model.takes(gains) for model, gains in zip(loop.controller, template.controller, strict=True)):
-        kind = kind_in(study.config, "sensor")
-        exact = [signal.name for signal in loop.measures if signal.name not in study.config.sensor]
-        for name in ("y", "y_dot") if kind != "ideal" else ():
-            if name in exact:
-                say(
-                    f"warning: {name} in [sensor] measures is exact, though kind = '{kind}' of [sensor] is not: a "
-                    f"measured signal has its own sensor; give [sensor.{name}] that kind and its numbers"
-                )
-        if kind == "ideal" and study.config.sensor.get("y", {}).get("kind", kind) != kind:
-            say(
-                "warning: [sensor.y] acts on y as a measured signal; the error, such as that of an integral, is read "
-                "through [sensor], which is exact: give [sensor] that kind and its numbers, too"
-            )
+    controllers = zip(loop.controller, study.template.controller, strict=True)
+    if any(model.takes(gains) for model, gains in controllers):
+        warn_of_exact_signals(study)
         return
     sensors = [f"[sensor.{signal.name}]" for signal in loop.measures if signal.name in study.config.sensor]
     if sensors:
@@ -65,25 +54,46 @@ def warn_of_signals(study: Study) -> None:
         )
 
 
+def warn_of_exact_signals(study: Study) -> None:
+    """Warn if one of [sensor] and the sensor of the measured signal y is exact, and the other is not."""
+    kind = kind_in(study.config, "sensor")
+    if kind == "ideal":
+        if study.config.sensor.get("y", {}).get("kind", kind) != kind:
+            say(
+                "warning: [sensor.y] acts on y as a measured signal; the error, such as that of an integral, is read "
+                "through [sensor], which is exact: give [sensor] that kind and its numbers, too"
+            )
+        return
+    measured_names = [signal.name for signal in study.loop.measures]
+    for name in ("y", "y_dot"):
+        if name in measured_names and name not in study.config.sensor:
+            say(
+                f"warning: {name} in [sensor] measures is exact, though kind = '{kind}' of [sensor] is not: a "
+                f"measured signal has its own sensor; give [sensor.{name}] that kind and its numbers"
+            )
+
+
 def warn_of_times(study: Study) -> None:
-    """Print a warning of what never happens: it begins after the end of the loop, or may end before it begins."""
+    """Warn of events that never happen: they begin after the end of the loop, or may end before they begin."""
     duration = study.config.loop.duration
     for name, number in study.numbers.items():
         if not number.quantity.begins or name in study.axes:
             continue
-        earliest = extent(number.value)[0]
+        earliest, _ = extent(number.value)
         if earliest >= duration:
             say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
     for name, number in study.numbers.items():
         begin = study.numbers.get(f"{name.rpartition('.')[0]}.at")
         if not number.quantity.ends or begin is None or begin.expression or number.expression:
             continue
-        if extent(number.value)[0] < extent(begin.value)[1]:
+        earliest_end, _ = extent(number.value)
+        _, latest_begin = extent(begin.value)
+        if earliest_end < latest_begin:
             say(f"warning: {name} may be before {begin.name}: in draws with such times the event never happens")
 
 
 def warn_of_idle_gains(study: Study) -> None:
-    """Print a warning of each gain that the study gives and that changes no command of a controller in C."""
+    """Warn of each gain in the study that changes no command of a controller in C."""
     table = study.table["controller"]
     for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
         for gain in model.without_effect:
@@ -92,7 +102,7 @@ def warn_of_idle_gains(study: Study) -> None:
 
 
 def warn_of_units(study: Study) -> None:
-    """Print a warning of parameters in multiples of units, which formulas take as they are."""
+    """Warn of parameters in multiples of SI units, whose numbers formulas take without conversion."""
     for name in study.parameter_names:
         unit = study.numbers[name].quantity.unit
         for symbol, (factor, base) in scaled_symbols(unit).items():
@@ -101,9 +111,9 @@ def warn_of_units(study: Study) -> None:
 
 
 def warn_of_study(study: Study) -> None:
-    """Print a warning of what has no effect, of odd units and vehicles, and where noise, y' or a sensor misleads.
+    """Warn of numbers without effect, of unusual units and vehicles, and of noise, rates or sensors that mislead.
 
-    A study whose code is not imported has been warned of where its draws were computed.
+    There are no warnings about a study whose code is not imported; they were printed where its draws were computed.
 
     Raises:
         ConfigError: A user's part fails when its functions are called once more.
@@ -127,11 +137,11 @@ def warn_of_study(study: Study) -> None:
 
 
 def checked_integration(study: Study) -> JsonObject | None:
-    """The error of integration between the samples; None of a study whose code is not imported."""
+    """The error of integration between the samples; None for a study whose code is not imported."""
     return None if isinstance(study, Described) else integration_error(study).to_dict()
 
 
 def warn_of_integration(integration: Mapping[str, object] | None) -> None:
-    """Print a warning where the error of integration matters."""
+    """Warn if the error of integration matters."""
     if integration and integration["warning"]:
         say(f"warning: {integration['warning']}")

@@ -13,6 +13,7 @@ from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import (
     STAYS_FINITE,
     number_text,
+    output,
     show_files,
     show_head,
     show_line,
@@ -179,12 +180,12 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
         show_paragraph("no repeat reached a failure; the splitting then says nothing of its probability")
     if plain.contradicts:
         estimate_low, estimate_high = estimate.interval
-        show_paragraph(
+        warning = (
             f"warning: plain draws contradict the {answer.method}, which found {estimate.probability:.3g} in "
             f"[{estimate_low:.3g}, {estimate_high:.3g}]: it missed a way to failure, or its points are too few. "
-            "The answer is that of the plain draws",
-            style="bold yellow",
+            "The answer is that of the plain draws"
         )
+        output().print(warning, style="bold yellow", markup=False)
     value = f"{answer.probability:.3g} in [{low:.3g}, {high:.3g}]" if answer.probability else f"<= {high:.3g}"
     show_paragraph(f"failure probability {value} ({level})")
     show_paragraph(

@@ -76,7 +76,7 @@ def share_texts(answer: MarginAnswer) -> list[str]:
 def show_proof_statement(proof: Mapping[str, object] | None) -> None:
     """Print how far the sampled loop is proved, if a proof was requested."""
     if proof is not None:
-        show_line(proof["statement"])
+        show_line(str(proof["statement"]))
 
 
 def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:

@@ -9,14 +9,7 @@ import numpy as np
 
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.console.stated import show_stated
-from dssc_jax.console.terminal import (
-    STAYS_FINITE,
-    number_text,
-    show_head,
-    show_line,
-    show_paragraph,
-    show_table,
-)
+from dssc_jax.console.terminal import STAYS_FINITE, number_text, show_head, show_line, show_paragraph, show_table
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline_measure
 from dssc_jax.results.schema import name_with_unit, outcome_codes

@@ -141,7 +141,11 @@ class Brushing:
         return CustomJS(args={"source": self.source, **models}, code=SCRIPT + call)
 
     def _connect(self, folder: str) -> None:
-        """Connect brushes, clicks and the selection of axes with functions of the script."""
+        """Connect brushes, clicks and the selection of axes with functions of the script.
+
+        Args:
+            folder: The results folder, for the command that replays a clicked draw.
+        """
         start, axes = self.table.replay_commands(folder)
         scatter: dict[str, object] = {
             "picture": self.picture,
@@ -184,6 +188,15 @@ class Brushing:
         for axis_range in (self.scatter.x_range, self.scatter.y_range):
             axis_range.js_on_change("start", paint)
             axis_range.js_on_change("end", paint)
+        self._connect_selects(show_all, count)
+
+    def _connect_selects(self, show_all: CustomJS, count: CustomJS) -> None:
+        """Let a selected column move to its axis of the scatter and to a histogram.
+
+        Args:
+            show_all: Callback that shows all draws in the scatter.
+            count: Callback that counts the brushed draws.
+        """
         names = {name: self.table.label(name) for name in self.table.columns}
         labelled: list[list[Model]] = [
             [self.scatter.xaxis[0], self.histograms[0].xaxis[0]],

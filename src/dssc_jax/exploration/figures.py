@@ -200,6 +200,7 @@ class DrawsFigure:
     def _clicked(
         source: ColumnDataSource, choose: Callable[[int], None], attr: str, old: list[int], new: list[int]
     ) -> None:
+        """Select the draw of a mark that was clicked; the last three arguments are those of Bokeh's callbacks."""
         if new:
             choose(int(np.asarray(source.data["draw"])[new[0]]))
 

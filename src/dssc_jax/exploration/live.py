@@ -64,7 +64,7 @@ class Fan(NamedTuple):
 
 @dataclass(frozen=True)
 class LiveRun:
-    """All draws of a study at one position of its sliders.
+    """A run of all draws of a study at one position of its sliders.
 
     Args:
         study: The study at that position, without a sweep, which reproduces this run.

@@ -97,6 +97,7 @@ class Page(ABC):
     def _change(
         self, change: Callable[Arguments, None], *arguments: Arguments.args, **options: Arguments.kwargs
     ) -> None:
+        """Change the page in the thread of the server."""
         with hold(self._document):
             change(*arguments, **options)
 

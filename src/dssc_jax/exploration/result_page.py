@@ -134,6 +134,7 @@ class ResultPage(Page):
         return recorder(study, max(1, study.loop.steps // MOST_SAMPLES))
 
     def _clicked(self, attr: str, old: dict[str, list[int]], new: dict[str, list[int]]) -> None:
+        """Replay the draw that was clicked; the arguments are those of Bokeh's callbacks."""
         if len(new["row"]):
             self.replay(int(new["row"][0]))
 

@@ -70,6 +70,7 @@ class Refused(Matcher):
         return None if self._passes(request) else {}
 
     def _passes(self, request: HTTPServerRequest) -> bool:
+        """Whether a request is one of the page."""
         path, _, query = request.uri.partition("?") if request.uri else ("", "", "")
         _, _, path = path.partition("/")
         token, _, place = path.partition("/")
@@ -165,6 +166,7 @@ class PageServer:
         self._server.io_loop.add_callback(self._stop)
 
     def _stop(self) -> None:
+        """Stop serving, in the thread of the server."""
         self._server.stop()
         self._server.io_loop.stop()
 

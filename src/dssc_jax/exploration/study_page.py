@@ -174,6 +174,7 @@ class StudyPage(Page):
         self.start()
 
     def _on_move(self, _: object) -> None:
+        """Run when the user moves a slider, but not for each of several sliders that :meth:`move` moves."""
         if not self._moving:
             self.start()
 
@@ -253,10 +254,12 @@ class StudyPage(Page):
         self._say_draw(run)
 
     def _say_draw(self, run: LiveRun) -> None:
+        """Show the number of draws and the verdict of the selected draw as the status."""
         verb = "fails" if run.failed[self.draw] else "passes"
         self.say(f"{run.failed.size:,} draws; red: draw {self.draw}, which {verb}")
 
     def _choose_draw(self) -> None:
+        """Show the present run again, with the draw that the buttons select."""
         if self.now is not None:
             self.show(self.now)
 

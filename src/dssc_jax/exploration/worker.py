@@ -52,6 +52,7 @@ class Worker:
             self._changed.notify_all()
 
     def _serve(self) -> None:
+        """Do the newest work whenever there is some, until the worker is closed."""
         while True:
             with self._changed:
                 self._busy = False
@@ -66,4 +67,5 @@ class Worker:
             work(partial(self._is_stale, number))
 
     def _is_stale(self, number: int) -> bool:
+        """Whether a request has come after that with a number."""
         return self._number != number

@@ -36,8 +36,10 @@ def trajectory(run: xr.Dataset) -> Figure:
     if "y" not in run:
         return flight(run)
     panels: list[Callable[[Axes, xr.Dataset], None]] = [output, error, sliding_variable, command]
-    panels += [gain] if "k_o" in run else []
-    panels += [time_constants] if any(name in run for name in TIME_CONSTANTS) else []
+    if "k_o" in run:
+        panels.append(gain)
+    if any(name in run for name in TIME_CONSTANTS):
+        panels.append(time_constants)
     rows = math.ceil(len(panels) / 2)
     figure = Figure(figsize=(11.5, 4.0 * rows), layout="constrained")
     axes = figure.subplots(rows, 2, sharex=True).ravel()

@@ -36,9 +36,9 @@ def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
         text: Alternative text that describes the figure.
         prefix: Prefix of the identifiers in the element, unique on the page.
     """
-    colours = {**dict.fromkeys(TEXT_COLOURS, INK), **dict.fromkeys(BACKGROUNDS, "none")}
+    settings = STYLE | dict.fromkeys(TEXT_COLOURS, INK) | dict.fromkeys(BACKGROUNDS, "none") | {"svg.hashsalt": prefix}
     buffer = io.StringIO()
-    with rc_context({**STYLE, **colours, "svg.hashsalt": prefix}):
+    with rc_context(settings):
         draw().savefig(buffer, format="svg")
     source = buffer.getvalue()
     box = re.search(r'viewBox="([\d. -]+)"', source)

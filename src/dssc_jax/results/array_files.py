@@ -27,15 +27,18 @@ class ArrayFiles(LocalStore):
         super().__init__(Path(root), read_only=read_only)
 
     def _ensure_open_sync(self) -> None:
+        """Open the store unless it is open; Zarr's method for synchronous access."""
         if not self._is_open:
             self._require_root()
             self._is_open = True
 
     async def _open(self, *, mode: Any = None) -> None:
+        """Open the store; Zarr's method for asynchronous access."""
         self._require_root()
         await Store._open(self)
 
     def _require_root(self) -> None:
+        """Require that the folder exists; one that is written is created if the folder above it exists."""
         if not self.read_only:
             files.make_folder(self.root, self.root.parent)
         if not self.root.is_dir():

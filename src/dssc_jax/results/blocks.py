@@ -208,9 +208,11 @@ class Chunks:
         return [name for name in self.arrays if first or name not in self.law_names]
 
     def _part(self, name: str, block: Block) -> Block:
+        """The part of a variable's array that belongs to a block; drawn numbers have the dimension of draws only."""
         return block[-1:] if name in self.law_names else block
 
     def _file(self, name: str, block: Block) -> Path:
+        """Path of the chunk of a variable in a block."""
         index = self.layout.index(block)
         return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.law_names else index))
 

@@ -132,28 +132,29 @@ def table_of(result: Result | Analysis) -> ExportTable:
 def table_of_analysis(analysis: Analysis) -> ExportTable:
     """The table of an analysis, with a row for each index of its own dimensions."""
     data = analysis.dataset
-    dimensions = set(analysis.table)
-    part = data[[name for name, variable in data.items() if set(variable.dims) <= dimensions]]
-    frame = part.to_dataframe(dim_order=list(analysis.table)).reset_index()
-    names = list(map(str, frame.columns))
-    columns = {
-        name: dict(data[name].attrs) if name in data.variables else {"long_name": f"index of the {name}"}
-        for name in names
-    }
-    return ExportTable(columns, {name: DATATYPES[frame[name].to_numpy().dtype.kind] for name in names}, [frame])
+    names = [name for name, variable in data.items() if set(variable.dims) <= set(analysis.table)]
+    frame = data[names].to_dataframe(dim_order=list(analysis.table)).reset_index()
+    columns = {}
+    datatypes = {}
+    for name in map(str, frame.columns):
+        columns[name] = {"long_name": f"index of the {name}"}
+        if name in data.variables:
+            columns[name] = dict(data[name].attrs)
+        datatypes[name] = DATATYPES[frame[name].to_numpy().dtype.kind]
+    return ExportTable(columns, datatypes, [frame])
 
 
 def table_of_lanes(result: Result) -> ExportTable:
     """The table of a result, with a row for each lane."""
-    variables_by_name = {**coordinates(result.study), **variables(result.study)}
-    columns = {name: dict(variable.attributes) for name, variable in variables_by_name.items()} | {
-        MEANING: {"long_name": OUTCOME}
-    }
+    columns = {}
+    for name, variable in (coordinates(result.study) | variables(result.study)).items():
+        columns[name] = dict(variable.attributes)
+    columns[MEANING] = {"long_name": OUTCOME}
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
-    return ExportTable(columns, datatypes, pieces(result, list(columns)))
+    return ExportTable(columns, datatypes, lane_rows(result, list(columns)))
 
 
-def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
+def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     """The rows of a result's table, :data:`TABLE_ROWS` at a time.
 
     Args:
@@ -167,13 +168,16 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     codes = outcome_codes(study)
     for block in Layout.of(study, TABLE_ROWS).blocks():
         law_values = {name: data[name].values[block[-1]] for name in study.laws}
-        flat, draws = lanes_of(study, block, law_values)
-        table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in law_values}
-        table |= {name: data[name].values[block].reshape(-1) for name in variables(study) if name not in law_values}
-        meaning = pd.Categorical.from_codes(
-            np.searchsorted(list(codes), table["outcome"]), categories=list(codes.values())
-        )
-        yield pd.DataFrame(table | {MEANING: meaning}, columns=names)
+        numbers, draws = lanes_of(study, block, law_values)
+        table: dict[str, Any] = {"draw": draws}
+        for name in (*study.axes, *study.laws):
+            table[name] = numbers[name]
+        for name in variables(study):
+            if name not in study.laws:
+                table[name] = data[name].values[block].reshape(-1)
+        code_indices = np.searchsorted(list(codes), table["outcome"])
+        table[MEANING] = pd.Categorical.from_codes(code_indices, categories=list(codes.values()))
+        yield pd.DataFrame(table, columns=names)
 
 
 def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
@@ -270,7 +274,8 @@ def file_provenance(result: Result | Analysis) -> dict[str, str]:
     """Attributes by which an exported file can be traced: the study, its hash, the version of dssc_jax and the time."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
     history = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
-    history += [str(manifest["started"])] if "started" in manifest else []
+    if "started" in manifest:
+        history.append(str(manifest["started"]))
     return {
         **{name: str(value) for name, value in result.dataset.attrs.items()},
         "study": json.dumps(result.study.table),

@@ -111,6 +111,7 @@ class SweepProofs:
         _ = self.bounds
 
     def _by_axes(self, values: list[float]) -> np.ndarray:
+        """Values of the points as an array of shape (axes...)."""
         return np.array(values).reshape([len(axis) for axis in self.axes.values()])
 
     def save(self, folder: str | Path) -> Path:

@@ -22,7 +22,7 @@ from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import STATED, StatedAmounts, StatedError, confidence_of
-from dssc_jax.results.summary import Summary, SummaryRow, jsonable, lines, points
+from dssc_jax.results.summary import Summary, SummaryRow, json_lines, jsonable, point_rows
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import (
     CONFIDENCE,
@@ -172,7 +172,7 @@ class Result:
     def points(self, confidence: float = CONFIDENCE) -> Iterator[SummaryRow]:
         """The points of :meth:`summary` one by one, so that few points of a large sweep are in memory at a time."""
         amounts = self.stated
-        for row in points(self.study, self.with_theorem().dataset, self.method, confidence):
+        for row in point_rows(self.study, self.with_theorem().dataset, self.method, confidence):
             yield row | {STATED: jsonable(self.stated_errors(amounts, confidence))} if amounts else row
 
     @property
@@ -226,9 +226,10 @@ class Result:
 
     def lines(self) -> Iterator[str]:
         """The :meth:`summary` as JSON, line by line, as in ``summary.json``."""
-        return lines(self._content(self.points(), CONFIDENCE))
+        return json_lines(self._content(self.points(), CONFIDENCE))
 
     def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
+        """The summary with points that may be made one by one."""
         times = self.manifest.get("times", {})
         return {
             "study": self.study.name,

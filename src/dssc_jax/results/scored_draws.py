@@ -14,7 +14,15 @@ from dssc_jax.study import Study
 
 
 def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
-    """Scores of draws of shape (n,), correlated as the study declares, shape (n, laws)."""
+    """Standard normal scores of draws, correlated as the study declares.
+
+    Args:
+        study: The study.
+        indices: Indices of the draws, shape (n,).
+
+    Returns:
+        The score of each draw in each law, shape (n, laws).
+    """
     return special.ndtri(unit_points(study, indices)) @ mixing(study).T
 
 

@@ -94,6 +94,7 @@ class Store:
         return self.chunks.layout
 
     def _begin(self, manifest: Manifest) -> None:
+        """Delete the content of an earlier run, write the manifest, and create the arrays."""
         for name in (DATA, DIGESTS):
             files.delete_tree(self.folder / name, self.folder)
         files.delete(self.folder / SUMMARY)

@@ -85,7 +85,7 @@ def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[obj
     }
 
 
-def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
+def point_rows(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
     """Summarise the points of a sweep one by one, the last axis varying fastest; a run has a single point.
 
     Points are processed in batches, so that small points cost little, and few points are in memory at a time.
@@ -134,7 +134,7 @@ def summary_of_batch(
     count, draws = outcome.shape
     early = ended_early(outcome)
     violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
-    pairs = overlaps(violations, early, statements)
+    pairs = overlap_rows(violations, early, statements)
     pairs_of_points = by_point(pairs, count)
     if len(pairs) > FEW_PAIRS:
         pairs_of_points = [[pair for pair in point if pair["draws"]] for point in pairs_of_points]
@@ -151,7 +151,7 @@ def summary_of_batch(
             **statements.failures(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
-            "requirements": by_point(requirements(study, violations, lanes, statements), count),
+            "requirements": by_point(requirement_rows(study, violations, lanes, statements), count),
             "overlaps": pairs_of_points,
             "outcomes": rows_of_columns(outcomes),
             "metrics": rows_of_columns(metrics),
@@ -159,7 +159,7 @@ def summary_of_batch(
     )
 
 
-def lines(summary: Summary) -> Iterator[str]:
+def json_lines(summary: Summary) -> Iterator[str]:
     """A summary as JSON, with a line for each entry and each point, which are read one by one from an iterator."""
     start = "{"
     for name, value in summary.items():
@@ -176,7 +176,7 @@ def lines(summary: Summary) -> Iterator[str]:
     yield "}\n"
 
 
-def requirements(
+def requirement_rows(
     study: Study, violations: Mapping[str, np.ndarray], lanes: Mapping[str, np.ndarray], statements: Statements
 ) -> list[list[SummaryRow]]:
     """Summarise the violations of each requirement at each point.
@@ -229,9 +229,12 @@ def missing_value_texts(point: SummaryRow) -> list[str]:
         if any(counts):
             names_by_counts.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, unsettled), names in names_by_counts.items():
-        reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
-        reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
+    for (unstable, no_operating_point), names in names_by_counts.items():
+        reasons = []
+        if unstable:
+            reasons.append(f"in {unstable:,} the loop is unstable")
+        if no_operating_point:
+            reasons.append(f"in {no_operating_point:,} it has no operating point within the limits")
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
     for row in point["requirements"]:
         if row.get("undefined"):
@@ -249,7 +252,9 @@ def median_without_nan(values: np.ndarray) -> np.ndarray:
     return np.take_along_axis(np.sort(values, axis=-1), middle, -1).mean(-1)
 
 
-def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements) -> list[list[SummaryRow]]:
+def overlap_rows(
+    violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements
+) -> list[list[SummaryRow]]:
     """Summarise the joint violations of each pair of requirements at each point.
 
     ``failures`` counts all draws that violate both, ``draws`` the completed draws among them.

@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import attempt, write_text
 from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
-from dssc_jax.cli.fmu_library import built_library
 from dssc_jax.cli.loading import read_json, study_of
+from dssc_jax.cli.native_build import build_fmu_library
 from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.flight import show_code
 from dssc_jax.core import files
@@ -19,14 +19,18 @@ from dssc_jax.study import Study
 
 
 def premises_of(study: Study, path: Path) -> Premises:
-    """The premises of a certificate's file, for a monitor."""
+    """The premises of a certificate in a file, for a monitor.
+
+    Raises:
+        ConfigError: The verifier rejects the certificate, or it is that of another loop.
+    """
     from dssc_jax.flight_code.certified_premises import certified_premises  # the verifier is optional
 
     return certified_premises(study, read_json(path), str(path))
 
 
 def run(options: Code) -> int:
-    """Write the folder of the controller, and print what it holds."""
+    """Write the folder with the code of the controller, and print its content and cost."""
     study = study_of(options).without_sweep()
     warn_of_study(study)
     folder = FlightFolder(study, None if options.monitor is None else premises_of(study, options.monitor))
@@ -42,15 +46,14 @@ def run(options: Code) -> int:
     require_replaceable(out, file_names)
     attempt(out, lambda: files.make_folder(out))
     for name, text in texts.items():
-        path = out / name
-        attempt(path, lambda path=path, text=text: files.write_text(path, text))
+        write_text(out / name, text)
     for name, recording in recordings.items():
         path = out / name
         parts = recording(options.draws, options.samples)
         attempt(path, lambda path=path, parts=parts: files.write_parts(path, parts))
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
-        library, reason = built_library(unit)
+        library, reason = build_fmu_library(unit)
         fmu_file = out / f"{unit.name}.fmu"
         attempt(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
         summary["fmu"] = {"file": fmu_file.name, "library": library is not None, "reason": reason}

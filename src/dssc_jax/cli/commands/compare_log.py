@@ -2,16 +2,15 @@
 
 import json
 
-from dssc_jax.cli.analysing import attempt, finish, free_folder
+from dssc_jax.cli.analysing import finish, free_folder, write_text
 from dssc_jax.cli.declarations.flight import CompareLog
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
-from dssc_jax.cli.running import require_unset
+from dssc_jax.cli.parsing import require_unset
 from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
 from dssc_jax.console.terminal import progress_bar, show_line
-from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.fit.fit import fit_log
@@ -29,16 +28,16 @@ def run(options: CompareLog) -> int:
         raise ConfigError("--number", "is a number to estimate, and needs --fit")
     if not options.fit:
         require_unset(
-            "a comparison without --fit",
+            "with a comparison without --fit",
             simulations=options.simulations,
             minutes=options.minutes,
         )
     study = study_of(options).without_sweep()
     logs = [logged_flight(options, path, study) for path in options.log]
     if len(logs) > 1:
-        require_unset("several logs", fit=options.fit or None)
+        require_unset("with several logs", fit=options.fit or None)
         return run_next_flight(study, logs, options)
-    require_unset("a single log", probability=options.probability)
+    require_unset("with a single log", probability=options.probability)
     (log,) = logs
     if options.fit:
         return fit(study, log, options)
@@ -51,13 +50,13 @@ def run(options: CompareLog) -> int:
 
 
 def question_of(options: CompareLog) -> tuple[object, ...]:
-    """The options that change the question."""
+    """The options that change the question, for the name of the folder."""
     reading_options = (options.columns, options.column, options.start, options.segment, options.allow_damaged)
     return options.settings, options.draws, options.seed, *reading_options
 
 
 def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) -> int:
-    """Tell what several flights say of the next one."""
+    """Compare several flights with the draws, and print what they tell of the next flight."""
     probability = PROBABILITY if options.probability is None else options.probability
     names = [str(path) for path in options.log]
     question = (*question_of(options), names, options.probability)
@@ -76,7 +75,7 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
 
 
 def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
-    """Estimate the numbers, print or write their laws, and say if the flight does not support that."""
+    """Estimate numbers from a flight, and print or write their laws, or print why the flight does not allow it."""
     out = options.out
     as_json = options.as_json
     simulations = MOST_SIMULATIONS if options.simulations is None else options.simulations
@@ -112,7 +111,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
         | replay_summary
     )
     if out is not None:
-        attempt(out, lambda: files.write_text(out, log_fit.toml()))
+        write_text(out, log_fit.toml())
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

@@ -4,15 +4,14 @@ import json
 import math
 from pathlib import Path
 
-from dssc_jax.analyses.loop_margins.designed import designed_margins
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.analyses.loop_margins.designed import DesignedMargins, designed_margins
+from dssc_jax.cli.analysing import write_text
 from dssc_jax.cli.declarations.designs import Design
 from dssc_jax.cli.designing import print_design, require_one_form
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import load_study
 from dssc_jax.console.loops import margin_lines
 from dssc_jax.console.terminal import notify
-from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.files import design_toml, load_design
@@ -39,19 +38,17 @@ def run(options: Design) -> int:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")
     design = load_design(options.bounds, complete=False)
     if options.out is not None:
-        out = options.out
-        attempt(out, lambda: files.write_text(out, design_toml(design)))
+        write_text(options.out, design_toml(design))
     return print_design(design, options.as_json, options.as_latex)
 
 
 def is_study(path: Path) -> bool:
-    """Whether a name is that of a packaged study, or a file with a plant."""
-    file = find_study(str(path))
-    return "plant" in read_toml(file)
+    """Whether a file, or a packaged study of that name, has a plant."""
+    return "plant" in read_toml(find_study(str(path)))
 
 
 def print_first_gains(options: Design) -> int:
-    """Find the first gains for a study, write the study with them, and print them."""
+    """Find first gains for the plant of a study, write the study with them, and print them."""
     if options.as_latex:
         raise ConfigError("--latex", "prints a certificate, which first gains do not have")
     study = load_study(str(options.bounds), {}, options.allow_local, options.allow_native).without_sweep()
@@ -63,33 +60,43 @@ def print_first_gains(options: Design) -> int:
     if options.out is not None:
         write_study(options.out, {**study.table, "controller": gains.table})
     if options.as_json:
-        content = {"study": study.name, "bandwidth": gains.bandwidth, "largest_pole": gains.radius}
-        content |= {
+        content = {
+            "study": study.name,
+            "bandwidth": gains.bandwidth,
+            "largest_pole": gains.radius,
             "settling": gains.settling,
             "sensitivity_peak": gains.sensitivity_peak,
             "actuators": gains.linear_kinds,
             "left_out": gains.left_out,
+            "margins": margins,
+            "controller": gains.table,
         }
-        content |= {"margins": margins, "controller": gains.table}
         print(json.dumps(jsonable(content), allow_nan=False))
-        return DONE
-    print(toml_entries(gains.table, "controller").strip())
-    sampled = f"T_s = {study.loop.sample_time:g} s"
-    print(f"\nfor {study.name} at {gains.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
-    for line in point_lines(gains):
-        print(line)
+    else:
+        print("\n".join(gain_lines(study, gains, margins)))
+    return DONE
+
+
+def gain_lines(study: Study, gains: FirstGains, margins: DesignedMargins) -> list[str]:
+    """Lines on first gains: their table, the poles and the settling of the loop, and its margins."""
+    sampling = f"T_s = {study.loop.sample_time:g} s"
     actuators = f" behind its linear actuators ({' + '.join(gains.linear_kinds)})" if gains.linear_kinds else ""
     sliding = " while it slides" if gains.table["kind"] == FirstController.SSC else ""
     decay = study.loop.sample_time / -math.log(gains.radius) if gains.radius > 0.0 else 0.0
-    print(f"largest pole of the sampled loop{actuators}{sliding} {gains.radius:.6g}, below 1: stable")
-    print(f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / gains.bandwidth:.3g} s")
-    print(f"after a step of a disturbance at the command, y settles within 2 % of its peak in {gains.settling:.3g} s")
-    print(f"peak of its sensitivity abs(S) {gains.sensitivity_peak:.3g}")
-    print("\n".join(margin_lines(margins)))
+    lines = [
+        toml_entries(gains.table, "controller").strip(),
+        f"\nfor {study.name} at {gains.bandwidth:.4g} rad/s, {sampling}, at the nominal plant",
+        *point_lines(gains),
+        f"largest pole of the sampled loop{actuators}{sliding} {gains.radius:.6g}, below 1: stable",
+        f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / gains.bandwidth:.3g} s",
+        f"after a step of a disturbance at the command, y settles within 2 % of its peak in {gains.settling:.3g} s",
+        f"peak of its sensitivity abs(S) {gains.sensitivity_peak:.3g}",
+        *margin_lines(margins),
+    ]
     if gains.left_out:
-        print(f"left out, so that the whole loop has less margin: {', '.join(gains.left_out)}")
-    print("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
-    return DONE
+        lines.append(f"left out, so that the whole loop has less margin: {', '.join(gains.left_out)}")
+    lines.append("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
+    return lines
 
 
 def point_lines(gains: FirstGains) -> list[str]:
@@ -106,10 +113,14 @@ def point_lines(gains: FirstGains) -> list[str]:
 
 
 def write_study(out: Path, table: TomlTable) -> None:
-    """Write a study with its first gains; raises ConfigError where the other sections do not fit them."""
+    """Write a study with first gains.
+
+    Raises:
+        ConfigError: The other sections do not fit the gains, or the file cannot be written.
+    """
     try:
         Study.from_table(table)
     except ConfigError as error:
         rule = f"the study would not be valid with these gains: {error}"
         raise ConfigError("--out", f"{rule}; change that section, or copy [controller] without --out") from None
-    attempt(out, lambda: files.write_text(out, to_toml(table)))
+    write_text(out, to_toml(table))

@@ -9,7 +9,7 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import load_study, stored_result
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
-from dssc_jax.cli.parsing import parse_changes
+from dssc_jax.cli.parsing import parse_changes, require_unset
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration import require_panel
 from dssc_jax.exploration.live import LiveStudy
@@ -23,18 +23,22 @@ def run(options: Explore) -> int:
     """Serve the page until Ctrl-C."""
     require_panel()
     folder = Path(options.subject)
-    reading_options = {"--columns": options.columns, "--column": options.column}
-    reading_options |= {"--start": options.start, "--segment": options.segment}
+    log_options = {
+        "columns": options.columns,
+        "column": options.column,
+        "start": options.start,
+        "segment": options.segment,
+    }
     if folder.is_dir():
-        of_studies = {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws}
-        require_none("with a result", of_studies | {"--log": options.logs} | reading_options)
+        study_options = {"set": options.settings, "slider": options.sliders, "draws": options.draws}
+        require_unset("with a result", **study_options, log=options.logs, **log_options)
         result = stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
         title = f"{result.study.name}: explore"
         server = page_server(lambda: ResultPage(result, background=True), title, options.port)
     else:
         study = load_study(options.subject, parse_changes(options.settings), options.allow_local, options.allow_native)
         if not options.logs:
-            require_none("without --log", reading_options)
+            require_unset("without --log", **log_options)
         logs = [logged_flight(options, path, study) for path in options.logs or []]
         live = LiveStudy(study, options.sliders, options.draws)
         say(f"{study.name}: compiling")
@@ -48,23 +52,16 @@ def run(options: Explore) -> int:
     return DONE
 
 
-def require_none(where: str, options: dict[str, object]) -> None:
-    """Require that options without a meaning here are not given."""
-    for option, value in options.items():
-        if value is not None and value != []:
-            raise ConfigError(option, f"has no meaning {where}")
-
-
 def page_server(page: Callable[[], Page], title: str, port: int) -> PageServer:
-    """The server of a page.
+    """Make the server of a page.
 
     Args:
-        page: Makes the page for each visitor.
-        title: Its title.
-        port: The port; 0: any free one.
+        page: Makes the page of each session.
+        title: Title of the page.
+        port: The port; 0: any free port.
 
     Raises:
-        ConfigError: the port cannot be used.
+        ConfigError: The port cannot be used.
     """
     try:
         return PageServer(page, title, port)

@@ -1,4 +1,4 @@
-"""dssc-jax laws: how wrong the laws may be."""
+"""dssc-jax laws: how far the laws may be wrong."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +9,7 @@ from dssc_jax.cli.analysing import finish, free_folder
 from dssc_jax.cli.declarations.statistics import Laws
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_result, study_of
-from dssc_jax.cli.parsing import parse_within
-from dssc_jax.cli.running import require_unset
+from dssc_jax.cli.parsing import parse_within, require_unset
 from dssc_jax.console.laws import show_laws
 from dssc_jax.console.ranges import show_ranges
 from dssc_jax.console.terminal import progress_bar
@@ -19,7 +18,7 @@ from dssc_jax.study import Study
 
 
 def run(options: Laws) -> int:
-    """Find how wrong the laws may be, save and print it."""
+    """Find how far the laws may be wrong, save and print the answer."""
     within = parse_within(options.within)
     subject = subject_of(options)
     if isinstance(subject, Study) and subject.ranged_laws:
@@ -47,10 +46,9 @@ def run(options: Laws) -> int:
 
 
 def run_ranges(study: Study, options: Laws) -> int:
-    """Find the failure probability over all laws within their ranges, save and print it."""
-    require_unset(
-        "laws whose arguments are ranges", within=options.within, shift=options.shift, widening=options.widening
-    )
+    """Find the failure probability over all laws within their ranges, save and print the answer."""
+    amounts = {"within": options.within, "shift": options.shift, "widening": options.widening}
+    require_unset("with laws whose arguments are ranges", **amounts)
     question = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
     folder = free_folder(study, "law-ranges", options.out, *question, name="laws")
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
@@ -61,9 +59,9 @@ def run_ranges(study: Study, options: Laws) -> int:
 
 
 def subject_of(options: Laws) -> Result | Study:
-    """The result in the folder that the user names, or the study."""
+    """The stored result or the study that the user names."""
     folder = Path(options.study)
     if not folder.is_dir():
         return study_of(options).without_sweep()
-    require_unset("a result", set=options.settings, draws=options.draws, seed=options.seed)
+    require_unset("with a result", set=options.settings, draws=options.draws, seed=options.seed)
     return stored_result(folder, options.trust_code, options.allow_local, options.allow_native)

@@ -37,7 +37,7 @@ def run(options: Library) -> int:
 
 
 def write_template(path: Path, sources: list[Path]) -> int:
-    """Write the example to fill in; no file is replaced."""
+    """Write an example of a controller to a new file, and return the exit code."""
     if sources:
         raise ConfigError("--template", "writes a file and builds nothing; omit FILE.c")
     attempt(path, lambda: files.create_text(path, template_text(TEMPLATE)))
@@ -46,10 +46,10 @@ def write_template(path: Path, sources: list[Path]) -> int:
 
 
 def library_file(options: Library) -> Path:
-    """The library: built from its sources, or given.
+    """The path of the library: a shared object that the user names, or one that is built from sources.
 
     Raises:
-        ConfigError: A shared object is among several files, or sources do not compile.
+        ConfigError: A shared object is among several files, or the sources do not compile.
     """
     sources = options.sources or []
     first = sources[0]

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_text
 from dssc_jax.cli.declarations.flight import Log
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.console.logs import show_log
 from dssc_jax.console.terminal import show_line
-from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.reading.contents import log_contents, topic_table
 from dssc_jax.results.summary import jsonable
@@ -34,12 +33,12 @@ def run(options: Log) -> int:
 
 
 def write_topic(options: Log, out: Path) -> int:
-    """Write a topic as CSV."""
+    """Write a topic of a log as CSV, and return the exit code."""
     topics = options.topic or []
     if len(options.file) != 1 or len(topics) != 1:
         raise ConfigError("--csv", "writes one topic of one file; give one FILE and one --topic")
     table = topic_table(options.file[0], topics[0], options.segment, options.start)
-    attempt(out, lambda: files.write_text(out, csv_lines(table)))
+    write_text(out, csv_lines(table))
     count = len(table[TIME])
     if options.as_json:
         print(json.dumps({"file": str(out), "rows": count, "columns": list(table)}))
@@ -49,7 +48,7 @@ def write_topic(options: Log, out: Path) -> int:
 
 
 def csv_lines(table: dict[str, np.ndarray]) -> Iterator[str]:
-    """The lines of a table, with all digits; NaN is an empty cell."""
+    """The lines of a table as CSV, numbers with all their digits and NaN as an empty cell."""
     yield ",".join(table) + "\n"
     for row in zip(*table.values(), strict=True):
         yield ",".join("" if value != value else repr(float(value)) for value in row) + "\n"

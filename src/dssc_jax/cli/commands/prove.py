@@ -1,4 +1,4 @@
-"""dssc-jax prove: the sampled loop, with lag; also verifies the certificates in a file."""
+"""dssc-jax prove: a proof of the sampled loop, with lag, and the verification of certificates in a file."""
 
 import json
 from pathlib import Path
@@ -6,17 +6,16 @@ from pathlib import Path
 from dssc_jax.analyses.loading import load
 from dssc_jax.analyses.tuning import Tuned
 from dssc_jax.analyses.tuning.result import PROOF_FILE
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_text
 from dssc_jax.cli.declarations.designs import Prove
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import load_study, read_json
 from dssc_jax.cli.parsing import parse_changes, parse_walk
+from dssc_jax.cli.proving import proof_coverage
 from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdict
 from dssc_jax.console.terminal import progress_bar, show_line
-from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 from dssc_jax.proofs.claims import not_proved_text
@@ -33,7 +32,7 @@ from dssc_jax.runs.prove_sweep import foreign_points
 from dssc_jax.study import Described, Study
 
 MALFORMED = ("P0", "V0")
-"""Beginnings of the reasons of a verdict on a content whose problem need not be well formed."""
+"""Beginnings of the reasons of a verdict on a certificate whose problem may be malformed."""
 FOREIGN = "P0: the certificate is that of another loop than the folder's"
 
 
@@ -50,10 +49,8 @@ def run(options: Prove) -> int:
     ).without_sweep()
     if options.over is not None:
         return prove_over(study, options.over, options)
-    try:
+    with proof_coverage(study):
         proved = prove(study, boxes=options.boxes or BOXES)
-    except NotCovered as error:
-        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
     write_certificate(proved, options.out)
     integration = None if options.no_check else integration_error(study)
     if options.as_json:
@@ -86,7 +83,7 @@ def verify_certificate(content: object, path: Path, as_json: bool) -> int:
 
 
 def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
-    """A verdict as JSON's types."""
+    """A verdict in the types of JSON."""
     if not verdict.proved:
         return {"proved": False, "reason": verdict.reason}
     if isinstance(verdict, VehicleVerdict):
@@ -96,7 +93,7 @@ def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
 
 
 def is_foreign(problem: JsonObject, path: Path) -> bool:
-    """Whether a certificate's file lies in a tuning's folder, and its problem is not the tuned loop."""
+    """Whether a certificate's file is that of a tuning's folder, but its problem is not the tuned loop."""
     if path.name != PROOF_FILE or not (path.parent / f"{Tuned.kind}.json").exists():
         return False
     tuned = load(path.parent)
@@ -106,21 +103,17 @@ def is_foreign(problem: JsonObject, path: Path) -> bool:
 
 
 def write_certificate(proved: AnyProved, out: Path | None) -> None:
-    """Write the certificate, if a file is given."""
+    """Write the certificate of a proof, if the user names a file."""
     if out is not None:
-        content = json.dumps(proved.certificate(), indent=1) + "\n"
-        attempt(out, lambda: files.write_text(out, content))
+        write_text(out, json.dumps(proved.certificate(), indent=1) + "\n")
 
 
 def prove_over(study: Study, over: str, options: Prove) -> int:
-    """Find the last value of a number that is proved, write its certificate and print it."""
+    """Find the last value of a number for which the loop is proved, write its certificate and print it."""
     walk = parse_walk(over)
     boxes = options.boxes or SWEEP_BOXES
-    try:
-        with progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
-            reach = proved_up_to(study, walk.name, walk.bounds, log=options.log, boxes=boxes, progress=advance)
-    except NotCovered as error:
-        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+    with proof_coverage(study), progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
+        reach = proved_up_to(study, walk.name, walk.bounds, log=options.log, boxes=boxes, progress=advance)
     if reach.last is not None:
         write_certificate(reach.last, options.out)
     if options.as_json:
@@ -131,9 +124,17 @@ def prove_over(study: Study, over: str, options: Prove) -> int:
 
 
 def verify_sweep(content: JsonObject, folder: Path, as_json: bool) -> int:
-    """Verify the certificates of a sweep's points that are said to be proved.
+    """Verify the certificates of all points of a sweep that its file reports as proved.
 
-    In a results folder, each must be a certificate of the folder's own loop at its point.
+    In a results folder, each certificate must be that of the folder's loop at its point.
+
+    Args:
+        content: Content of the file with the proofs.
+        folder: Folder of the file.
+        as_json: Whether to print JSON.
+
+    Returns:
+        The exit code.
     """
     try:
         pairs = zip(content["points"], content["certificates"], strict=True)
@@ -157,7 +158,7 @@ def verify_sweep(content: JsonObject, folder: Path, as_json: bool) -> int:
 
 
 def study_of_folder(folder: Path) -> Study | None:
-    """The study of a results folder; None if it is none, or if its code is not loaded."""
+    """The study of a results folder; None if the folder is not one, or if the study's code is not loaded."""
     if not (folder / MANIFEST).exists():
         return None
     study = load_result(folder).study

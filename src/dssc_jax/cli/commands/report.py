@@ -46,7 +46,7 @@ def run(options: Report) -> int:
 
 
 def print_index(root: Path, as_json: bool) -> int:
-    """Write the index of a folder of results and analyses, and show its content."""
+    """Write the index of a folder of results and analyses, and print its path; return the exit code."""
 
     def show_written(file: Path) -> None:
         if not as_json:

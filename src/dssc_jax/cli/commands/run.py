@@ -5,8 +5,8 @@ from pathlib import Path
 from dssc_jax.cli.analysing import usual_folder
 from dssc_jax.cli.declarations.simulation import Run
 from dssc_jax.cli.exit_codes import DONE, FAILS
-from dssc_jax.cli.parsing import parse_within
-from dssc_jax.cli.running import computed_result, print_result, require_unset, simulated_study
+from dssc_jax.cli.parsing import parse_within, require_unset
+from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
@@ -21,39 +21,50 @@ def run(options: Run) -> int:
     rule = stopping_rule(options.until_width, options.accept, options.reject)
     study = simulated_study(options).without_sweep()
     if rule is not None:
-        require_unset("a data-driven stop", draws=options.draws, resume=options.resume or None, cluster=options.cluster)
+        resume = options.resume or None
+        require_unset("with a data-driven stop", draws=options.draws, resume=resume, cluster=options.cluster)
         return run_with_rule(study, rule, options)
-    require_unset("a fixed number of draws", max_draws=options.max_draws)
+    require_unset("with a fixed number of draws", max_draws=options.max_draws)
     out = options.out or usual_folder(study, "run", options.settings, options.draws, options.seed)
     print_result(computed_result(study, out, options, stated_amounts(options)), out, options.as_json)
     return DONE
 
 
 def stated_amounts(options: Run) -> StatedAmounts:
-    """The amounts by which the laws may be wrong."""
+    """The amounts by which the laws may be wrong, from the options."""
     return StatedAmounts(parse_within(options.within), options.shift, options.widening)
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> StoppingRule | None:
-    """The stopping rule given by the options."""
+    """The stopping rule that the options describe; None: a fixed number of draws.
+
+    Args:
+        width: Width of the interval at which to stop (``--until-width``).
+        accept: Probability below which the loop is accepted (``--accept``).
+        reject: Probability above which the loop is rejected (``--reject``).
+
+    Raises:
+        ConfigError: The options contradict each other, one is missing, or a value is not valid.
+    """
     if width is accept is reject is None:
         return None
-    if width is not None and (accept is not None or reject is not None):
-        raise ConfigError("--until-width", "cannot be combined with --accept and --reject")
-    try:
-        if width is not None:
+    if width is not None:
+        if accept is not None or reject is not None:
+            raise ConfigError("--until-width", "cannot be combined with --accept and --reject")
+        try:
             return UntilWidth(width)
-        if accept is None or reject is None:
-            raise ConfigError("--accept" if accept is None else "--reject", "is missing; the two go together")
+        except ValueError as error:
+            raise ConfigError("--until-width", str(error)) from None
+    if accept is None or reject is None:
+        raise ConfigError("--accept" if accept is None else "--reject", "is missing; the two go together")
+    try:
         return AcceptReject(accept, reject)
-    except ConfigError:
-        raise
     except ValueError as error:
-        raise ConfigError("--until-width" if width is not None else "--accept", str(error)) from None
+        raise ConfigError("--accept", str(error)) from None
 
 
 def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
-    """Make draws until the stopping rule is met."""
+    """Simulate draws until a stopping rule is met, print the result, and return the exit code."""
     warn_of_study(study)
     limit = MOST_DRAWS if options.max_draws is None else options.max_draws
     out = options.out or folder_of_rule(study, rule, limit)

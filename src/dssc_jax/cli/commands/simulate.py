@@ -1,15 +1,12 @@
 """dssc-jax simulate: one draw and its trajectory."""
 
-from functools import partial
-
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_text
 from dssc_jax.cli.declarations.simulation import Simulate
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.trajectories import print_trajectory, require_writable
 from dssc_jax.cli.warnings import checked_integration, warn_of_integration, warn_of_study
 from dssc_jax.console.terminal import announce_compiling
-from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration import require_panel
 from dssc_jax.results.schema import units_of
@@ -33,14 +30,18 @@ def run(options: Simulate) -> int:
     flight_files = []
     if options.flight is not None:
         text = flight_html(study, options)
-        attempt(options.flight, partial(files.write_text, options.flight, text))
+        write_text(options.flight, text)
         flight_files.append(options.flight)
     print_trajectory(trajectory, options, units_of(fixed), flight_files)
     return DONE
 
 
 def flight_html(study: Study, options: Simulate) -> str:
-    """The page of the draw's flight; raises ConfigError."""
+    """The page with the flight of the draw.
+
+    Raises:
+        ConfigError: A package is missing, or the plant is not a vehicle.
+    """
     require_panel()
     from dssc_jax.exploration import flight_page  # needs an optional package
 

@@ -6,11 +6,10 @@ from dssc_jax.cli.analysing import attempt, usual_folder
 from dssc_jax.cli.declarations.simulation import Sweep
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.parsing import parse_overs
-from dssc_jax.cli.proving import require_proofs
+from dssc_jax.cli.proving import proof_coverage, require_proofs
 from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.design.certification import NotCovered
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -33,23 +32,21 @@ def run(options: Sweep) -> int:
 
 
 def require_provable(study: Study) -> None:
-    """Require that proofs are installed and cover the study's points, before anything is simulated.
+    """Require that proofs are installed and cover the points of a study's sweep, before anything is simulated.
 
     Raises:
-        ConfigError: they do not.
+        ConfigError: They are not installed, or do not cover the first point.
     """
     require_proofs()
     from dssc_jax.proofs.coverage import problem_of  # needs optional packages, as the one below
     from dssc_jax.runs.prove_sweep import sweep_points
 
-    try:
+    with proof_coverage(study):
         problem_of(next(sweep_points(study)))
-    except NotCovered as error:
-        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
 
 
 def proved_sweep(result: Result, out: Path, options: Sweep) -> Result:
-    """Prove every point of a sweep, and keep the proofs in the results folder."""
+    """Prove the points of a sweep, write the proofs into its folder, and return the result with them."""
     from dssc_jax.runs.prove_sweep import prove_sweep  # needs optional packages
 
     with progress_bar(result.study, quiet=options.as_json, of="proofs", compiles=False) as advance:

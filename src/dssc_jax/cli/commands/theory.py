@@ -17,7 +17,7 @@ EARLY = "every critical value is found"
 
 
 def run(options: Theory) -> int:
-    """Assess the number, save and print the assessment."""
+    """Compare theory with simulation for a number, save and print the comparison."""
     if options.prove:
         require_proofs()
     walk = parse_walk(options.over)
@@ -43,7 +43,7 @@ def run(options: Theory) -> int:
 
 
 def switching_rivals(study: Study) -> dict[str, Study]:
-    """The study with each controller that has a describing function, if its gains follow from the study."""
+    """The study with each controller that has a describing function and gains that follow from the study."""
     rivals = {}
     for name in switching_kinds():
         try:

@@ -2,13 +2,12 @@
 
 from dssc_jax.analyses.tuning import tune
 from dssc_jax.analyses.tuning.result import PROOF_FILE
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, write_text
 from dssc_jax.cli.declarations.searches import Tune
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.console.searches import show_tuning
 from dssc_jax.console.terminal import progress_bar
-from dssc_jax.core import files
 from dssc_jax.study.tables import to_toml
 
 
@@ -20,7 +19,7 @@ def run(options: Tune) -> int:
         tuned = tune(study, robust=options.robust, rounds=options.rounds, budget=options.budget, progress=advance)
     figures = save_analysis(tuned, folder, options)
     file = options.out or folder / "tuned.toml"
-    attempt(file, lambda: files.write_text(file, to_toml(tuned.tuned_study.table)))
+    write_text(file, to_toml(tuned.tuned_study.table))
     paths = {"tuned_study": file, "result": folder}
     if tuned.certificate is not None:
         paths["certificate"] = folder / PROOF_FILE

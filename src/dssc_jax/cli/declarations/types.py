@@ -35,7 +35,7 @@ Prove = Annotated[
 
 
 class RareMethod(StrEnum):
-    """How a rare failure is searched."""
+    """Method for a rare failure probability."""
 
     AUTO = "auto"
     IMPORTANCE = "importance"
@@ -44,7 +44,7 @@ class RareMethod(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """A study and changes of its values."""
+    """Options on a study: changes of its values, and code that it may import or load."""
 
     study: StudyArgument
     settings: Set = None
@@ -54,21 +54,21 @@ class StudyOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SeededOptions(StudyOptions):
-    """A study, changes of its values, and the seed of its draws."""
+    """Options on a study and on the seed of its draws."""
 
     seed: Seed = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawsOptions(SeededOptions):
-    """A study, changes of its values, and its draws."""
+    """Options on a study, and on the seed and the number of its draws."""
 
     draws: Draws = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class OutputOptions:
-    """The folder of a result, and what is printed."""
+    """Options on the folder of a result, the check of integration, and the format of the output."""
 
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Results folder [results/NAME-COMMAND].")] = (
         None
@@ -79,7 +79,7 @@ class OutputOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions:
-    """How a logged flight is read."""
+    """Options on how a logged flight is read."""
 
     columns: Annotated[
         Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
@@ -107,7 +107,7 @@ class LogOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StatedOptions:
-    """Amounts by which the laws may be wrong."""
+    """Options on amounts by which the laws may be wrong."""
 
     within: Annotated[
         list[str] | None,
@@ -127,7 +127,7 @@ class StatedOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StoredOptions:
-    """A stored result, whose study may name code."""
+    """Options on a stored result, and on code that its study may import or load."""
 
     as_json: Json = False
     trust_code: TrustCode = False
@@ -137,7 +137,7 @@ class StoredOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class WalkOptions:
-    """A walk over one number, from its safe end to the other."""
+    """Options on a walk over one number, from its safe end to the other end."""
 
     over: Annotated[
         str,
@@ -152,7 +152,7 @@ class WalkOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How a run treats what its folder holds, and where it computes."""
+    """Options on the use of an earlier run in the folder, and on a cluster."""
 
     resume: Annotated[bool, typer.Option("--resume", help="Keep what an interrupted run of this study finished.")] = (
         False
@@ -166,7 +166,7 @@ class RunOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TrajectoryOptions:
-    """The files of a trajectory."""
+    """Options on the files of a trajectory."""
 
     csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")] = None
     parquet: Annotated[
