@@ -92,6 +92,15 @@ def test_flights_of_another_study_refute_it(study, logs):
     assert found.answer.departure is not None
 
 
+def test_a_log_that_disagrees_with_the_study_is_named(study, logs):
+    reference = study_references(study, SAMPLES)[0, 0]
+    opposite = Column(logs[3].columns["y"].time, -reference)
+    wrong = logs[3]._replace(name="flipped", columns=logs[3].columns | {"y_ref": opposite})
+    answer = dj.next_flight(study, [*logs[:3], wrong]).answer
+    assert answer.hints == {"flipped": {"y_ref": "is the study's with the opposite sign"}}
+    assert len(answer.study_test.logs_beyond) == answer.study_test.beyond
+
+
 def test_too_few_flights_have_no_set(study, logs):
     found = dj.next_flight(study, logs[:5])
     assert found.answer.departure is None

@@ -159,6 +159,9 @@ def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
     for name in answer.without_spread:
         show_line(f"{name} is the same in all draws, and is left out")
     show_line(beyond_text(answer))
+    for log, texts in answer.hints.items():
+        for name, text in texts.items():
+            show_line(f"warning: {log}: {name} {text}")
     show_table(*counts_table(answer.study_test))
     show_files(files)
 
@@ -179,9 +182,10 @@ def beyond_text(answer: NextFlightAnswer) -> str:
     """Tell how many flights depart farther than 95 % of the draws, with the interval of their share."""
     test = answer.study_test
     low, high = test.share_interval
+    names = f" ({', '.join(test.logs_beyond)})" if test.logs_beyond else ""
     return (
-        f"{test.beyond} of {answer.flights} flights depart farther than 95 % of the draws (p = {test.p_value:.3g}); "
-        f"that share lies in [{low:.3g}, {high:.3g}]"
+        f"{test.beyond} of {answer.flights} flights{names} depart farther than 95 % of the draws "
+        f"(p = {test.p_value:.3g}); that share lies in [{low:.3g}, {high:.3g}]"
     )
 
 

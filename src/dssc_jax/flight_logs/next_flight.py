@@ -6,8 +6,8 @@ departure of a flight is then a number of this flight alone, and so is every met
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import xarray as xr
@@ -19,10 +19,11 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.comparison import MOST_NUMBERS, Signal, drawn_curves
 from dssc_jax.flight_logs.figure import next_flight_figure
+from dssc_jax.flight_logs.flight_errors import Column, error_columns, measured_samples, number_columns
 from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.flight_logs.reading.coverage import require_samples
 from dssc_jax.flight_logs.reading.reader import FlightLog, channel_signals, samples_within, signal_name
-from dssc_jax.flight_logs.replay import ChannelCurves
+from dssc_jax.flight_logs.replay import ChannelCurves, replay_log
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.conformal import (
@@ -43,10 +44,6 @@ SHARES = (0.1, 0.2, 0.5)
 """Shares of flights beyond the draws' line for which the number of flights is told."""
 
 
-Column: TypeAlias = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
-"""Dimensions, values and attributes of a variable."""
-
-
 @dataclass(frozen=True)
 class MetricLimit:
     """The limit of a metric that the next flight keeps with the stated probability."""
@@ -63,6 +60,7 @@ class StudyTest:
     """Whether the flights refute the study."""
 
     beyond: Annotated[int, Quantity("1", "flights that depart farther than 95 % of the draws")]
+    logs_beyond: Annotated[tuple[str, ...], Quantity("", "names of their logs")]
     p_value: Annotated[float, Quantity("1", "probability of at least as many such flights, if the study is right")]
     refuted: Annotated[bool, Quantity("", "whether the p-value is at most 5 %")]
     share_interval: Annotated[tuple[float, float], Quantity("1", "interval of the share of flights beyond")]
@@ -93,6 +91,9 @@ class NextFlightAnswer:
     without_spread: Annotated[tuple[str, ...], Quantity("", "signals that are the same in all draws, and left out")]
     metrics: dict[str, MetricLimit]
     study_test: StudyTest
+    hints: Annotated[
+        dict[str, dict[str, str]], Quantity("", "where a log disagrees with the study, by log and signal or number")
+    ]
 
 
 @dataclass(eq=False)
@@ -107,6 +108,7 @@ class NextFlight(Analysis):
     Args:
         logs: Names of the logs.
         probability: Least probability that the next flight lies in the set.
+        hints: Where a log disagrees with the study, in words, by the name of the log and by signal or number.
     """
 
     kind = "next-flight"
@@ -115,6 +117,7 @@ class NextFlight(Analysis):
 
     logs: tuple[str, ...]
     probability: float
+    hints: dict[str, dict[str, str]]
 
     @property
     def rank(self) -> int | None:
@@ -177,6 +180,7 @@ class NextFlight(Analysis):
             without_spread=tuple(str(name) for name in signals[np.isnan(spread).all(axis=1)]),
             metrics=metrics,
             study_test=self.study_test(),
+            hints=self.hints,
         )
 
     def study_test(self) -> StudyTest:
@@ -184,11 +188,14 @@ class NextFlight(Analysis):
         draw_departures = self.dataset["departure_of_draw"].values
         draws = len(draw_departures)
         departure_line = np.sort(draw_departures)[draws - line_rank(draws)]
-        beyond_count = int(np.count_nonzero(self.dataset["departure"].values > departure_line))
+        is_beyond = self.dataset["departure"].values > departure_line
+        logs_beyond = tuple(log for log, beyond in zip(self.logs, is_beyond, strict=True) if beyond)
+        beyond_count = len(logs_beyond)
         p_value = beyond_p_value(beyond_count, len(self.logs), draws)
         low, high = clopper_pearson(beyond_count, len(self.logs), CONFIDENCE).tolist()
         return StudyTest(
             beyond=beyond_count,
+            logs_beyond=logs_beyond,
             p_value=p_value,
             refuted=p_value <= 1.0 - CONFIDENCE,
             share_interval=(low, high),
@@ -257,7 +264,9 @@ def next_flight(
         "t": ("t", times, {"long_name": "time", "units": "s"}),
     }
     dataset = xr.Dataset(data, coords=coords, attrs={"title": study.name})
-    analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability)
+    hints = {log.name: replay_log(study, log).hints.all() for log in logs}
+    hints = {name: texts for name, texts in hints.items() if texts}
+    analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability, hints)
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)
 
@@ -277,25 +286,6 @@ def require_comparable(study: Study, logs: Sequence[FlightLog], probability: flo
     draws = study.config.draws
     if draws // 2 < FEWEST_DRAWS:
         raise ConfigError("draws", f"must be at least {2 * FEWEST_DRAWS} to compare flights, got {draws}")
-
-
-def error_columns(study: Study, channel: int, flight_errors: np.ndarray, draw_errors: np.ndarray) -> dict[str, Column]:
-    """The largest and the RMS error of a channel, of the flights and of the draws.
-
-    Args:
-        study: The study.
-        channel: Index of the channel.
-        flight_errors: Measured errors of the flights, shape (flights, samples).
-        draw_errors: Those of the draws, shape (draws, samples).
-    """
-    unit = study.units[channel].output
-    suffix = f"_{study.loop.channels[channel]}".rstrip("_")
-    largest = largest_error(flight_errors), largest_error(draw_errors)
-    rms = rms_error(flight_errors), rms_error(draw_errors)
-    return {
-        **number_columns(f"error_max{suffix}", unit, "largest measured error", *largest),
-        **number_columns(f"error_rms{suffix}", unit, "root mean square of the measured error", *rms),
-    }
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
@@ -371,28 +361,4 @@ def with_band(analysis: NextFlight, departure: float) -> NextFlight:
     reach = departure * data["spread"]
     lower = (data["middle"] - reach).assign_attrs(data["lower"].attrs)
     upper = (data["middle"] + reach).assign_attrs(data["upper"].attrs)
-    return NextFlight(analysis.study, data.assign(lower=lower, upper=upper), analysis.logs, analysis.probability)
-
-
-def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draws: np.ndarray) -> dict[str, Column]:
-    """The dataset's columns of a number of each flight, and of each compared draw."""
-    return {
-        name: (("flight",), flights, {"long_name": f"{meaning} of each flight", "units": unit}),
-        f"{name}_of_draw": (("draw",), draws, {"long_name": f"{meaning} of each draw", "units": unit}),
-    }
-
-
-def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
-    """Which samples lie in the window of the study's metrics; all of them if the logs end before it."""
-    is_inside = times >= study.config.metrics.window.after - 1e-9
-    return is_inside if is_inside.any() else np.ones_like(is_inside)
-
-
-def largest_error(errors: np.ndarray) -> np.ndarray:
-    """The largest absolute error along the last axis; infinite if a draw has ended."""
-    return np.nan_to_num(np.abs(errors), nan=np.inf).max(axis=-1)
-
-
-def rms_error(errors: np.ndarray) -> np.ndarray:
-    """The root mean square along the last axis; infinite if a draw has ended."""
-    return np.sqrt(np.mean(np.nan_to_num(np.abs(errors), nan=np.inf) ** 2, axis=-1))
+    return replace(analysis, dataset=data.assign(lower=lower, upper=upper))

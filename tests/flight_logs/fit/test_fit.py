@@ -214,6 +214,24 @@ def test_an_estimate_outside_its_law_is_told(noisy):
     assert fit_log(linear(), log_of(y, u)).outside_laws() == {}
 
 
+def test_an_output_in_another_unit_and_no_reference_is_refused(noisy):
+    u, y = noisy
+    study = linear(plant={**linear().table["plant"], "initial": [0.0, 0.0]})
+    y = 100.0 * (output(1.1, 0.8, u, (0.0, 0.0)) + 0.001 * np.random.default_rng(11).normal(size=400))
+    with pytest.raises(Unexplained, match=r"plant.k_p is 110, 110 times the median of the law uniform\(0.5, 1.5\)"):
+        fit_log(study, log_of(y, u))
+
+
+def test_readings_whose_stamps_are_rounded_to_the_same_time(noisy):
+    u, y = noisy
+    log = log_of(y, u)
+    rounded = np.round(log.columns["y"].time / 0.05) * 0.05
+    columns = {name: column._replace(time=rounded) for name, column in log.columns.items()}
+    fitted = fit_log(linear(), log._replace(columns=columns))
+    assert fitted.samples <= len(np.unique(rounded))
+    assert np.isfinite(fitted.covariance).all()
+
+
 def test_at_rest_nothing_is_told():
     random = np.random.default_rng(5)
     study = linear(**{"plant": {**linear().table["plant"], "initial": [0.0, 0.0]}})

@@ -61,9 +61,6 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     names = [str(path) for path in options.log]
     question = (*question_of(options), names, options.probability)
     folder = free_folder(study, "next-flight", options.out, *question)
-    for log in logs:
-        for name, text in replay_log(study, log, commands=False).hints.all().items():
-            say(f"warning: {log.name}: {name} {text}")
     short = short_log(study, logs)
     if short is not None:
         length = short.end - short.start

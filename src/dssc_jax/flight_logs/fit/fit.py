@@ -29,7 +29,7 @@ from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
-from dssc_jax.flight_logs.fit.least_squares import FAR_OUTSIDE, TINY, FitProblem, averaged_covariance
+from dssc_jax.flight_logs.fit.least_squares import FAR_OUTSIDE, LAW_ENDS, TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
@@ -50,6 +50,7 @@ from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, Se
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
+from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -61,6 +62,8 @@ from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
+ABSURD = 20.0  # standard deviations of a law beyond its ends
+ABSURD_RATIO = 2.5  # to the median of a law; a value beyond both is no number of this vehicle
 EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
 
 
@@ -287,6 +290,27 @@ def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explaine
         )
 
 
+def require_possible(problem: FitProblem, x: np.ndarray) -> None:
+    """Require that no number is absurdly far outside its law, as where an output is logged in another unit.
+
+    Raises:
+        Unexplained: One is; the message has the value, and the multiple of a unit that would bring it into the law.
+    """
+    units = [unit for channel in problem.study.units for unit in (channel.output, channel.of("u"))]
+    beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
+    for name, law, value, distance in zip(problem.names, problem.laws, problem.values(x), beyond, strict=True):
+        ratio = value / law.median if law.median != 0.0 else math.nan
+        if distance <= ABSURD or not (ratio > ABSURD_RATIO or ratio < 1.0 / ABSURD_RATIO):
+            continue
+        factor = factor_text(law.quantile(LAW_ENDS) / value, units)
+        hint = f"; {factor} it lies within its law" if factor else ""
+        raise Unexplained(
+            f"the study does not describe this flight: its best value of {name} is {value:.4g}, {ratio:.3g} times the "
+            f"median of the law {law}{hint}. Compare the units and columns of outputs and commands with the study, or "
+            "give the number a law that holds such a value"
+        )
+
+
 def fitted_minimum(
     problem: FitProblem, search: MinimumSearch, unidentified_widths: dict[str, float], moves: np.ndarray
 ) -> Fitted:
@@ -304,6 +328,7 @@ def fitted_minimum(
     results = explain(problem, x)
     require_explained(problem, search.best, results)
     require_plausible(problem, x, results)
+    require_possible(problem, x)
     fitted = problem.fitted
     fitted_names = problem.fitted_names
     require_identifiable(fitted_names, marginal_information(search.best.equations.information, fitted))

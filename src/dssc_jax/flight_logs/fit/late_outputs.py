@@ -185,15 +185,14 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
     """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers.
 
-    A gust leaves a smooth residual, which any shift changes. So where the study declares one, the residual has the
-    noise of the minimum. A shift that is the longest one is no delay.
+    A gust leaves a smooth residual, which any shift changes, so a study that declares one has no such doubt. A shift
+    that is the longest one is no delay.
     """
     margin = longest_shift(problem)
     shifts = ShiftedOutputs(problem, margin)
-    if margin < 1 or not shifts.has_enough_readings():
+    if margin < 1 or not shifts.has_enough_readings() or declares_noise(problem.study):
         return ()
-    white = not declares_noise(problem.study)
-    channels, shift, remaining_share = screened_shift(shifts, minimum.x, margin, white)
+    channels, shift, remaining_share = screened_shift(shifts, minimum.x, margin, white=True)
     if shift == 0 or abs(shift) == margin or remaining_share > MOST_REMAINING:
         return ()
     names = [signal_name(problem.study.loop.channels[channel], "y") for channel in channels]

@@ -341,11 +341,12 @@ def nearest_values(column: Column, start: float, sample_time: float, samples: in
 def nearest_offsets(column: Column, start: float, sample_time: float, samples: int) -> np.ndarray:
     """Times of the values of :func:`nearest_values` less the sample instants, in samples; NaN where there is no value.
 
-    A value that is nearest to two instants counts at the first. Offsets within the rounding of times are 0.
+    Of values that are nearest to several instants, or have the same time, the first one counts. Offsets within the
+    rounding of times are 0.
     """
     rows, offsets = nearest_rows(column, start, sample_time, samples)
     repeated = np.zeros(samples, bool)
-    repeated[1:] = (np.diff(rows) == 0) & np.isfinite(offsets[:-1])
+    repeated[1:] = (np.diff(column.time[rows]) == 0.0) & np.isfinite(offsets[:-1])
     rounded = np.where(np.abs(offsets) < TIME_ROUNDING, 0.0, offsets)
     return np.where(repeated, np.nan, rounded)
 
