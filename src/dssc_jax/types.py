@@ -14,9 +14,8 @@ from dssc_jax.core.contracts import (
     Timing,
     Unmodelled,
     Variation,
-    stateless,
-    unchanged,
 )
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import Quantity

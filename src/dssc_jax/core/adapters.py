@@ -5,16 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from dssc_jax.core.contracts import (
-    Disturbance,
-    LinearDynamics,
-    NoParams,
-    Plant,
-    Reference,
-    Unmodelled,
-    Variation,
-    unchanged_params,
-)
+from dssc_jax.core.contracts import Disturbance, LinearDynamics, NoParams, Plant, Reference, Unmodelled, Variation
+from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold
 from dssc_jax.core.signals import (

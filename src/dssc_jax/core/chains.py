@@ -18,7 +18,8 @@ from typing import NamedTuple, TypeAlias
 
 import jax
 
-from dssc_jax.core.contracts import Moments, Mover, NoParams, Timing, Unmodelled, ignore_sample
+from dssc_jax.core.contracts import Moments, Mover, NoParams, Timing, Unmodelled
+from dssc_jax.core.default_functions import ignore_sample
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold, series, spread

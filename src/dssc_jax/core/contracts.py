@@ -10,6 +10,16 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 
+from dssc_jax.core.default_functions import (
+    ignore_sample,
+    never_averages,
+    never_broken,
+    never_grounded,
+    no_constraint,
+    no_info,
+    no_signals,
+    unchanged_params,
+)
 from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
@@ -42,46 +52,6 @@ Desired = TypeVar("Desired", bound=ReferencePoint | ReferencePoints)
 
 class NoParams(NamedTuple):
     """The parameters of a model that has none."""
-
-
-def unchanged_params(params: Params) -> Params:
-    """Return the parameters unchanged."""
-    return params
-
-
-def no_constraint(params: Params, state: State) -> State:
-    """Return the state unchanged: every state is admissible."""
-    return state
-
-
-def no_info(params: Params, state: State, drive: PlantInput) -> tuple[()]:
-    """Report nothing."""
-    return ()
-
-
-def never_broken(params: Params, state: State) -> bool:
-    """Report that the model is valid in every state."""
-    return False
-
-
-def never_grounded(params: Params, state: State, drive: PlantInput, t: Scalar, dt: Scalar) -> bool:
-    """Report that there is no ground."""
-    return False
-
-
-def stateless(params: Params, key: jax.Array) -> tuple[()]:
-    """Initialise a model without a state."""
-    return ()
-
-
-def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scalar) -> State:
-    """Return the state unchanged."""
-    return state
-
-
-def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array, dt: Scalar) -> State:
-    """Return the state unchanged, as continuous dynamics do at a sample instant."""
-    return state
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
@@ -181,11 +151,6 @@ class Preset(NamedTuple):
     params: type
     defaults: Params
     prepare: Callable[[Params], Params] = unchanged_params
-
-
-def no_signals(gains: Params) -> int:
-    """The number of measured signals of a controller that takes y and y' alone: 0."""
-    return 0
 
 
 class Controller(NamedTuple):
@@ -352,11 +317,6 @@ class Timing(StrEnum):
 
 Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
 """``(state, command) -> (state after a step with the command held, Moments of the output over the step)``."""
-
-
-def never_averages(params: Params) -> bool:
-    """Report that the output never acts through its mean over a sample."""
-    return False
 
 
 class Unmodelled(NamedTuple):

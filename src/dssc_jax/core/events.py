@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Sensor, Unmodelled, unchanged_params
+from dssc_jax.core.contracts import Sensor, Unmodelled
+from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 
-from dssc_jax.core.contracts import unchanged_params
+from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
 

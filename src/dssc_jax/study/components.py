@@ -12,7 +12,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from dssc_jax.core.chains import Element
-from dssc_jax.core.contracts import Plant, Preset, unchanged_params
+from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.default_functions import unchanged_params
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity

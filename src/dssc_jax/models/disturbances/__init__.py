@@ -1,6 +1,7 @@
 """Registry of matched disturbances d(y, y', t), added to the plant's command (7); a family is one file."""
 
-from dssc_jax.core.contracts import Disturbance, NoParams, Variation, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance, NoParams, Variation
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.disturbances.noise import FILTERED_NOISE

@@ -5,7 +5,8 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Disturbance, Variation, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance, Variation
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import piecewise

@@ -6,7 +6,8 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Disturbance, Variation, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance, Variation
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import cubic_spline, elapsed_share
 from dssc_jax.core.quantities import Quantity

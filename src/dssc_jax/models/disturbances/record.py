@@ -2,7 +2,8 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Disturbance, stateless, unchanged
+from dssc_jax.core.contracts import Disturbance
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, cubic_pieces, piece_at
 from dssc_jax.core.registry import Entry

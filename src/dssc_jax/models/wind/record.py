@@ -4,7 +4,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.contracts import stateless, unchanged
+from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
 from dssc_jax.core.registry import Entry
