@@ -23,7 +23,8 @@ from dssc_jax.analyses.probability.probability import (
 from dssc_jax.analyses.rare_events.importance import ImportanceSampling as ImportanceSampling
 from dssc_jax.analyses.rare_events.rare import RareEvent as RareEvent, rare as rare
 from dssc_jax.analyses.rare_events.splitting import Splitting as Splitting
-from dssc_jax.analyses.region.safe_region import RegionAxis as RegionAxis, SafeRegion as SafeRegion, region as region
+from dssc_jax.analyses.region.lattice import RegionAxis as RegionAxis
+from dssc_jax.analyses.region.safe_region import SafeRegion as SafeRegion, region as region
 from dssc_jax.analyses.selection import Selection as Selection, select as select
 from dssc_jax.analyses.sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
 from dssc_jax.analyses.tuning import Tuned as Tuned, tune as tune

@@ -12,19 +12,19 @@ FEW = 100  # lanes
 STUDY = dj.Study.from_table(TABLE)
 GAINS = {"controller.l0": (0.3, 4.0)}
 ANSWERS = {
-    "probability": ("probability.probability", "LANES", lambda: dj.probability(STUDY, 0.2)),
+    "probability": ("slacks", "LANES", lambda: dj.probability(STUDY, 0.2)),
     "importance sampling": (
-        "rare_events.rare",
+        "slacks",
         "LANES",
         lambda: dj.rare(STUDY, dj.ImportanceSampling(0.5, plain=64), None),
     ),
     "splitting": (
-        "rare_events.rare",
+        "slacks",
         "LANES",
         lambda: dj.rare(STUDY, None, dj.Splitting(particles=20, killed=10, moves=1, repeats=10, plain=150)),
     ),
     "margin": ("margins.simulated", "BLOCK", lambda: dj.margin(STUDY.override({"draws": 150}), **WALK)),
-    "region": ("region.safe_region", "BLOCK", lambda: dj.region(STUDY.override({"draws": 200}), over=PAIR, halvings=0)),
+    "region": ("region.lattice", "BLOCK", lambda: dj.region(STUDY.override({"draws": 200}), over=PAIR, halvings=0)),
     "select": ("selection.selection", "BLOCK", lambda: dj.select(STUDY, over=GAINS, candidates=16, keep=3, within=0.2)),
     "sensitivity": ("sensitivity.analysis", "BLOCK", lambda: dj.sensitivity(STUDY.override({"draws": 256}))),
 }

@@ -1,8 +1,8 @@
 """Comparison of controllers on common draws and noise, with corresponding gains or gains tuned on equal budgets."""
 
-from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare, with_controller
+from dssc_jax.analyses.comparison.compare import Comparison, Contest, compare
 from dssc_jax.analyses.comparison.margins import MarginContest, compare_margins
-from dssc_jax.analyses.comparison.rivals import controller_table, switching_kinds, with_own_controllers
+from dssc_jax.analyses.comparison.rivals import controller_table, switching_kinds, with_controller, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, best_gains
 
 __all__ = [

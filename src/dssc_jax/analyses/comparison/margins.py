@@ -11,8 +11,7 @@ from typing import Annotated, Self
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.compare import Contestants, with_controller
-from dssc_jax.analyses.comparison.rivals import ControllerTable
+from dssc_jax.analyses.comparison.rivals import Contestants, ControllerTable, with_controller
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.margins import Margins, join_margins, margin, margin_parts, split_margins
 from dssc_jax.analyses.margins.joined import MarginPart, NamedMargins, medians_text

@@ -7,7 +7,7 @@ gain rho. Error pole and nominal control are DSSC's. A name may include a sample
 its other gains have their defaults.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -240,3 +240,49 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
             raise ConfigError(f"compare.{name}", "rho is DSSC's; give [compare.NAME] with a limit")
         limits[channel] = {limit: switching_gain(gains)}
     return merge_tables(table, limits.get("", limits))
+
+
+def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
+    """The study with another controller and without its sweep.
+
+    Args:
+        study: The study.
+        name: Name of the controller in the comparison, for messages.
+        table: The ``[controller]`` table.
+
+    Raises:
+        ConfigError: the controller does not fit the study.
+    """
+    try:
+        return study.override({"controller": table, "sweep": {}})
+    except ConfigError as error:
+        raise ConfigError(f"compare.{name}", str(error)) from None
+
+
+class Contestants(NamedTuple):
+    """The controllers of a comparison, by name.
+
+    Args:
+        study: The study without its sweep, with a table ``[compare.NAME]`` for each controller of a user's own.
+        tables: The ``[controller]`` table of each controller.
+        studies: The study with each controller.
+    """
+
+    study: Study
+    tables: dict[str, ControllerTable]
+    studies: dict[str, Study]
+
+    @classmethod
+    def of(cls, study: Study, controllers: Sequence[str]) -> "Contestants":
+        """The controllers with these names, of which there have to be two different ones at least.
+
+        Raises:
+            ConfigError: there are fewer, one is named twice or unknown, or a controller does not fit the study.
+        """
+        names = list(controllers)
+        if len(set(names)) < max(2, len(names)):
+            raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
+        study = with_own_controllers(study.without_sweep(), names)
+        tables = {name: controller_table(study, name) for name in names}
+        studies = {name: with_controller(study, name, table) for name, table in tables.items()}
+        return cls(study, tables, studies)

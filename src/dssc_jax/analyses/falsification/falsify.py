@@ -128,15 +128,7 @@ class Falsified(Analysis):
         stopped: str = "",
         requirement: str = "",
     ) -> Self:
-        """Create the analysis from the simulated points.
-
-        Args:
-            region: The set of draws that was searched.
-            batches: The points, in the order of the search.
-            seconds: Computing time [s].
-            stopped: See the class.
-            requirement: See the class.
-        """
+        """Create the analysis from the set that was searched and the simulated points, in the order of the search."""
         simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
         study = region.study
         distances = region.distances(simulated.points)
@@ -157,15 +149,13 @@ class Falsified(Analysis):
             columns[required.name] = (column, "", f"slack of {required.text} in its metric's unit")
         for name, column in region.values(simulated.points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
-        variables = {
-            name: ("point", column, {"units": unit, "long_name": meaning})
-            for name, (column, unit, meaning) in columns.items()
-        }
-        within = region.radius if isinstance(region, ScoreBall) else None
+        variables = {}
+        for name, (column, unit, meaning) in columns.items():
+            variables[name] = ("point", column, {"units": unit, "long_name": meaning})
         return cls(
             study=study,
             dataset=xr.Dataset(variables, attrs={"title": study.name}),
-            within=within,
+            within=region.radius if isinstance(region, ScoreBall) else None,
             seconds=seconds,
             stopped=stopped,
             requirement=requirement,
@@ -365,8 +355,7 @@ def falsify(
         True
 
     Reference:
-        A. M. Hasofer, N. C. Lind, J. Engineering Mechanics Division 100 (1974) 111-121: distances in
-        standard normal space.
+        A. M. Hasofer, N. C. Lind, J. Engineering Mechanics Division 100 (1974) 111-121, on this distance.
     """
     study = study.without_sweep()
     require_falsifiable(study, budget)

@@ -10,66 +10,31 @@ differ belongs to two cells; both are halved, so that the boundary is followed u
 """
 
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import HALVINGS
+from dssc_jax.analyses.region.lattice import PASSING, TABLE, Lattice, PairVerdict, RegionAxis, thresholds
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import mark
-from dssc_jax.engine.batching import BLOCK
-from dssc_jax.engine.evaluation import Evaluator, require_independent
+from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.order import first_integer
 from dssc_jax.study import Study, takes_file
 
-PASSING = 0.95  # share of all plants that has to meet the requirements
 COARSE = 8
 """Cells of the coarse lattice in each direction."""
 MOST_HALVINGS = 8
 MOST_RANGES = 9  # lines of the lattice whose safe ranges are listed
-
-
-class PairVerdict(IntEnum):
-    """Whether enough of all plants meet the requirements at a pair of values, with confidence for all pairs at once."""
-
-    NOT_SIMULATED = -1
-    MEETS = 0
-    UNDECIDED = 1
-    FAILS = 2
-
-
-class RegionAxis(NamedTuple):
-    """One of the two numbers over which a region is searched.
-
-    Args:
-        name: Dotted name of the number.
-        low: Lower end of the range.
-        high: Upper end of the range.
-        log: Whether the lattice is even in the logarithm.
-    """
-
-    name: str
-    low: float
-    high: float
-    log: bool = False
-
-    def values(self, count: int) -> np.ndarray:
-        """The values of the lattice from the lower to the upper end, shape (count,)."""
-        if self.log:
-            return np.geomspace(self.low, self.high, count)
-        return np.linspace(self.low, self.high, count)
 
 
 @dataclass(frozen=True)
@@ -122,7 +87,7 @@ class SafeRegion(Analysis):
 
     kind = "region"
     title = "Safe region of two numbers"
-    table = ("first", "second")
+    table = TABLE
 
     names: tuple[str, str]
     log: tuple[bool, bool]
@@ -212,23 +177,6 @@ def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(places[begins].tolist(), places[ends - 1].tolist(), strict=True))
 
 
-def thresholds(draws: int, points: int) -> tuple[int, int]:
-    """The most failures with which a point meets, and the fewest with which it fails, with confidence for all points.
-
-    Args:
-        draws: Number of draws at each point.
-        points: Number of points of the lattice.
-
-    Returns:
-        The former is -1 if not even a point without a failure meets. The latter is draws + 1 if not even a point at
-        which all draws fail does fail.
-    """
-    intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
-    meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
-    fails = np.flatnonzero(intervals[:, 0] > 1.0 - PASSING)
-    return int(meets.max(initial=-1)), int(fails.min(initial=draws + 1))
-
-
 @takes_file
 def region(
     study: Study,
@@ -295,142 +243,6 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
         least_draws = first_integer(lambda number: thresholds(number, count**2)[0] >= 0, draws)
         raise ConfigError("draws", f"must be at least {least_draws} to decide a point of {count**2}, got {draws}")
     return count
-
-
-class Lattice:
-    """The points of a lattice over two numbers, with the failed draws at each point that was simulated.
-
-    Args:
-        study: The study without a sweep.
-        over: The two numbers.
-        count: Number of values of each number.
-        progress: Called with the simulations done.
-    """
-
-    def __init__(
-        self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
-    ) -> None:
-        self.study = study
-        self.over = over
-        self.progress = progress
-        self.axes = [axis.values(count) for axis in over]
-        self.failures = np.full((count, count), -1)
-        self.meets, self.fails = thresholds(study.config.draws, count**2)
-        extents = {axis.name: (axis.low, axis.high) for axis in over}
-        self.evaluator = Evaluator(study, extents, BLOCK)
-        self.drawn = self.evaluator.values_of_draws(slice(0, study.config.draws))
-
-    def verdicts(self) -> np.ndarray:
-        """The :class:`PairVerdict` at each point, shape (count, count)."""
-        verdicts = np.where(self.failures <= self.meets, PairVerdict.MEETS, PairVerdict.UNDECIDED)
-        verdicts = np.where(self.failures >= self.fails, PairVerdict.FAILS, verdicts)
-        return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, verdicts)
-
-    @property
-    def simulations(self) -> int:
-        """Number of simulations done."""
-        return int(np.count_nonzero(self.failures >= 0)) * self.study.config.draws
-
-    def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate the points, given by their two indices, that have not been simulated yet."""
-        new_points = sorted({point for point in points if self.failures[point] < 0})
-        if not new_points:
-            return
-        draws = self.study.config.draws
-        values = {name: np.tile(column, len(new_points)) for name, column in self.drawn.items()}
-        for axis, lattice, places in zip(self.over, self.axes, zip(*new_points, strict=True), strict=True):
-            values[axis.name] = np.repeat(lattice[list(places)], draws)
-        indices = np.tile(np.arange(draws), len(new_points))
-        failed = self.evaluator.fails(indices, values).reshape(len(new_points), draws)
-        for point, count in zip(new_points, np.count_nonzero(failed, axis=1), strict=True):
-            self.failures[point] = count
-        if self.progress:
-            self.progress(self.simulations, None)
-
-    def follow_boundary(self, stride: int) -> None:
-        """Simulate the coarse lattice, then its boundary at ever finer strides down to 1.
-
-        Args:
-            stride: Distance of neighbouring points of the coarse lattice, in points of the finest one.
-        """
-        count = len(self.failures)
-        places = range(0, count, stride)
-        self.simulate((i, j) for i in places for j in places)
-        while stride > 1:
-            for i, j in self.mixed_cells(stride):
-                half = stride // 2
-                self.simulate((i + a, j + b) for a in (0, half, stride) for b in (0, half, stride))
-            stride //= 2
-            self.close_boundary(stride)
-
-    def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
-        """Lower corners of the cells with this stride whose corners are all simulated and have different verdicts."""
-        verdicts = self.verdicts()
-        end = len(self.failures) - 1
-        cells = []
-        for i in range(0, end, stride):
-            for j in range(0, end, stride):
-                corners = verdicts[i : i + stride + 1 : stride, j : j + stride + 1 : stride]
-                if corners.min() >= 0 and corners.min() < corners.max():
-                    cells.append((i, j))
-        return cells
-
-    def close_boundary(self, stride: int) -> None:
-        """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
-        while True:
-            points: set[tuple[int, int]] = set()
-            for i, j, a, b in self.boundary_sides(stride):
-                points |= self.corners_beside(i, j, a, b)
-            if not any(self.failures[point] < 0 for point in points):
-                return
-            self.simulate(points)
-
-    def boundary_sides(self, stride: int) -> list[tuple[int, int, int, int]]:
-        """The sides of cells with this stride whose ends are simulated and have different verdicts.
-
-        Returns:
-            i, j, a and b of each side, which goes from the point (i, j) to (i + a, j + b).
-        """
-        verdicts = self.verdicts()
-        end = len(self.failures) - 1
-        sides = []
-        for i, j in np.argwhere(verdicts >= 0).tolist():
-            if i % stride or j % stride:
-                continue
-            for a, b in ((stride, 0), (0, stride)):
-                if max(i + a, j + b) <= end and 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
-                    sides.append((i, j, a, b))
-        return sides
-
-    def corners_beside(self, i: int, j: int, a: int, b: int) -> set[tuple[int, int]]:
-        """The other corners of the two cells that have the side from (i, j) to (i + a, j + b) in common."""
-        end = len(self.failures) - 1
-        corners: set[tuple[int, int]] = set()
-        for p, q in ((i - b, j - a), (i + b, j + a)):
-            if 0 <= p <= end and 0 <= q <= end:
-                corners |= {(p, q), (p + a, q + b)}
-        return corners
-
-    def dataset(self, certified: np.ndarray) -> xr.Dataset:
-        """The dataset of :class:`SafeRegion`.
-
-        Args:
-            certified: Whether Theorem 1 certifies each point, shape (count, count).
-        """
-        flags = {
-            "flag_values": [v.value for v in PairVerdict],
-            "flag_meanings": " ".join(v.name.lower() for v in PairVerdict),
-        }
-        columns = {
-            "verdict": (SafeRegion.table, self.verdicts(), {"long_name": "whether 95 % of all plants pass", **flags}),
-            "failures": (SafeRegion.table, self.failures, {"long_name": "failed draws, -1: not simulated"}),
-            "certified": (SafeRegion.table, certified, {"long_name": "whether Theorem 1 certifies the point"}),
-        }
-        coords = {}
-        for dimension, axis, values in zip(SafeRegion.table, self.over, self.axes, strict=True):
-            quantity = self.study.quantities[axis.name]
-            coords[dimension] = (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
-        return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})
 
 
 def certify_points(study: Study, lattice: Lattice) -> tuple[np.ndarray, str]:

@@ -323,12 +323,7 @@ def numbers_present(values: xr.DataArray) -> dict[str, float]:
 
 
 def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
-    """The dataset of :class:`WorstLoop` for single break points.
-
-    Args:
-        box: The box of the laws.
-        cases: The worst case at each break point, by name.
-    """
+    """The dataset of :class:`WorstLoop` for single break points, from the worst case at each, by name."""
     names = [side.name for side in box.sides]
     of_margin = {"units": "that of the margin"}
     of_number = {"units": "that of the number"}
