@@ -118,7 +118,7 @@ def print_analysis(
         show(analysis, [*files_by_name.values(), *figures])
 
 
-def write_text(path: Path, text: str | Iterable[str]) -> None:
+def save_text(path: Path, text: str | Iterable[str]) -> None:
     """Write a text file that the user named, or that lies in such a folder.
 
     Raises:

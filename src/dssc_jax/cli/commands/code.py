@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt, write_text
+from dssc_jax.cli.analysing import attempt, save_text
 from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import read_json, study_of
@@ -46,7 +46,7 @@ def run(options: Code) -> int:
     require_replaceable(out, file_names)
     attempt(out, lambda: files.make_folder(out))
     for name, text in texts.items():
-        write_text(out / name, text)
+        save_text(out / name, text)
     for name, recording in recordings.items():
         path = out / name
         parts = recording(options.draws, options.samples)

@@ -2,7 +2,7 @@
 
 import json
 
-from dssc_jax.cli.analysing import finish, free_folder, write_text
+from dssc_jax.cli.analysing import finish, free_folder, save_text
 from dssc_jax.cli.declarations.flight import CompareLog
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
@@ -108,7 +108,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
         | replay_summary
     )
     if out is not None:
-        write_text(out, log_fit.toml())
+        save_text(out, log_fit.toml())
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

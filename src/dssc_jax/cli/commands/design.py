@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 
 from dssc_jax.analyses.loop_margins.designed import DesignedMargins, designed_margins
-from dssc_jax.cli.analysing import write_text
+from dssc_jax.cli.analysing import save_text
 from dssc_jax.cli.declarations.designs import Design
 from dssc_jax.cli.designing import print_design, require_one_form
 from dssc_jax.cli.exit_codes import DONE
@@ -38,7 +38,7 @@ def run(options: Design) -> int:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")
     design = load_design(options.bounds, complete=False)
     if options.out is not None:
-        write_text(options.out, design_toml(design))
+        save_text(options.out, design_toml(design))
     return print_design(design, options.as_json, options.as_latex)
 
 
@@ -123,4 +123,4 @@ def write_study(out: Path, table: TomlTable) -> None:
     except ConfigError as error:
         rule = f"the study would not be valid with these gains: {error}"
         raise ConfigError("--out", f"{rule}; change that section, or copy [controller] without --out") from None
-    write_text(out, to_toml(table))
+    save_text(out, to_toml(table))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dssc_jax.cli.analysing import write_text
+from dssc_jax.cli.analysing import save_text
 from dssc_jax.cli.declarations.flight import Log
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.console.logs import show_log
@@ -38,7 +38,7 @@ def write_topic(options: Log, out: Path) -> int:
     if len(options.file) != 1 or len(topics) != 1:
         raise ConfigError("--csv", "writes one topic of one file; give one FILE and one --topic")
     table = topic_table(options.file[0], topics[0], options.segment, options.start)
-    write_text(out, csv_lines(table))
+    save_text(out, csv_lines(table))
     count = len(table[TIME])
     if options.as_json:
         print(json.dumps({"file": str(out), "rows": count, "columns": list(table)}))

@@ -6,7 +6,7 @@ from pathlib import Path
 from dssc_jax.analyses.loading import load
 from dssc_jax.analyses.tuning import Tuned
 from dssc_jax.analyses.tuning.result import PROOF_FILE
-from dssc_jax.cli.analysing import write_text
+from dssc_jax.cli.analysing import save_text
 from dssc_jax.cli.declarations.designs import Prove
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import load_study, read_json
@@ -105,7 +105,7 @@ def is_foreign(problem: JsonObject, path: Path) -> bool:
 def write_certificate(proved: AnyProved, out: Path | None) -> None:
     """Write the certificate of a proof, if the user names a file."""
     if out is not None:
-        write_text(out, json.dumps(proved.certificate(), indent=1) + "\n")
+        save_text(out, json.dumps(proved.certificate(), indent=1) + "\n")
 
 
 def prove_over(study: Study, over: str, options: Prove) -> int:

@@ -1,6 +1,6 @@
 """dssc-jax simulate: one draw and its trajectory."""
 
-from dssc_jax.cli.analysing import write_text
+from dssc_jax.cli.analysing import save_text
 from dssc_jax.cli.declarations.simulation import Simulate
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -30,7 +30,7 @@ def run(options: Simulate) -> int:
     flight_files = []
     if options.flight is not None:
         text = flight_html(study, options)
-        write_text(options.flight, text)
+        save_text(options.flight, text)
         flight_files.append(options.flight)
     print_trajectory(trajectory, options, units_of(fixed), flight_files)
     return DONE

@@ -2,7 +2,7 @@
 
 from dssc_jax.analyses.tuning import tune
 from dssc_jax.analyses.tuning.result import PROOF_FILE
-from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, write_text
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, save_text
 from dssc_jax.cli.declarations.searches import Tune
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
@@ -19,7 +19,7 @@ def run(options: Tune) -> int:
         tuned = tune(study, robust=options.robust, rounds=options.rounds, budget=options.budget, progress=advance)
     figures = save_analysis(tuned, folder, options)
     file = options.out or folder / "tuned.toml"
-    write_text(file, to_toml(tuned.tuned_study.table))
+    save_text(file, to_toml(tuned.tuned_study.table))
     paths = {"tuned_study": file, "result": folder}
     if tuned.certificate is not None:
         paths["certificate"] = folder / PROOF_FILE

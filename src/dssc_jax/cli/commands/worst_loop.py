@@ -1,7 +1,7 @@
 """dssc-jax worst-loop: worst margins of the linearised loop over the box of the laws."""
 
 from dssc_jax.analyses.worst_loop import worst_loop
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, write_text
+from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, save_text
 from dssc_jax.cli.declarations.robustness import WorstLoop
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -42,6 +42,6 @@ def run(options: WorstLoop) -> int:
     attempt(witnesses, lambda: files.delete_tree(witnesses, folder))
     files.make_folder(witnesses, folder)
     for name, witness in worst.witnesses().items():
-        write_text(witnesses / f"{name}.toml", to_toml(witness.table))
+        save_text(witnesses / f"{name}.toml", to_toml(witness.table))
     print_analysis(worst, figures, options, show_worst_loop, {"result": folder, "witnesses": witnesses})
     return DONE

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from dssc_jax.analyses.worst_wind.worst_wind import WorstWind, worst_wind
-from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, write_text
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, save_text
 from dssc_jax.cli.declarations.searches import WorstWind as WorstWindOptions
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -37,8 +37,8 @@ def run(options: WorstWindOptions) -> int:
 
 def write_flight(worst: WorstWind, signal: str, folder: Path) -> None:
     """Write the study of the worst flight of a signal as TOML, and its wind as CSV."""
-    write_text(folder / f"{signal}.toml", to_toml(worst.flight(signal).table))
+    save_text(folder / f"{signal}.toml", to_toml(worst.flight(signal).table))
     rows = ["t,x,y,z"]
     for time, vector in zip(worst.grid.times.tolist(), worst.wind(signal).tolist(), strict=True):
         rows.append(",".join(repr(number) for number in (time, *vector)))
-    write_text(folder / f"{signal}.csv", "\n".join(rows) + "\n")
+    save_text(folder / f"{signal}.csv", "\n".join(rows) + "\n")
