@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Callable
+from typing import Any
 
 from markupsafe import Markup, escape
 from matplotlib import rc_context
@@ -36,7 +37,9 @@ def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
         text: Alternative text that describes the figure.
         prefix: Prefix of the identifiers in the element, unique on the page.
     """
-    settings = STYLE | dict.fromkeys(TEXT_COLOURS, INK) | dict.fromkeys(BACKGROUNDS, "none") | {"svg.hashsalt": prefix}
+    settings: dict[Any, Any] = {**STYLE, "svg.hashsalt": prefix}
+    settings |= dict.fromkeys(TEXT_COLOURS, INK)
+    settings |= dict.fromkeys(BACKGROUNDS, "none")
     buffer = io.StringIO()
     with rc_context(settings):
         draw().savefig(buffer, format="svg")
