@@ -159,7 +159,7 @@ def test_files_beside_a_study_never_replace_installed_modules(beside, capsys):
 
 METRIC = """
 import jax.numpy as jnp
-from dssc_jax.closed_loop.metrics import Metric
+from dssc_jax.closed_loop.metrics.streaming import Metric
 def update(total, sample, window):
     worst = total
     {update}

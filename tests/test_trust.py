@@ -24,7 +24,7 @@ from typing import Annotated, NamedTuple
 Path(__file__).with_name("imported").touch()
 
 from dssc_jax.models.sensors import SENSORS
-from dssc_jax.closed_loop.metrics import METRICS
+from dssc_jax.closed_loop.metrics.streaming import METRICS
 from dssc_jax.models.plants import PLANTS
 from dssc_jax.core.signals import Command
 from dssc_jax.core.contracts import Controller

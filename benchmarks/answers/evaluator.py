@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 from benchmarks.answers.studies import study_of
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.engine.sampling import inside_cube, values_at
 

@@ -15,7 +15,7 @@ import numpy as np  # noqa: E402
 
 import dssc_jax as dj  # noqa: E402
 from benchmarks.answers.studies import study_of  # noqa: E402
-from dssc_jax.closed_loop.requirements import worst_slack  # noqa: E402
+from dssc_jax.closed_loop.metrics.requirements import worst_slack  # noqa: E402
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate, is_noisy  # noqa: E402
 from dssc_jax.engine.sampling import inside_cube, values_at  # noqa: E402
 

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.formulas import formula_metric
-from dssc_jax.closed_loop.instants import Instant, Sample
-from dssc_jax.closed_loop.metrics import Span
-from dssc_jax.closed_loop.signal_metrics import SampledSignal
-from dssc_jax.closed_loop.window import WHOLE_RUN
+from dssc_jax.closed_loop.metrics.formulas import formula_metric
+from dssc_jax.closed_loop.metrics.instants import Instant, Sample
+from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.metrics.streaming import Span
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.study.formulas import FormulaParser
 

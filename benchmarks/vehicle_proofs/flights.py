@@ -18,8 +18,8 @@ import numpy as np
 import dssc_jax as dj
 from benchmarks.vehicle_proofs.problems import Columns, random_starts, random_vehicles, study_of
 from dssc_jax.closed_loop.draw import conclude, initial_progress, is_running, sampler
-from dssc_jax.closed_loop.instants import Instant
-from dssc_jax.closed_loop.metrics import Measure, Metric, Scope, Window, final_value, peak
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope, Window, final_value, peak
 from dssc_jax.closed_loop.time_loops import until_all_ended
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import root_abs, uniforms

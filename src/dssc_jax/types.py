@@ -1,5 +1,6 @@
-"""The types needed to write a model: contracts, signals, quantities and registry rows."""
+"""The types needed to write a model or a metric: contracts, signals, quantities and registry rows."""
 
+from dssc_jax.closed_loop.metrics.streaming import Metric
 from dssc_jax.core.contracts import (
     Controller,
     Differentiator,
@@ -49,6 +50,7 @@ __all__ = [
     "LinearDynamics",
     "LinearSystem",
     "Measurement",
+    "Metric",
     "Moments",
     "NamedSignal",
     "NoParams",

@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.engine.batching import Engine, lane_of_study, values_of_draws
 from dssc_jax.engine.integration import integration_error
-from tests.closed_loop.test_hold import Pendulum
+from tests.closed_loop.between_samples.test_hold import Pendulum
 from tests.tolerances import COMPILER
 
 T_S = 0.01
@@ -318,7 +318,7 @@ def test_a_nonlinear_plant_behind_a_chain(case):
     def swung(plant, substeps):
         clock = {"sample_time": 0.25, "duration": 3.0, "substeps": substeps}
         controller = GAINS | {"l0": 1.0, "k_p": 2.0, "k_i": 0.5}
-        plant = {"kind": f"tests.closed_loop.test_hold:{plant}"}
+        plant = {"kind": f"tests.closed_loop.between_samples.test_hold:{plant}"}
         return outputs(loop(BEFORE_PENDULUM[case], loop=clock, plant=plant, controller=controller))
 
     finest = swung("PENDULUM", 256)

@@ -7,8 +7,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.closed_loop.draw import initial_progress, sampler
-from dssc_jax.closed_loop.metrics import Measure, Window
-from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.streaming import Measure, Window
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
 from dssc_jax.core.signals import Measurement, Outcome, PlantInput, ReferencePoint
 from dssc_jax.models.plants.normal_form import NORMAL_FORM, NormalFormParams, NormalFormState

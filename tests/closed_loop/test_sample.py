@@ -75,9 +75,9 @@ def test_order_against_an_independent_solver(exact, integrator, steps, order, ba
 
 
 def test_substeps_traced_once_are_those_traced_one_by_one(monkeypatch):
-    monkeypatch.setattr("dssc_jax.closed_loop.held_parts.UNROLLED", 4)
+    monkeypatch.setattr("dssc_jax.closed_loop.between_samples.held_parts.UNROLLED", 4)
     one_by_one = end_state("rk4", 4)
-    monkeypatch.setattr("dssc_jax.closed_loop.held_parts.UNROLLED", 0)
+    monkeypatch.setattr("dssc_jax.closed_loop.between_samples.held_parts.UNROLLED", 0)
     assert end_state("rk4", 4) == pytest.approx(one_by_one, rel=1e-14)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.requirements import violated
+from dssc_jax.closed_loop.metrics.requirements import violated
 from dssc_jax.console.draws import show_draw
 from dssc_jax.console.results import show_result
 from dssc_jax.core.signals import Outcome

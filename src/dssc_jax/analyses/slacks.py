@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Engine, evaluate, is_noisy
 from dssc_jax.engine.sampling import values_at

@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.margin_kinds import NO_MARGINS
-from dssc_jax.closed_loop.metrics import Accumulator, Measure, starts, update_all, values
-from dssc_jax.closed_loop.requirements import Requirement, certain_violations, judge, violated, watch
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.margin_kinds import NO_MARGINS
+from dssc_jax.closed_loop.metrics.requirements import Requirement, certain_violations, judge, violated, watch
+from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure, starts, update_all, values
+from dssc_jax.closed_loop.metrics.window import first_sample, periods_lasting
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
-from dssc_jax.closed_loop.window import first_sample, periods_lasting
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar, State
 
@@ -54,7 +54,7 @@ class Progress(NamedTuple):
         in_band: Number of consecutive samples, up to the last one, with errors small enough to settle; () for a loop
             without a rule for settled draws.
         violations: Samples at which watched requirements were first violated, see
-            :func:`~dssc_jax.closed_loop.requirements.watch`.
+            :func:`~dssc_jax.closed_loop.metrics.requirements.watch`.
     """
 
     k: Scalar

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.beginning import begin_controller, begin_plant
+from dssc_jax.closed_loop.between_samples.held_parts import Advance, HeldParts
+from dssc_jax.closed_loop.between_samples.hold import between_samples
 from dssc_jax.closed_loop.control import (
     ControlResult,
     ControlState,
@@ -18,10 +20,8 @@ from dssc_jax.closed_loop.control import (
     unwrap,
 )
 from dssc_jax.closed_loop.estimates import measurements_for_sensors, next_estimate, start_estimate
-from dssc_jax.closed_loop.held_parts import Advance, HeldParts
-from dssc_jax.closed_loop.hold import between_samples
-from dssc_jax.closed_loop.instants import Instant, Sample
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.metrics.instants import Instant, Sample
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
 from dssc_jax.core.numerics import as_arrays, is_word

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias, TypedDict, cast
 
-from dssc_jax.closed_loop.metrics import Metric
+from dssc_jax.closed_loop.metrics.streaming import Metric
 from dssc_jax.console.terminal import show_paragraph, show_table
 from dssc_jax.core.contracts import Preset
 from dssc_jax.core.errors import ConfigError, nearest

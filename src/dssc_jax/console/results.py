@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dssc_jax.closed_loop.requirements import ended_early
+from dssc_jax.closed_loop.metrics.requirements import ended_early
 from dssc_jax.console.stated import show_stated
 from dssc_jax.console.terminal import STAYS_FINITE, number_text, show_head, show_line, show_paragraph, show_table
 from dssc_jax.results.influence import idle_text

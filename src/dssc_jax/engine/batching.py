@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import Run, simulate_draw
-from dssc_jax.closed_loop.margin_measures import margins_of
+from dssc_jax.closed_loop.metrics.margin_measures import margins_of
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.native.fmu_instances import require_no_faults
 from dssc_jax.core.numerics import arithmetic

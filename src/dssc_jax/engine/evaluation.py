@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.margin_measures import margins_of
-from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement, violated
+from dssc_jax.closed_loop.metrics.margin_measures import margins_of
+from dssc_jax.closed_loop.metrics.requirements import VIOLATED_AT, Requirement, binding_requirement, violated
 from dssc_jax.core.contracts import Controller, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic

@@ -1,8 +1,9 @@
 """The error of integration between the samples, from draws that are simulated again with twice the substeps.
 
-A loop with an exact solution between the samples has none; see :func:`dssc_jax.closed_loop.hold.is_exact`. For others,
-draws spread over the study are simulated with the study's substeps and with twice as many. With a method of order p,
-the error that remains is about 1/(2^p - 1) of the change.
+A loop with an exact solution between the samples has none
+(:func:`dssc_jax.closed_loop.between_samples.hold.is_exact`). For others, draws spread over the study are simulated with
+the study's substeps and with twice as many. With a method of order p, the error that remains is about 1/(2^p - 1) of
+the change.
 """
 
 import math
@@ -11,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.closed_loop.hold import is_exact, order_between_samples
-from dssc_jax.closed_loop.requirements import ended_early
+from dssc_jax.closed_loop.between_samples.hold import is_exact, order_between_samples
+from dssc_jax.closed_loop.metrics.requirements import ended_early
 from dssc_jax.closed_loop.sample import held_parts
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Engine, Lanes, evaluate, lane_numbers

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.margin_measures import margins_of
+from dssc_jax.closed_loop.metrics.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar

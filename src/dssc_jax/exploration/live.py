@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from dssc_jax.closed_loop.requirements import violated, worst_slack
+from dssc_jax.closed_loop.metrics.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import values_of_draws

@@ -11,7 +11,7 @@ import xarray as xr
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable

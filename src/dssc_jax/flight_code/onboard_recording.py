@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.between_samples.fixed_steps import advance_by_steps
 from dssc_jax.closed_loop.estimates import estimation_of
-from dssc_jax.closed_loop.fixed_steps import advance_by_steps
 from dssc_jax.closed_loop.sample import LoopState, held_parts, initial_state, step
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import PlantInput, Scalar, State

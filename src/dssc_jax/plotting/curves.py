@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.plotting.cells import cell_edges
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, RED, axis_label, fit_probability, is_log, label, set_scale

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 from matplotlib.typing import LineStyleType
 
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, largest_colour, needs_bitmap
 from dssc_jax.plotting.curves import probability_curve, typical_curve
 from dssc_jax.plotting.draws import metric_bounds

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.design import noise_warning
 from dssc_jax.engine.reference import VERDICTS
 from dssc_jax.plotting.draws import drawable_laws

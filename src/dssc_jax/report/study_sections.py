@@ -7,7 +7,7 @@ import htpy as h
 import numpy as np
 import tomli_w
 
-from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.report.diagram import diagram
 from dssc_jax.report.elements import (
     Section,

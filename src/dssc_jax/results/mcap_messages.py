@@ -22,7 +22,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from google.protobuf.message import Message
 from mcap_protobuf.writer import Writer
 
-from dssc_jax.closed_loop.requirements import VIOLATED_AT
+from dssc_jax.closed_loop.metrics.requirements import VIOLATED_AT
 
 WORLD = "world"
 VEHICLE = "vehicle"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.closed_loop.requirements import violated
+from dssc_jax.closed_loop.metrics.requirements import violated
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome

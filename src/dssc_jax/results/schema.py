@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from dssc_jax.closed_loop.requirements import violated
+from dssc_jax.closed_loop.metrics.requirements import violated
 from dssc_jax.core.signals import Outcome
 from dssc_jax.study import Study
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import xarray as xr
 
-from dssc_jax.closed_loop.requirements import ended_early, first_violation, violated
+from dssc_jax.closed_loop.metrics.requirements import ended_early, first_violation, violated
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
 from dssc_jax.results.fields import MERGED

@@ -9,10 +9,10 @@ from pydantic import ValidationError
 
 from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal, sampled_signals
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.closed_loop.rehearsal import rehearse
-from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import quantities_of

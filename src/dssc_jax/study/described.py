@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.closed_loop.metrics import Measure, Metric, Scope
-from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject

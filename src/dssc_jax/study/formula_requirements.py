@@ -3,11 +3,11 @@
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
-from dssc_jax.closed_loop.formulas import formula_metric, memory_size
-from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import SampledSignal
-from dssc_jax.closed_loop.window import WHOLE_RUN
+from dssc_jax.closed_loop.metrics.formulas import formula_metric, memory_size
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.metrics.streaming import Measure
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.formulas import FormulaParser
 from dssc_jax.study.schema import RequirementTable, StudyTable

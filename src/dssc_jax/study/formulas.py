@@ -19,9 +19,19 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.formula_tree import Always, And, Comparison, Eventually, Formula, Not, Or, Until, horizon
-from dssc_jax.closed_loop.instants import Instant
-from dssc_jax.closed_loop.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.metrics.formula_tree import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Formula,
+    Not,
+    Or,
+    Until,
+    horizon,
+)
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.signal_metrics import SampledSignal
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.signals import Scalar
 from dssc_jax.study.expressions import evaluate_numbers, names_of, parse_expression

@@ -4,9 +4,9 @@ import math
 import re
 
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
-from dssc_jax.closed_loop.margin_kinds import MARGIN_KINDS, LoopMargin, MarginKind
-from dssc_jax.closed_loop.margin_measures import margin_measure
-from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.metrics.margin_kinds import MARGIN_KINDS, LoopMargin, MarginKind
+from dssc_jax.closed_loop.metrics.margin_measures import margin_measure
+from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study.schema import RequirementTable
 

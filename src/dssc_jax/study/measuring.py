@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
-from dssc_jax.closed_loop.performance import PERFORMANCE
-from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
-from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
-from dssc_jax.closed_loop.window import Window, first_sample, samples_before_end
+from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
+from dssc_jax.closed_loop.metrics.step_response import STEP_RESPONSE, envelope_metric
+from dssc_jax.closed_loop.metrics.streaming import BRIEF, METRICS, Measure, Metric, Scope, suffixed
+from dssc_jax.closed_loop.metrics.window import Window, first_sample, samples_before_end
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Optional
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
 
-from dssc_jax.closed_loop.step_response import crossing
-from dssc_jax.closed_loop.window import Window, window_defaults, window_entries
+from dssc_jax.closed_loop.metrics.step_response import crossing
+from dssc_jax.closed_loop.metrics.window import Window, window_defaults, window_entries
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import parse_unit

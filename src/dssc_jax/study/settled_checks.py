@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.closed_loop.window import first_sample
+from dssc_jax.closed_loop.metrics.streaming import Measure
+from dssc_jax.closed_loop.metrics.window import first_sample
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import extent
 from dssc_jax.study.numbers import Number

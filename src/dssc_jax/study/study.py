@@ -12,8 +12,8 @@ import numpy as np
 from jax.tree_util import keystr, tree_flatten, tree_flatten_with_path
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.metrics.requirements import Requirement
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable

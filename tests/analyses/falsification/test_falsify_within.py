@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.falsification.search import SearchPrograms
 from dssc_jax.analyses.falsification.search_sets import MOST_SIGMA, search_set
 from dssc_jax.cli.main import guarded
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.statistics import distance_of_mass, mass_within
 
 CORNER = Path(__file__).parents[3] / "studies" / "falsify_corner.toml"

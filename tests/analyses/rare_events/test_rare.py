@@ -10,7 +10,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.rare_events.estimate import PlainDraws
 from dssc_jax.analyses.rare_events.rare import RareEvent
 from dssc_jax.analyses.rare_events.splitting import split
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.console.analyses import show_rare
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Engine, evaluate

@@ -44,8 +44,8 @@ def lanes(x, requirements):
 
 @pytest.mark.parametrize("aggregate", ["mean", "cvar"])
 def test_gradients_of_the_aggregate(aggregate):
-    from dssc_jax.closed_loop.metrics import Measure, Window
-    from dssc_jax.closed_loop.requirements import Requirement
+    from dssc_jax.closed_loop.metrics.requirements import Requirement
+    from dssc_jax.closed_loop.metrics.streaming import Measure, Window
 
     required = (Requirement(Measure("a", "error_rms", Window()), maximum=4.0),)
     goal = Goal({"a": 1.0, "b": 0.5}, aggregate, 0.6, {"b": 3.0}, required)

@@ -16,7 +16,7 @@ from dssc_jax.analyses.comparison.rivals import Contestants, ControllerTable, wi
 from dssc_jax.analyses.comparison.tuning import Tuning, best_gains, gain_ranges, untuned_reason, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.analyses.margins.joined import name_axis
-from dssc_jax.closed_loop.requirements import violated
+from dssc_jax.closed_loop.metrics.requirements import violated
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback

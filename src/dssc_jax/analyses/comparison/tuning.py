@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from dssc_jax.analyses.defaults import CANDIDATES, MOST_CANDIDATES, TUNING_DRAWS
-from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Outcome

@@ -1,7 +1,7 @@
 """What a search for the worst draw requires of a study, and the requirements that it leaves out."""
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET, MOST_BUDGET
-from dssc_jax.closed_loop.requirements import counted_places
+from dssc_jax.closed_loop.metrics.requirements import counted_places
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study import Study
 

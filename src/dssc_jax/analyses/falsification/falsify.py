@@ -20,7 +20,7 @@ from dssc_jax.analyses.defaults import BUDGET
 from dssc_jax.analyses.falsification.conditions import require_falsifiable, require_label, without_other_margins
 from dssc_jax.analyses.falsification.search import SearchPrograms, SimulatedPoints, WorstDrawSearch
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
-from dssc_jax.closed_loop.requirements import Requirement, counted_places
+from dssc_jax.closed_loop.metrics.requirements import Requirement, counted_places
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis

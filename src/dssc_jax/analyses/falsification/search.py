@@ -8,7 +8,7 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.falsification.search_sets import SearchSet
-from dssc_jax.closed_loop.requirements import (
+from dssc_jax.closed_loop.metrics.requirements import (
     Requirement,
     binding_requirement,
     counted_places,

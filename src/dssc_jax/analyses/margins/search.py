@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.closed_loop.requirements import binding_requirement, ended_early, worst_slack
+from dssc_jax.closed_loop.metrics.requirements import binding_requirement, ended_early, worst_slack
 from dssc_jax.core.bisection import bisect
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study

@@ -10,7 +10,7 @@ from scipy.special import softmax
 from scipy.stats import bootstrap
 
 from dssc_jax.analyses.tuning.plan import Plan
-from dssc_jax.closed_loop.requirements import Requirement, ended_early, violated
+from dssc_jax.closed_loop.metrics.requirements import Requirement, ended_early, violated
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.evaluation import Derivative, Evaluator

@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.analyses.tuning.rules import OBJECTIVE, PROVED_ERROR, WIDTH, seed_of, start_value, tune_table
 from dssc_jax.analyses.tuning.search_variables import SearchCoordinates, Theorem, identity, split_parameters
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.study import Study

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
 from dssc_jax.core.toml import TomlTable

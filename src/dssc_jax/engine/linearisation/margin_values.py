@@ -12,7 +12,7 @@ import numpy as np
 
 from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.closed_loop.margin_measures import margins_of
+from dssc_jax.closed_loop.metrics.margin_measures import margins_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.linearisation.matrices import StateMatrices
 from dssc_jax.engine.linearisation.operating_points import RestingLoop, lane_loop

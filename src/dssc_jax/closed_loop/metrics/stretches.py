@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.window import Span, Window
+from dssc_jax.closed_loop.metrics.window import Span, Window
 from dssc_jax.core.signals import Scalar
 
 S = TypeVar("S")

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.instants import Instant, Sample
-from dssc_jax.closed_loop.metrics import (
+from dssc_jax.closed_loop.metrics.instants import Instant, Sample
+from dssc_jax.closed_loop.metrics.streaming import (
     RISES,
     SAMPLING,
     Course,

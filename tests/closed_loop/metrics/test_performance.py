@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.instants import Instant
-from dssc_jax.closed_loop.metrics import METRICS, Measure, Scope, Window, starts, update_all, values
-from dssc_jax.closed_loop.performance import PERFORMANCE
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
+from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window, starts, update_all, values
 from dssc_jax.results.schema import variables
 from dssc_jax.study.measuring import PACKAGE_METRICS
 
 OWN = """
 import jax.numpy as jnp
-from dssc_jax.closed_loop.metrics import Metric, final_value, peak
+from dssc_jax.closed_loop.metrics.streaming import Metric, final_value, peak
 JERK = Metric("m/s", "largest change of the command in a sample", peak(lambda s: s.u - s.u_previous), final_value)
 WORD = "no metric"
 error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), final_value)
@@ -114,7 +114,7 @@ def test_rotor_thrusts_are_those_of_all_rotors_in_the_window():
 def test_metrics_of_an_angle_are_in_radians():
     """Whatever says a metric's unit: results, requirements, reports."""
     named = {"metrics.names": ["error_rms", "iae", "itae", "command_energy", "tilt_max", "chattering_index"]}
-    uav = dj.Study.load(Path(__file__).parents[2] / "studies" / "paper_case1.toml")
+    uav = dj.Study.load(Path(__file__).parents[3] / "studies" / "paper_case1.toml")
     study = uav.override({**named, "requirement": [{"metric": "error_max_psi", "max": 0.1}]})
     units = {name: variable.attributes["units"] for name, variable in variables(study).items() if name != "outcome"}
     of_length = {"error_rms": "m", "iae": "m s", "itae": "m s^2", "command_energy": "m^2/s"}
@@ -176,7 +176,7 @@ def test_bad_names(case_2, custom, name, rule):
 
 
 def test_the_page_has_every_metric_with_its_unit():
-    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text()
     metrics, heading, _ = page.partition("\n## Margins\n")
     assert heading
     rows = re.findall(r"^\| `(\w+)` \|.*\| (\S.*) \|$", metrics, re.MULTILINE)

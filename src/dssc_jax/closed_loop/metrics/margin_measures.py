@@ -6,9 +6,9 @@ no sample changes it.
 
 from collections.abc import Sequence
 
-from dssc_jax.closed_loop.margin_kinds import LoopMargin
-from dssc_jax.closed_loop.metrics import Accumulator, Measure, Metric, MetricInput, final_value, suffixed
-from dssc_jax.closed_loop.window import WHOLE_RUN, Window
+from dssc_jax.closed_loop.metrics.margin_kinds import LoopMargin
+from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure, Metric, MetricInput, final_value, suffixed
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN, Window
 from dssc_jax.core.signals import Scalar
 
 

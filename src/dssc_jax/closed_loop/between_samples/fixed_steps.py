@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 
-from dssc_jax.closed_loop.held_parts import (
+from dssc_jax.closed_loop.between_samples.held_parts import (
     Advance,
     DriveAt,
     HeldParts,

@@ -1,10 +1,10 @@
-"""The parts of a formula of signal temporal logic, with times in samples; see :mod:`dssc_jax.closed_loop.formulas`."""
+"""The parts of a formula of signal temporal logic, with times in samples."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from dssc_jax.closed_loop.instants import Instant
+from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.core.signals import Scalar
 
 

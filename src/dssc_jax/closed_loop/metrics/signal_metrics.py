@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.instants import Instant
 from dssc_jax.closed_loop.loop import signal_name
-from dssc_jax.closed_loop.metrics import (
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.streaming import (
     Course,
     Metric,
     Scope,
@@ -21,7 +21,7 @@ from dssc_jax.closed_loop.metrics import (
     suffixed,
     total,
 )
-from dssc_jax.closed_loop.window import Window
+from dssc_jax.closed_loop.metrics.window import Window
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import NamedSignal, quantity_of, signals_in
 from dssc_jax.core.numerics import wrap_angle
@@ -213,7 +213,7 @@ class SignalMetric(NamedTuple):
 
     Args:
         meaning: Words before the meaning of the signal.
-        update: ``signal -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
+        update: ``signal -> update`` of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`.
         value: Field of that metric, as are ``start``, ``course`` and ``least``.
         start: See ``value``.
         course: See ``value``.

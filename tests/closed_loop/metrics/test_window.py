@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 import dssc_jax as dj
 from dssc_jax.analyses.tuning.plan import Plan
-from dssc_jax.closed_loop.window import WHOLE_RUN, Window, window_entries
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN, Window, window_entries
 from dssc_jax.report.study_sections import requirement_text
 from dssc_jax.results.schema import variables
 from dssc_jax.study.schema import MetricsTable, RequirementTable

@@ -4,9 +4,9 @@ Linear parts advance by their exact solution: linear unmodelled dynamics, and a 
 other plant is integrated by fixed steps.
 """
 
-from dssc_jax.closed_loop.exact_steps import advance_exactly
-from dssc_jax.closed_loop.fixed_steps import advance_by_steps
-from dssc_jax.closed_loop.held_parts import Advance, HeldParts, term_count
+from dssc_jax.closed_loop.between_samples.exact_steps import advance_exactly
+from dssc_jax.closed_loop.between_samples.fixed_steps import advance_by_steps
+from dssc_jax.closed_loop.between_samples.held_parts import Advance, HeldParts, term_count
 from dssc_jax.core.contracts import Variation
 from dssc_jax.core.integrators import ORDERS, Integrator
 from dssc_jax.core.signals import Params

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.held_parts import mover
+from dssc_jax.closed_loop.between_samples.held_parts import mover
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement
@@ -261,7 +261,7 @@ CASES = {
 def with_substeps(case, substeps, **changes):
     """A study of a case with slow sampling, so that the integration between the samples is seen."""
     plant, unmodelled, disturbance = CASES[case]
-    plant = {"kind": f"tests.closed_loop.test_hold:{plant}"} if isinstance(plant, str) else plant
+    plant = {"kind": f"tests.closed_loop.between_samples.test_hold:{plant}"} if isinstance(plant, str) else plant
     table = loop(unmodelled, plant, duration=3.0, k_p=2.0, k_i=0.5, l0=1.0) | {"disturbance": disturbance}
     clock = {"sample_time": 0.5, "duration": 3.0, "substeps": substeps}
     return dj.Study.from_table(table | {"loop": clock | changes})
@@ -290,7 +290,8 @@ def test_both_forms_of_the_pendulum_agree():
     complete, split = (
         dj.simulate(
             dj.Study.from_table(
-                with_substeps("pendulum", 128).table | {"plant": {"kind": f"tests.closed_loop.test_hold:{name}"}}
+                with_substeps("pendulum", 128).table
+                | {"plant": {"kind": f"tests.closed_loop.between_samples.test_hold:{name}"}}
             )
         )["y"].values
         for name in ("PENDULUM", "SPLIT")

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.instants import Sample
-from dssc_jax.closed_loop.metrics import RISES, Course, Metric, Span, Window, final_value
+from dssc_jax.closed_loop.metrics.instants import Sample
+from dssc_jax.closed_loop.metrics.streaming import RISES, Course, Metric, Span, Window, final_value
 from dssc_jax.core.numerics import arithmetic, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.lanes.functions.approximations import atan2

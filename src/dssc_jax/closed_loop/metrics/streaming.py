@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.instants import Instant, Sample
-from dssc_jax.closed_loop.margin_kinds import NO_MARGINS, LoopMargin
-from dssc_jax.closed_loop.stretches import Stretch, longest, stretch
-from dssc_jax.closed_loop.window import WHOLE_RUN, Span, Window, first_sample, in_window, span_of
+from dssc_jax.closed_loop.metrics.instants import Instant, Sample
+from dssc_jax.closed_loop.metrics.margin_kinds import NO_MARGINS, LoopMargin
+from dssc_jax.closed_loop.metrics.stretches import Stretch, longest, stretch
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN, Span, Window, first_sample, in_window, span_of
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Scalar

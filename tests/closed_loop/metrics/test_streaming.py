@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.instants import Instant
-from dssc_jax.closed_loop.metrics import METRICS, Measure, Scope, Window, starts, update_all, values
-from dssc_jax.closed_loop.window import first_sample
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window, starts, update_all, values
+from dssc_jax.closed_loop.metrics.window import first_sample
 from dssc_jax.core.signals import Outcome
 
-STUDIES = Path(__file__).parents[2] / "studies"
+STUDIES = Path(__file__).parents[3] / "studies"
 
 
 def test_streaming_equals_stored(case_2):

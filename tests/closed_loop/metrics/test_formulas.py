@@ -8,7 +8,7 @@ import dssc_jax as dj
 from benchmarks.formulas.random_formulas import T_S, random_formula, random_signals, reach, robustness, text_of
 from benchmarks.formulas.streamed import lane_of, parsed
 from dssc_jax import lanes
-from dssc_jax.closed_loop.formulas import memory_size
+from dssc_jax.closed_loop.metrics.formulas import memory_size
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.lanes.lanes import CompiledLanes

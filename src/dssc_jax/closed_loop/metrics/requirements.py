@@ -7,8 +7,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.metrics import Accumulator, Course, Measure
-from dssc_jax.closed_loop.window import samples_before_end, span_of
+from dssc_jax.closed_loop.metrics.streaming import Accumulator, Course, Measure
+from dssc_jax.closed_loop.metrics.window import samples_before_end, span_of
 from dssc_jax.core.signals import Outcome, Scalar
 
 VIOLATED_AT = "violated_at_"

@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.formula_tree import (
+from dssc_jax.closed_loop.metrics.formula_tree import (
     Always,
     And,
     Comparison,
@@ -40,9 +40,9 @@ from dssc_jax.closed_loop.formula_tree import (
     horizon,
     parts_of,
 )
-from dssc_jax.closed_loop.instants import Instant
-from dssc_jax.closed_loop.metrics import Metric, Scope, Span
-from dssc_jax.closed_loop.window import Window
+from dssc_jax.closed_loop.metrics.instants import Instant
+from dssc_jax.closed_loop.metrics.streaming import Metric, Scope, Span
+from dssc_jax.closed_loop.metrics.window import Window
 from dssc_jax.core.signals import Scalar
 
 FAR = 1e30

@@ -1,0 +1,1 @@
+"""Plant and unmodelled dynamics from one sample to the next, with the commands held."""
