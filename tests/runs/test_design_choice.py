@@ -8,7 +8,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax import ConfigError
 from dssc_jax.cli.main import guarded
-from dssc_jax.runs.design_choice import nets_of
+from dssc_jax.runs.design_choice import DesignWarning, nets_of
 from dssc_jax.statistics import Replicated, clopper_pearson, design_effect
 
 STUDY = """
@@ -132,3 +132,22 @@ def test_the_command_shows_a_complete_result_again(tmp_path, capsys):
     assert "of that of independent draws" in first
     assert guarded(arguments) == 0
     assert "is complete" in capsys.readouterr().err
+
+
+def test_a_draw_of_the_study_is_not_taken_for_one_of_the_run(study, result, recwarn):
+    """The run chose Sobol points, and other commands take random draws."""
+    drawn = float(result.dataset["plant.k_p"].values[3])
+    assert dj.simulate(result.study, draw=3).attrs["plant.k_p"] == drawn
+    assert dj.lane(result.study).draws(4)[0]["plant.k_p"][3] == drawn
+    assert not recwarn
+    with pytest.warns(DesignWarning, match=r"sampling = 'auto' counts as 'random' here.*replay FOLDER --draw I"):
+        assert dj.simulate(study, draw=3).attrs["plant.k_p"] != drawn
+    lane = dj.lane(study)
+    assert set(lane.example[0]) == set(study.laws)
+    with pytest.raises(ConfigError, match=r"sampling: is 'auto'.*dj\.lane\(result\.study\)"):
+        lane.draws(4)
+
+
+def test_a_run_that_takes_plain_draws_anyway_needs_no_warning(study, recwarn):
+    dj.simulate(study.override({"draws": 100}))
+    assert not recwarn

@@ -154,6 +154,10 @@ BAD = {
     "swept clock": ({"sweep.loop.sample_time": [0.1]}, "sweep.loop.sample_time: the clock is fixed"),
     "axis upside down": ({"sweep.plant.k_p": {"linspace": [2, 1, 5]}}, "sweep.plant.k_p: linspace needs lo < hi"),
     "log axis through zero": ({"sweep.plant.k_p": {"logspace": [0, 1, 5]}}, "logspace needs 0 < lo"),
+    "axis of one value with two ends": (
+        {"sweep.plant.k_p": {"logspace": [1, 2, 1]}},
+        r"sweep.plant.k_p: logspace with count = 1 needs lo = hi, or a count of 2 or more",
+    ),
     "axis without count": ({"sweep.plant.k_p": {"linspace": [1, 2]}}, "linspace takes"),
     "misspelt spacing": ({"sweep.plant.k_p": {"linspce": [1, 2, 3]}}, "did you mean 'linspace'"),
     "empty axis": ({"sweep.plant.k_p": []}, "list of finite numbers"),

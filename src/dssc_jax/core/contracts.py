@@ -15,6 +15,7 @@ from dssc_jax.core.default_functions import (
     never_averages,
     never_broken,
     never_grounded,
+    never_transparent,
     no_constraint,
     no_info,
     no_signals,
@@ -280,6 +281,8 @@ class Sensor(NamedTuple):
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
         smooth: As in :class:`Plant`.
+        transparent: ``(params) -> bool``: whether it passes y and y' on at once, but for noise, constant errors and
+            rounding. The continuous-time analysis leaves a sensor out, and says so of one that is not transparent.
     """
 
     params: type
@@ -287,6 +290,7 @@ class Sensor(NamedTuple):
     step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
+    transparent: Callable[[Params], bool] = never_transparent
 
 
 class Differentiator(NamedTuple):
@@ -298,6 +302,7 @@ class Differentiator(NamedTuple):
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
         prepare: As in :class:`Plant`.
         smooth: As in :class:`Plant`.
+        transparent: As in :class:`Sensor`.
     """
 
     params: type
@@ -305,6 +310,7 @@ class Differentiator(NamedTuple):
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
+    transparent: Callable[[Params], bool] = never_transparent
 
 
 class Timing(StrEnum):

@@ -53,3 +53,13 @@ def never_averages(params: Params) -> bool:
 def no_signals(gains: Params) -> int:
     """The number of measured signals of a controller that takes y and y' alone: 0."""
     return 0
+
+
+def always_transparent(params: Params) -> bool:
+    """Report that a part passes y and y' on at once."""
+    return True
+
+
+def never_transparent(params: Params) -> bool:
+    """Report that a part may have dynamics of its own between y, y' and what it passes on."""
+    return False

@@ -100,8 +100,9 @@ class LaneFunction:
     @property
     def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Arguments of the function: values and index of the first draw."""
-        values, indices = self.draws(1)
-        return {name: column[0] for name, column in values.items()}, indices[0]
+        indices = np.arange(1, dtype=np.uint32)
+        columns = drawn_values(self.study, indices)
+        return {name: column[0] for name, column in columns.items()}, indices[0]
 
     def draws(self, count: int | None = None) -> tuple[Arrays, np.ndarray]:
         """Values and indices of the first draws, for ``jax.vmap``; the same draws as those of :func:`dssc_jax.run`.
@@ -114,9 +115,16 @@ class LaneFunction:
             value.
 
         Raises:
-            ConfigError: ``count`` is below 1, or above the study's number of draws.
+            ConfigError: ``count`` is below 1, or above the study's number of draws, or the run chooses the design of
+                its draws (``sampling = "auto"``).
         """
         draws = self.study.config.draws
+        if self.study.config.sampling == "auto":
+            raise ConfigError(
+                f"{self.study.source}: sampling",
+                "is 'auto', so that a run chooses its draws after a pilot; take the study of its result "
+                "(dj.lane(result.study)), or set sampling to 'random', 'sobol' or 'lhs'",
+            )
         if count is not None and not 1 <= count <= draws:
             raise ConfigError("count", f"must be in 1 .. {draws}, the draws of the study, got {count}")
         indices = np.arange(draws if count is None else count, dtype=np.uint32)

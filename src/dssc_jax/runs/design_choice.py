@@ -5,6 +5,7 @@ failure, are few. The run's points are randomised independently of the pilot, so
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,10 @@ PILOT_INDEX = 2**30  # draw index of the pilot's first in-loop noise, beyond tho
 NETS = 16  # least number of nets of a run, which has up to twice as many
 LEAST_NET = 8  # least number of points of a net
 LEAST_CASES = 50  # failures, and draws without failure, that a run must expect for Sobol points
+
+
+class DesignWarning(UserWarning):
+    """A draw of a study is not the draw of its run, because the run chooses the design of the draws."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,22 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
     nets, size = nets_of(study.config.draws)
     reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
     return DesignChoice(sobol(study, nets, size), reason, PILOT + 2 * PROBES, request)
+
+
+def warn_of_open_choice(study: Study) -> None:
+    """Warn if the draws of a study may be others than those of its run, which may choose Sobol points.
+
+    Warns:
+        DesignWarning: the run makes the choice after a pilot.
+    """
+    _, size = nets_of(study.config.draws)
+    if study.config.sampling == "auto" and study.laws and size >= LEAST_NET:
+        warnings.warn(
+            "sampling = 'auto' counts as 'random' here, and a run may choose Sobol points, whose draws are others; "
+            "`dssc-jax replay FOLDER --draw I` (dj.replay) has the draws of a run, as has the study of its result",
+            DesignWarning,
+            stacklevel=3,
+        )
 
 
 def plain(study: Study) -> Study:

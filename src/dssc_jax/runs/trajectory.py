@@ -21,6 +21,7 @@ from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.results.schema import outcome_codes, variables, verdict
+from dssc_jax.runs.design_choice import warn_of_open_choice
 from dssc_jax.study import Study, takes_file
 
 if TYPE_CHECKING:
@@ -90,7 +91,11 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
 
     Raises:
         ConfigError: ``draw``, ``point`` or ``every`` is out of range.
+
+    Warns:
+        DesignWarning: the draw is not that of a run, which chooses the design of its draws (``sampling = "auto"``).
     """
+    warn_of_open_choice(study)
     return recorder(study if point else study.without_sweep(), every)(draw, point or {})
 
 

@@ -35,6 +35,8 @@ def parse_axis(value: object) -> tuple[float, ...]:
         raise ValueError(f"{kind} takes at most {MOST_VALUES} values, got {count}")
     if count > 1 and not low < high:
         raise ValueError(f"{kind} needs lo < hi, got {arguments}")
+    if count == 1 and low != high:
+        raise ValueError(f"{kind} with count = 1 needs lo = hi, or a count of 2 or more for both ends, got {arguments}")
     if kind == "logspace":
         if low <= 0:
             raise ValueError(f"logspace needs 0 < lo, got {arguments}")

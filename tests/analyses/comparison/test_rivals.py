@@ -182,3 +182,28 @@ def test_a_controller_that_declares_nothing_is_refused_by_name(monkeypatch):
     assert gain_ranges(own, {}) == {}
     with pytest.raises(dj.ConfigError, match="'bare_law' has no limit; these have one: sta, vgsta"):
         controller_table(own, "bare_law_limited")
+
+
+def test_a_correlation_with_a_gain_that_a_rival_lacks_says_what_to_do():
+    study = dj.Study.from_table(
+        {
+            "name": "tied",
+            "draws": 8,
+            "loop": {"duration": 1.0, "sample_time": 0.02},
+            "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "initial": [1.0, 0.0]},
+            "controller": {"kind": "state_feedback", "k_1": {"uniform": [3.0, 5.0]}, "k_2": 2.0},
+            "correlation": {"plant.k_p, controller.k_1": 0.9},
+            "compare": {"pid": {"k_p": 5.0, "k_d": 3.0, "filter": 0.05}},
+            "requirement": [{"metric": "error_max", "max": 2.0}],
+        }
+    )
+    names = ["state_feedback", "pid"]
+    message = (
+        r"^compare\.pid: has no uncertain number controller\.k_1, which .*take this pair out.*--set correlation={}"
+    )
+    with pytest.raises(dj.ConfigError, match=message):
+        dj.compare(study, names)
+    free = dj.compare(study.override({"correlation": {}}), names)
+    assert set(free.summary()["controllers"]) == set(names)
+    with pytest.raises(dj.ConfigError, match=r"compare\.pid: .*unknown"):  # another fault is still told
+        dj.compare(study.override({"compare.pid.k_x": 1.0}), names)

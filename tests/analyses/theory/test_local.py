@@ -224,3 +224,35 @@ def test_no_origin_for_several_channels():
     uav = dj.Study.load("studies/paper_case1.toml")
     with pytest.raises(dj.ConfigError, match="one channel"):
         dj.theory.local_margin(uav, over="controller.l0", bounds=(0.1, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "left_out"),
+    [
+        ({}, None),
+        ({"sensor": {"kind": "noisy", "position_std": 0.01, "jitter": 0.0}}, None),
+        ({"sensor": {"kind": "lag", "mu": 0.2}}, "the sensor left out"),
+        ({"sensor": {"kind": "noisy", "delay_samples": 20}}, "the sensor left out"),
+        ({"differentiator": {"kind": "levant", "lipschitz": 3.0}}, "the differentiator left out"),
+        (
+            {"sensor": {"kind": "lag", "mu": 0.2}, "differentiator": {"kind": "levant", "lipschitz": 3.0}},
+            "the sensor and the differentiator left out",
+        ),
+    ],
+)
+def test_the_continuous_criterion_names_what_it_leaves_out(changes, left_out):
+    study = random_gains(1, CONSTANT, draws=2).override(changes)
+    criterion = dj.theory.local_margin(study, **OPTIONS, kind="continuous").summary()["criterion"]
+    assert criterion[0].startswith("every eigenvalue of the loop with (22)")
+    notes = [text for text in criterion if "left out" in text]
+    assert notes == ([] if left_out is None else [f"plant, unmodelled dynamics and controller alone: {left_out}"])
+    sampled = dj.theory.local_margin(study.override({"sensor": {"kind": "ideal"}}), **OPTIONS).summary()["criterion"]
+    assert not any("left out" in text for text in sampled)
+
+
+def test_continuous_time_has_no_margin_of_a_sensor():
+    study = random_gains(1, CONSTANT, draws=2).override({"sensor": {"kind": "lag", "mu": 0.2}})
+    with pytest.raises(
+        dj.ConfigError, match=r"sensor\.mu: has no effect in continuous time, which leaves the sensor out"
+    ):
+        dj.theory.local_margin(study, over="sensor.mu", bounds=(0.01, 1.0), kind="continuous")

@@ -270,3 +270,42 @@ def test_correlated_numbers_have_the_box_of_independent_ones():
     found = tied.numbers("input", "gain_upper")
     assert found == pytest.approx(free.numbers("input", "gain_upper"))
     assert not tied.witness("input", "gain_upper").laws
+
+
+def delayed_radius(samples):
+    """Spectral radius of y'' = -y' + v, u = -3 y - 2 y', for v between the commands of two samples; T_s = 0.2 s."""
+    whole = int(np.floor(samples))
+    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 1.0], [0.0, 0.0, 0.0]]) * 0.2)
+    size = 3 + whole  # y, y', and the last whole + 1 commands, newest first
+    commands = np.zeros((whole + 2, size))  # the present command, and those before it
+    commands[0, :2] = -3.0, -2.0
+    commands[1:, 2:] = np.eye(whole + 1)
+    weight = samples - whole
+    delayed = (1.0 - weight) * commands[whole] + weight * commands[whole + 1]
+    step = np.concatenate([np.zeros((2, size)), commands[:-1]])
+    step[:2, :2] = held[:2, :2]
+    step[:2] += np.outer(held[:2, 2], delayed)
+    return np.abs(np.linalg.eigvals(step)).max()
+
+
+def test_states_that_no_draw_needs_count_where_the_box_needs_them():
+    """The only draw is delayed by less than 2 samples, the box by 2.4: the command three samples ago matters there."""
+    study = dj.Study.from_table(
+        {
+            "name": "late",
+            "draws": 1,
+            "seed": 4,
+            "loop": {"duration": 8.0, "sample_time": 0.2},
+            "plant": {"kind": "normal_form", "k_p": 1.0, "a_p": 1.0, "initial": [1.0, 0.0]},
+            "controller": {"kind": "state_feedback", "k_1": 3.0, "k_2": 2.0},
+            "unmodelled": {"kind": "delay", "samples": {"uniform": [0.5, 2.4]}, "memory": 6},
+        }
+    )
+    loop = dj.worst_loop(study, cells=1000).answer.loops["input"]
+    at_end = dj.loop_margins(study.override({"unmodelled.samples": 2.4})).dataset["sensitivity_peak"].values.max()
+    assert loop.margins["sensitivity_peak"].found >= at_end * (1.0 - 1e-6)
+    assert not loop.margins["sensitivity_peak"].bounded < at_end
+    unstable = loop.unstable["unmodelled.samples"]
+    assert delayed_radius(unstable) == pytest.approx(1.0, abs=1e-4)
+    assert delayed_radius(unstable - 0.05) < 1.0 < delayed_radius(unstable + 0.05)
+    assert loop.growth_bounded < loop.growth_found == pytest.approx((unstable - 1.45) / 0.95)

@@ -19,6 +19,7 @@ from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.components import lookup
+from dssc_jax.study.correlation import correlated_names
 from dssc_jax.study.fields import field_specs
 from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.tables import channel_table, merge_tables
@@ -256,7 +257,32 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
     try:
         return study.override({"controller": table, "sweep": {}})
     except ConfigError as error:
-        raise ConfigError(f"compare.{name}", str(error)) from None
+        raise ConfigError(f"compare.{name}", untied_rule(study, table) or str(error)) from None
+
+
+def untied_rule(study: Study, table: ControllerTable) -> str:
+    """Why a controller does not fit the correlations of a study that it fits otherwise; empty if it fits them.
+
+    Without a pair the numbers of the others would have other draws, so that a pair is not left out silently.
+
+    Args:
+        study: The study.
+        table: The ``[controller]`` table.
+    """
+    correlation = study.config.correlation
+    try:
+        free = study.override({"controller": table, "sweep": {}, "correlation": {}})
+    except ConfigError:
+        return ""
+    for pair in correlation:
+        for gain in correlated_names({pair: 0.0}):
+            if gain not in free.laws:
+                return (
+                    f'has no uncertain number {gain}, which correlation."{pair}" ties to another, and all controllers '
+                    "fly the same draws; take this pair out of [correlation] for the comparison (--set correlation={} "
+                    "takes out all), or give the controller this gain with a law"
+                )
+    return ""
 
 
 class Contestants(NamedTuple):

@@ -90,6 +90,20 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
         )
 
 
+def opaque_parts(study: Study) -> list[str]:
+    """The sections of the parts between plant and controller that :func:`open_loop` leaves out, if any changes y or y'.
+
+    Args:
+        study: A study on a plant of one channel.
+    """
+    loop, template = study.loop, study.template
+    parts = {
+        "sensor": (loop.sensor[0], template.sensor[0]),
+        "differentiator": (loop.differentiator[0], template.differentiator[0]),
+    }
+    return [section for section, (part, params) in parts.items() if not part.transparent(params)]
+
+
 def kinds_with(registry: Registry, field: str) -> list[str]:
     """The kinds of a registry of which some model has a value in a field."""
     return [kind for kind, entry in registry.items() if any(getattr(part, field) for part in entry.members.values())]

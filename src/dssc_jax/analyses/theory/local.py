@@ -17,6 +17,7 @@ from dssc_jax.analyses.theory.linearised import (
     at_rest,
     continuous_matrix,
     linearise_at_rest,
+    opaque_parts,
     require_continuous,
     start_at_rest,
 )
@@ -51,6 +52,33 @@ CRITERIA = {
     Time.SAMPLED: "every eigenvalue of the sampled loop, linearised at the origin, inside the unit circle",
     Time.CONTINUOUS: "every eigenvalue of the loop with (22), linearised at the origin, in the left half-plane",
 }
+
+
+def criteria(study: Study, kind: Time) -> tuple[str, ...]:
+    """The criterion of a kind of linearisation, and what of the study it leaves out.
+
+    Args:
+        study: A study on a plant of one channel.
+        kind: Sampled or continuous.
+    """
+    left_out = opaque_parts(study) if kind == Time.CONTINUOUS else []
+    if not left_out:
+        return (CRITERIA[kind],)
+    parts = " and ".join(f"the {section}" for section in left_out)
+    return CRITERIA[kind], f"plant, unmodelled dynamics and controller alone: {parts} left out"
+
+
+def require_in_criterion(study: Study, over: str, kind: Time) -> None:
+    """Require that the criterion of a kind of linearisation does not leave out the part of a number.
+
+    Raises:
+        ConfigError: the criterion leaves it out.
+    """
+    section = over.partition(".")[0]
+    if kind == Time.CONTINUOUS and section in opaque_parts(study):
+        raise ConfigError(
+            over, f"has no effect in continuous time, which leaves the {section} out; use the sampled loop"
+        )
 
 
 class Spectrum(NamedTuple):
@@ -171,6 +199,7 @@ def local_margin(
     swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
     draws = study.config.draws
     numbers_of = numbers_along(resting, over)
+    require_in_criterion(resting, over, kind)
     laws = values_of_draws(swept, slice(0, draws))
     eigenvalues_of, notes = spectrum_with_notes(swept, kind)
 
@@ -184,4 +213,4 @@ def local_margin(
 
     critical = search_critical(decay, draws, walk, bisections)
     seconds = time.perf_counter() - began
-    return Margins.of(study, over, walk, critical, laws, (CRITERIA[kind], *notes), seconds, unit="1/s")
+    return Margins.of(study, over, walk, critical, laws, (*criteria(resting, kind), *notes), seconds, unit="1/s")

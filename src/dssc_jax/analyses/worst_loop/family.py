@@ -1,6 +1,7 @@
 """The linearised loop at any point of the box."""
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
+Case = TypeVar("Case")
 RemainingPoints = Callable[[], int]
 """() -> the number of points that may still be evaluated."""
 
@@ -46,6 +48,7 @@ class LoopFamily:
         self.findings = findings
         self.cache: list[StateMatrices] = []
         self.row_of_point: dict[bytes, int] = {}  # row of the cache for each point, by the bytes of the point
+        self.patterns: dict[bytes, StateMatrices] = {}  # one loop of the cache for each pattern of zeros
 
     def at(self, points: np.ndarray) -> StateMatrices:
         """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
@@ -59,10 +62,36 @@ class LoopFamily:
             matrices = self.linearise(padded_batch, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
                 self.row_of_point[point.tobytes()] = len(self.cache)
-                self.cache.append(StateMatrices(*(part[row] for part in matrices)))
+                loop = StateMatrices(*(part[row] for part in matrices))
+                self.cache.append(loop)
+                self.patterns.setdefault(zero_pattern(loop), loop)
             self.advance(len(self.cache))
         rows = [self.cache[self.row_of_point[key]] for key in keys]
         return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+    def seen_loops(self, drawn: StateMatrices) -> StateMatrices:
+        """The loops of the draws, and one with each pattern of zeros among the points linearised so far.
+
+        A state may have an effect at some of the points only, as a delay's memory of a command sent long ago.
+
+        Args:
+            drawn: The loops of the draws that have an operating point.
+        """
+        known = [loop for loop in self.patterns.values() if np.isfinite(loop.a).all()]
+        parts = []
+        for index, part in enumerate(drawn):
+            parts.append(np.concatenate([part, *(loop[index][None] for loop in known)]))
+        return StateMatrices(*parts)
+
+    def states_at(self, drawn: StateMatrices, place: int) -> np.ndarray:
+        """Indices of the states that carry a signal back to a break point at any point linearised so far.
+
+        Args:
+            drawn: The loops of the draws that have an operating point.
+            place: Index of the break point.
+        """
+        loops = self.seen_loops(drawn)
+        return loops.loop_states(place, np.ones(len(loops.a), bool))
 
     def remaining_points(self, most: int) -> int:
         """Number of points that may still be linearised, if ``most`` is the limit for all searches together."""
@@ -103,6 +132,11 @@ class LoopFamily:
                     "has a loop that differs between draws with the same numbers, as with a sensor's jitter, so that "
                     "its worst case has no bound; `loop_margins` has its margins over the draws",
                 )
+
+
+def zero_pattern(loop: StateMatrices) -> bytes:
+    """Which entries of the matrices of one loop are not 0, as a key."""
+    return b"".join(np.packbits(part != 0.0).tobytes() for part in loop[1:])
 
 
 class BrokenFamily:
@@ -170,3 +204,21 @@ class BrokenFamily:
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
         is_unchanged = np.abs(variants - reference[:, None]) <= limit  # False where there is no equilibrium
         return np.flatnonzero(np.any(~is_unchanged, axis=(0, 2, 3))).tolist()
+
+
+def with_all_states(
+    broken: BrokenFamily, states_of: Callable[[], np.ndarray], search: Callable[[BrokenFamily], Case]
+) -> Case:
+    """Search a broken loop; again with more states, as long as a point of the search shows further ones.
+
+    Args:
+        broken: The broken loop, with the states that are known before the search.
+        states_of: () -> indices of the states of the loop at any point linearised so far, shape (states,).
+        search: (broken loop) -> what is found of it.
+    """
+    while True:
+        case = search(broken)
+        states = states_of()
+        if np.array_equal(states, broken.state_indices):
+            return case
+        broken = BrokenFamily(broken.family, states, broken.places)

@@ -4,11 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.multiloop import JointLoops, JointMargins, balanced_bounds, joint_margins
+from dssc_jax.analyses.loop_margins.multiloop import (
+    JointLoops,
+    JointMargins,
+    JointPlaces,
+    balanced_bounds,
+    joint_margins,
+    joint_places,
+)
 from dssc_jax.analyses.worst_loop.cells import CoverBounds, cover_box
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, RemainingPoints
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, LoopFamily, RemainingPoints, with_all_states
 from dssc_jax.analyses.worst_loop.readouts import joint_readout
 from dssc_jax.analyses.worst_loop.search import WorstPoint, radii_of, worst_values
+from dssc_jax.engine.linearisation.matrices import StateMatrices
+from dssc_jax.study import Study
 
 
 class JointCase(NamedTuple):
@@ -137,3 +146,50 @@ def joint_case(
         bounded=float(bounded),
         cells=covered.cells,
     )
+
+
+def seen_joint_places(study: Study, family: LoopFamily, drawn: StateMatrices) -> JointPlaces | None:
+    """The commands that have an effect in a draw or at a point linearised so far; None if they are fewer than two.
+
+    Args:
+        study: The study.
+        family: The whole loop over the box.
+        drawn: The loops of the draws that have an operating point.
+    """
+    loops = family.seen_loops(drawn)
+    return joint_places(study.loop.channels, loops, np.ones(len(loops.a), bool))
+
+
+def multiloop_case(
+    study: Study,
+    family: LoopFamily,
+    drawn: StateMatrices,
+    gap: float,
+    cells: int,
+    remaining_points: RemainingPoints,
+) -> JointCase | None:
+    """Find the worst disk margin of all commands at once; None if fewer than two have an effect.
+
+    Args:
+        study: The study.
+        family: The whole loop over the box.
+        drawn: The loops of the draws that have an operating point.
+        gap: Ratio of bound and value found at which the search for a better bound ends.
+        cells: Largest number of cells.
+        remaining_points: Number of points that may still be linearised.
+    """
+    joint = seen_joint_places(study, family, drawn)
+    if joint is None:
+        return None
+    channels = tuple(study.loop.channels[index] for index in joint.channels)
+
+    def states_of() -> np.ndarray:
+        places = seen_joint_places(study, family, drawn)
+        assert places is not None  # the loops that were seen only become more
+        return places.states
+
+    def search(broken: BrokenFamily) -> JointCase:
+        drawn_loops = broken.break_loops(drawn)
+        return joint_case(broken, channels, drawn_loops, study.config.loop.sample_time, gap, cells, remaining_points())
+
+    return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), states_of, search)

@@ -2,17 +2,17 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
-from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operating_points import equilibria
 from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import CoverBounds, cover_box
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, LoopFamily, RemainingPoints
-from dssc_jax.analyses.worst_loop.joint import joint_case
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, LoopFamily, RemainingPoints, with_all_states
+from dssc_jax.analyses.worst_loop.joint import multiloop_case, seen_joint_places
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, multiloop_dataset, worst_dataset
 from dssc_jax.analyses.worst_loop.search import (
@@ -23,13 +23,14 @@ from dssc_jax.analyses.worst_loop.search import (
     margins_at,
     nearest_instability,
     radii_of,
+    start_points,
     worst_margins,
 )
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
+from dssc_jax.engine.linearisation.matrices import StateMatrices
 from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.response import common_grid
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
@@ -103,20 +104,25 @@ def worst_loop(
 
     family = LoopFamily(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
-    broken_loops = loops_broken_at(study, names, family, operating)
-    joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
+    probes = start_points(len(box.sides))
+    family.at(np.concatenate([probes, admissible_growths(study, box)[0] * probes])[: max(1, most // 4)])
+    drawn = StateMatrices(*(part[operating.reached] for part in operating.matrices))
+    broken_loops = loops_broken_at(study, names, family, drawn)
+
+    joint = None if broken_at else seen_joint_places(study, family, drawn)
     remaining_loops = len(broken_loops) + (joint is not None)
     cases = {}
     for name, broken in broken_loops.items():
-        cases[name] = loop_case(study, broken, operating, cells, family.remaining_points(most) // remaining_loops)
+        share = family.remaining_points(most) // remaining_loops
+
+        def search(loop: BrokenFamily, share: int = share) -> LoopCase:
+            return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most)))
+
+        cases[name] = with_all_states(broken, partial(family.states_at, drawn, broken.places[0]), search)
         remaining_loops -= 1
     multiloop = None
     if joint is not None:
-        broken = BrokenFamily(family, joint.states, joint.points.tolist())
-        channels = tuple(study.loop.channels[i] for i in joint.channels)
-        drawn_loops = broken.break_loops(reached_matrices(operating))
-        sample_time = study.config.loop.sample_time
-        multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remaining_points(most))
+        multiloop = multiloop_case(study, family, drawn, GAP, cells, partial(family.remaining_points, most))
     return WorstLoop(
         study=study,
         dataset=worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop)),
@@ -180,7 +186,7 @@ def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: 
 
 
 def loops_broken_at(
-    study: Study, names: Sequence[str], family: LoopFamily, operating: Operating
+    study: Study, names: Sequence[str], family: LoopFamily, drawn: StateMatrices
 ) -> dict[str, BrokenFamily]:
     """The loop over the box, broken at each of some break points, by name; those without an effect are left out.
 
@@ -188,7 +194,7 @@ def loops_broken_at(
         study: The study.
         names: Names of the break points.
         family: The whole loop over the box.
-        operating: The loops of the draws.
+        drawn: The loops of the draws that have an operating point.
 
     Raises:
         ConfigError: none has an effect, or no uncertain number changes one of the loops.
@@ -197,7 +203,7 @@ def loops_broken_at(
     broken_loops = {}
     for name in names:
         index = all_names.index(name)
-        states = operating.matrices.loop_states(index, operating.reached)
+        states = family.states_at(drawn, index)
         if states.size:
             broken_loops[name] = BrokenFamily(family, states, [index])
     if not broken_loops:
@@ -219,11 +225,6 @@ def signal_hint(study: Study, name: str) -> str:
     )
 
 
-def reached_matrices(operating: Operating) -> StateMatrices:
-    """The matrices of those draws that have an operating point."""
-    return StateMatrices(*(part[operating.reached] for part in operating.matrices))
-
-
 class GainBounds(NamedTuple):
     """What is proved of one broken loop.
 
@@ -236,13 +237,13 @@ class GainBounds(NamedTuple):
     growth: float
 
 
-def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: int, points: int) -> LoopCase:
+def loop_case(study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, points: int) -> LoopCase:
     """Find the worst case of one broken loop: that of the draws, that of searches, and bounds.
 
     Args:
         study: The study.
         broken: The broken loop over the box.
-        operating: The loops of the draws.
+        drawn: The loops of the draws that have an operating point.
         cells: Largest number of cells.
         points: Largest number of points to linearise.
     """
@@ -251,7 +252,7 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
     search_points = round(SEARCHED * points)
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
-    drawn_loops = broken.break_loops(reached_matrices(operating))
+    drawn_loops = broken.break_loops(drawn)
     common_angles = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
     drawn_margins = margins_at(drawn_loops, common_angles, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]

@@ -174,4 +174,11 @@ def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
     return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
 
 
-NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness)
+def is_transparent(params: NoisyParams) -> bool:
+    """Whether every reading is one of the present sample: without delay, period, losses and jitter."""
+    chances = [extent(number)[1] for number in (params.loss, params.jitter) if number is not None]
+    delayed = extent(params.delay_samples)[1] > 0.0 or extent(params.period_samples)[1] > 1.0
+    return not delayed and max(chances, default=0.0) == 0.0
+
+
+NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness, is_transparent)
