@@ -57,6 +57,25 @@ def test_a_step_of_more_than_half_a_turn(sensor, differentiator):
     assert float(np.max(np.abs(first["sigma_measured"] - first["sigma"]))) < 0.35
 
 
+@pytest.mark.parametrize("sensor", ["ideal", "lag"])
+def test_a_measured_angle_sees_no_turn_of_its_reference(sensor):
+    """Before its sensor and in its reading it is the angle of the continuous plant."""
+    parts = {"sensor": {"measures": ["y"], "y": SENSORS[sensor]}}
+    wrapped = heading(reference={"kind": "step", "size": 3.5, "at": 1.0}, **parts)
+    shorter = {"kind": "step", "size": 3.5 - 2.0 * math.pi, "at": 1.0}
+    first, second = flights(wrapped, heading("CONTINUOUS", reference=shorter, **parts))
+    np.testing.assert_allclose(first["measured_y"], second["measured_y"], atol=1e-9)
+    assert float(first["measured_y"][-1]) < -1.0
+
+
+def test_a_measured_angle_begins_in_the_turn_of_the_channels_reading():
+    """The reference lies in another turn than the reading of the flight computer."""
+    reference = {"kind": "step", "size": 4.0, "at": 0.0}
+    run = dj.simulate(dj.Study.from_table(heading(start=3.8, reference=reference, sensor={"measures": ["y"]})))
+    np.testing.assert_array_equal(run["measured_y"], run["y_measured"])
+    assert float(run["measured_y"][0]) == pytest.approx(3.8 - 2.0 * math.pi)
+
+
 @pytest.mark.parametrize("controller", [heading()["controller"], PID], ids=["pi", "pid"])
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_turning_through_pi(controller, direction):

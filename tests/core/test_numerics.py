@@ -11,7 +11,9 @@ from dssc_jax.core.numerics import (
     binary_exponent,
     clip,
     cubic_spline,
+    delay_weights,
     dot,
+    elapsed_share,
     log_defect,
     root_abs,
     standard_normal,
@@ -128,6 +130,33 @@ def normals(precise, function):
     with jax.enable_x64(precise):
         keys = jax.random.split(jax.random.key(4), 20_000)
         return np.asarray(jax.jit(jax.vmap(lambda key: jnp.stack(function(key))))(keys))
+
+
+def test_weights_of_a_delay_have_the_bits_of_a_hat_function():
+    delays = np.concatenate([np.random.default_rng(0).uniform(0.0, 5.0, 2000), np.arange(6.0)])
+    ages = np.arange(6)
+    expected = np.maximum(0.0, 1.0 - np.abs(delays[:, None] - ages))
+    np.testing.assert_array_equal(np.transpose(delay_weights(delays, len(ages))), expected)
+
+
+@pytest.mark.parametrize(("delay", "expected"), [(0.0, 0), (1.5, 1), (2.0, 2), (3.0, 2)])
+def test_weights_of_a_whole_delay_have_the_derivative_of_one_side(delay, expected):
+    """Of a longer delay, and at the longest one of a shorter one; in both the slopes cancel."""
+    slopes = np.zeros(4)
+    slopes[[expected, expected + 1]] = [-1.0, 1.0]
+    np.testing.assert_array_equal(jax.jacobian(lambda samples: jnp.stack(delay_weights(samples, 4)))(delay), slopes)
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.02, 0.005])
+def test_a_jump_at_a_sample_has_the_derivative_of_a_later_one(dt):
+    """Whatever the roundings of the samples' times: the integral falls by as much as the jump is delayed."""
+
+    def integral(at):
+        return jnp.sum(elapsed_share(at, jnp.arange(300) * dt, dt)) * dt
+
+    for sample in (1, 3, 7, 27, 54, 299):
+        for at in (sample * dt, float(f"{sample * dt:.6g}"), (sample + 0.5) * dt):
+            assert jax.grad(integral)(at) == pytest.approx(-1.0)
 
 
 def test_standard_normals_are_jaxs_own():

@@ -9,6 +9,7 @@ from dssc_jax.core.native.libraries import WITHOUT_EFFECT
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.units import scaled_symbols
 from dssc_jax.design import noise_warning, rate_warning
+from dssc_jax.design.fast_records import record_warnings
 from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.engine.unread_numbers import unread_numbers
@@ -122,7 +123,7 @@ def warn_of_study(study: Study) -> None:
         return
     with faults_by_part(study.loop):
         unread = unread_numbers(study)
-        texts = [noise_warning(study), rate_warning(study), *plant_warnings(study)]
+        texts = [noise_warning(study), rate_warning(study), *plant_warnings(study), *record_warnings(study)]
     for name in unread:
         say(f"warning: {name} is uncertain, and no result depends on it: the code of this part does not read it")
     warn_of_idle_gains(study)

@@ -2,12 +2,32 @@
 
 import jax
 
+from dssc_jax.closed_loop.control import is_angle, unwrap
 from dssc_jax.closed_loop.loop import Loop, LoopParams, signal_name
 from dssc_jax.core.named import signals_in
 from dssc_jax.core.signals import Measurement, Measurements, PlantInput, Scalar, Signals, State
 
 STATE = "x"
 """Letter before the number of a plant's state in its name: the first state is x1."""
+
+
+def has_measured_angle(loop: Loop, i: int) -> bool:
+    """Whether the output of channel i is an angle that is also a measured signal."""
+    return is_angle(loop, i) and signal_name(loop.channels[i], "y") in [signal.name for signal in loop.measures]
+
+
+def continuous_outputs(loop: Loop, measurements: Measurements, previous: Signals | tuple[State, ...]) -> Measurements:
+    """The plant's outputs as measured signals show them: an angle lies within pi of its previous value.
+
+    Args:
+        loop: The models and the clock.
+        measurements: The plant's outputs.
+        previous: The previous angle of each channel with a measured angle [rad]; other elements are not read.
+    """
+    outputs = []
+    for i, measurement in enumerate(measurements):
+        outputs.append(unwrap(loop, i, measurement, previous[i]) if has_measured_angle(loop, i) else measurement)
+    return tuple(outputs)
 
 
 def signal_values(
@@ -19,7 +39,7 @@ def signal_values(
         loop: The models and the clock.
         params: Their parameters.
         plant: The plant's state.
-        measurements: The plant's outputs.
+        measurements: The plant's outputs; an angle from :func:`continuous_outputs`.
         drive: The plant's input just before the sample, so that a signal with feedthrough shows the last command.
     """
     if not loop.measures:

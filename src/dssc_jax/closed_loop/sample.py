@@ -23,7 +23,13 @@ from dssc_jax.closed_loop.estimates import measurements_for_sensors, next_estima
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics.instants import Instant, Sample
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
-from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
+from dssc_jax.closed_loop.readings import (
+    continuous_outputs,
+    first_readings,
+    has_measured_angle,
+    read_signals,
+    signal_values,
+)
 from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
@@ -54,6 +60,7 @@ class ChannelState(NamedTuple):
         reaching: The command that reaches the plant just before the sample.
         angle: The plant's last output, continuous in time [rad]; () if the output is no angle.
         reading: The last reading, continuous in time [rad]; () if the output is no angle.
+        signal: The last value of the output as a measured signal, continuous in time [rad]; () if it is no such angle.
     """
 
     controller: State
@@ -65,6 +72,7 @@ class ChannelState(NamedTuple):
     reaching: Scalar
     angle: State = ()
     reading: State = ()
+    signal: State = ()
 
     @property
     def control(self) -> ControlState:
@@ -135,21 +143,30 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     condition = loop.condition(params, 0.0)
     drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0, condition)
     exact = measure(loop, params, plant, references, drive)
-    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
+    true_plant = plant
     plant, estimate = start_estimate(loop, params, key, plant)
     measurements = measurements_for_sensors(loop, params, plant, references, drive, exact)
-    channels = []
+    sensors = []
+    first_channel_readings = []
     for i, name in enumerate(loop.channels):
         sensor = loop.sensor[i].init(params.sensor[i], measurements[i], loop.key_at(key, "sensor", name, 0))
         # the controller starts from its measurement at the first sample, not from the plant's output
         first_key = loop.key_at(key, "sensor", name, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first_key, 0.0, loop.sample_time)
-        wrapped_reading = principal_value(loop, i, reading)._replace(signals=signals)
+        sensors.append(sensor)
+        first_channel_readings.append(principal_value(loop, i, reading))
+    # a measured angle begins in the turn of its channel's reading, so that a controller of both sees one angle
+    outputs = continuous_outputs(loop, exact, tuple(reading.y for reading in first_channel_readings))
+    values = signal_values(loop, params, true_plant, outputs, drive)
+    signal_sensors, signals = first_readings(loop, params, key, values)
+    channels = []
+    for i in range(len(loop.channels)):
+        wrapped_reading = first_channel_readings[i]._replace(signals=signals)
         control = initial_control(loop, params, i, wrapped_reading, references[i])
         channels.append(
             ChannelState(
                 controller=begin_controller(loop, params, key, i, control.controller),
-                sensor=sensor,
+                sensor=sensors[i],
                 differentiator=control.differentiator,
                 unmodelled=at_rest[i],
                 disturbance=disturbances[i],
@@ -157,6 +174,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reaching=reaching[i],
                 angle=measurements[i].y if is_angle(loop, i) else (),
                 reading=control.reading,
+                signal=outputs[i].y if has_measured_angle(loop, i) else (),
             )
         )
     return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
@@ -308,7 +326,8 @@ def step(
     condition = loop.condition(params, t)
     drive_before = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t, condition)
     measurements = measure(loop, params, state.plant, references, drive_before)
-    values = signal_values(loop, params, state.plant, measurements, drive_before)
+    outputs = continuous_outputs(loop, measurements, tuple(channel.signal for channel in state.channels))
+    values = signal_values(loop, params, state.plant, outputs, drive_before)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
     sensor_inputs = measurements_for_sensors(loop, params, state.plant, references, drive_before, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
@@ -346,7 +365,8 @@ def step(
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
     reaching = actuate(loop, params, next_unmodelled, held_commands)
     for i, channel in enumerate(channels):
-        channels[i] = channel._replace(unmodelled=next_unmodelled[i], reaching=reaching[i])
+        signal = outputs[i].y if has_measured_angle(loop, i) else ()
+        channels[i] = channel._replace(unmodelled=next_unmodelled[i], reaching=reaching[i], signal=signal)
     next_state = as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
     is_broken = loop.plant.broken(params.plant, next_state.plant)
     is_grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)

@@ -196,12 +196,47 @@ def wrap_angle(angle: Scalar) -> Scalar:
     return turned_near(angle, 0.0)
 
 
+@jax.custom_jvp
 def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
     """Share in [0, 1] of the sample [t, t + dt) that lies after ``at`` [s].
 
-    A held signal that begins within the sample acts with its mean, which is its value times this share.
+    A held signal that begins within the sample acts with its mean, which is its value times this share. Where ``at`` is
+    the beginning of a sample, the derivative is that of a later one.
     """
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
+
+
+@elapsed_share.defjvp
+def elapsed_share_slope(
+    point: tuple[Scalar, Scalar, Scalar], tangents: tuple[Scalar, Scalar, Scalar]
+) -> tuple[Scalar, Scalar]:
+    """The JVP of :func:`elapsed_share`: the slope is 0 at a share of 0, and that of the quotient at a share of 1.
+
+    Both up to the rounding of the times, so that exactly one of two consecutive samples has a slope.
+    """
+    at, t, dt = point
+    share, slope = jax.jvp(lambda at, t, dt: (t + dt - at) / dt, point, tangents)
+    rounding = 8.0 * jnp.finfo(jnp.result_type(share)).eps * (jnp.abs(t) + jnp.abs(at) + dt) / dt
+    is_within = (share > rounding) & (share <= 1.0 + rounding)
+    return elapsed_share(at, t, dt), jnp.where(is_within, slope, 0.0)
+
+
+def delay_weights(samples: Scalar, count: int) -> list[Scalar]:
+    """Weights of the last signals in the mean of a delayed signal over a sample.
+
+    With a delay of n + f samples they are 1 - f for the signal n samples ago, f for the one before, and 0 for others.
+    The derivative at a whole number of samples is that of a longer delay; at the longest, that of a shorter one.
+
+    Args:
+        samples: The delay in samples, from 0 to count - 1.
+        count: Number of signals in memory, the present one first; at least 2.
+    """
+    whole = jnp.minimum(jnp.floor(samples), count - 2.0)
+    weights = []
+    for age in range(count):
+        newer = jnp.where(whole == age, 1.0 - (samples - age), 0.0)
+        weights.append(jnp.where(whole == age - 1, 1.0 - (age - samples), newer))
+    return weights
 
 
 def stream(name: str) -> int:

@@ -31,6 +31,18 @@ class Pieces(NamedTuple):
     coefficients: jax.Array | np.ndarray
 
 
+class HeldRecord(NamedTuple):
+    """A record whose values are held, with their integrals, so that its mean over an interval costs two searches.
+
+    Args:
+        pieces: The values as pieces of degree 0.
+        integrals: Integral from the first time to each time [s times the unit of the values], shape (n,).
+    """
+
+    pieces: Pieces
+    integrals: jax.Array | np.ndarray
+
+
 class Interpolation(StrEnum):
     """Rule by which values between two recorded times are found: the earlier value, a straight line, or a spline."""
 
@@ -88,6 +100,34 @@ def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolat
         with errors_under("" if len(values) == len(time) else name):
             parts.append(cubic_pieces(time, values, rule))
     return tuple(parts)
+
+
+def held_record(pieces: Pieces) -> HeldRecord:
+    """The record of pieces of degree 0, with its integrals."""
+    areas = np.asarray(pieces.coefficients)[1:-1, 0] * np.diff(np.asarray(pieces.begins))
+    return HeldRecord(pieces, np.concatenate([np.zeros(1), np.cumsum(areas)]))
+
+
+def held_mean(record: HeldRecord, t: Scalar, dt: Scalar) -> Scalar:
+    """The mean of a held record over [t, t + dt); where no value begins within it, the value itself.
+
+    A value that begins at t or at t + dt up to the rounding error of these times begins within no interval.
+    """
+    t = jnp.asarray(t, jnp.result_type(float))
+    begins = jnp.asarray(record.pieces.begins, t.dtype)
+    values = jnp.asarray(record.pieces.coefficients, t.dtype)[:, 0]
+    integrals = jnp.asarray(record.integrals, t.dtype)
+    end = t + dt
+    rounding = 4.0 * jnp.finfo(t.dtype).eps
+    first = jnp.searchsorted(begins, t + rounding * jnp.abs(t), side="right", method="scan_unrolled")
+    last = jnp.searchsorted(begins, end - rounding * jnp.abs(end), side="left", method="scan_unrolled")
+    has_jump = last > first
+    next_begin = jnp.minimum(first, len(begins) - 1)
+    last_begin = jnp.maximum(last - 1, 0)
+    before = values[first] * (begins[next_begin] - t)
+    between = integrals[last_begin] - integrals[next_begin]
+    after = values[last] * (end - begins[last_begin])
+    return jnp.where(has_jump, (before + between + after) / dt, values[first])
 
 
 def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:

@@ -26,6 +26,7 @@ from dssc_jax.study.numbers import Number, leaves_of, numbers_by_name, parse_num
 from dssc_jax.study.parameters import Expression
 from dssc_jax.study.table_errors import first_error, value_errors_at
 from dssc_jax.study.tables import merge_tables, with_default
+from dssc_jax.study.variation_checks import require_variation
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,10 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         params_type = getattr(model, "params", model)
         params, numbers = parse_params(fields, params_type, getattr(model, "defaults", None), choices)
         prepare = getattr(model, "prepare", unchanged_params)
-        return Component(kind, model, prepare(params), numbers)
+        prepared_params = prepare(params)
+        if kind not in registry:
+            require_variation(kind, model, prepared_params)
+        return Component(kind, model, prepared_params, numbers)
 
 
 def parse_params(

@@ -168,3 +168,16 @@ def test_bad_numbers(kind, change, location):
     with pytest.raises(ConfigError) as error:
         parsed({"kind": kind, **TABLES[kind], **change})
     assert error.value.where == location
+
+
+def test_a_row_at_a_sample_has_the_derivative_of_a_later_one():
+    """The row before fills what a later row leaves."""
+    model, _ = parsed({"kind": "piecewise", **TABLES["piecewise"]})
+
+    def distance(at):
+        params = model.params((1.0, at, 3.5), (1.0, -2.0, 0.0), (0.0,) * 3, (0.0,) * 3)
+        held = jax.vmap(lambda t: model.step(params, None, None, t, 0.1).x)(jnp.arange(60) * 0.1)
+        return jnp.sum(held) * 0.1
+
+    for at in (2.0, 2.1, 2.35):
+        assert jax.grad(distance)(at) == pytest.approx(1.0 - -2.0)

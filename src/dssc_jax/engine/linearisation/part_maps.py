@@ -8,7 +8,7 @@ import jax
 from dssc_jax.closed_loop.control import measure
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
-from dssc_jax.closed_loop.readings import signal_values
+from dssc_jax.closed_loop.readings import continuous_outputs, signal_values
 from dssc_jax.closed_loop.sample import LoopState, Recorded, step
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.signals import (
@@ -175,7 +175,9 @@ def signal_sensor_map(at: OperatingPoint, i: int) -> PartMap:
         sensor_state, reading = part.step(params, memory, measurement, stream, at.time, at.loop.sample_time)
         return sensor_state, reading.y
 
-    values = signal_values(at.loop, at.params, at.state.plant, at.recorded.measurements, at.drive)
+    previous_angles = tuple(channel.signal for channel in at.state.channels)
+    outputs = continuous_outputs(at.loop, at.recorded.measurements, previous_angles)
+    values = signal_values(at.loop, at.params, at.state.plant, outputs, at.drive)
     return PartMap(apply, at.state.signals[i], values[i])
 
 

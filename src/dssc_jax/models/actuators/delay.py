@@ -3,11 +3,10 @@
 from typing import Annotated, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Timing, Unmodelled
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot
+from dssc_jax.core.numerics import delay_weights, dot
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import SMOOTH
@@ -65,8 +64,7 @@ def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Arr
     f u_(n+1), where u_n is the command n samples ago.
     """
     commands = (command, *state.commands[:-1])
-    weights = [jnp.maximum(0.0, 1.0 - jnp.abs(params.samples - age)) for age in range(len(commands))]
-    return DelayState(commands, dot(weights, commands))
+    return DelayState(commands, dot(delay_weights(params.samples, len(commands)), commands))
 
 
 def has_fraction(params: DelayParams) -> bool:

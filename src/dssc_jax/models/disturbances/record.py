@@ -2,11 +2,24 @@
 
 from typing import Annotated, NamedTuple
 
+import jax
+
 from dssc_jax.core.contracts import Disturbance
 from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, cubic_pieces, piece_at
+from dssc_jax.core.records import (
+    TIMES,
+    HeldRecord,
+    Interpolation,
+    Pieces,
+    Values,
+    cubic_pieces,
+    held_mean,
+    held_record,
+    piece_at,
+)
 from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import SMOOTH
 
 
@@ -15,6 +28,11 @@ class RecordedDisturbanceParams(NamedTuple):
 
     time: Annotated[Values, TIMES]
     value: Annotated[Values, Quantity("u", "values at these times", law=False, data=True)]
+
+
+def record_mean(record: HeldRecord, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
+    """Mean of a held record over [t, t + dt): the integral of a jump within a sample is exact, its time up to T_s."""
+    return held_mean(record, t, dt)
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
@@ -26,10 +44,10 @@ def recorded_disturbance(rule: Interpolation) -> Disturbance:
     if rule == Interpolation.HOLD:
         return Disturbance(
             RecordedDisturbanceParams,
-            lambda pieces, key: 0.0,
-            lambda pieces, state, key, t, dt: piece_at(pieces, t).y,
-            lambda pieces, state, measurement, sigma, t: state,
-            prepare,
+            lambda record, key: 0.0,
+            record_mean,
+            lambda record, state, measurement, sigma, t: state,
+            lambda params: held_record(prepare(params)),
             smooth=SMOOTH,
         )
     return Disturbance(

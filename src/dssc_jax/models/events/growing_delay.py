@@ -3,12 +3,11 @@
 from typing import Annotated, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import AT, CommandEvent
-from dssc_jax.core.numerics import dot
+from dssc_jax.core.numerics import clip, delay_weights, dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
@@ -58,9 +57,8 @@ def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax
     f u_(n+1), where u_n is the command n samples ago.
     """
     commands = (command, *state.commands[:-1])
-    samples = jnp.clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
-    weights = [jnp.maximum(0.0, 1.0 - jnp.abs(samples - age)) for age in range(len(commands))]
-    return GrowingState(state.t + dt, commands, dot(weights, commands))
+    samples = clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
+    return GrowingState(state.t + dt, commands, dot(delay_weights(samples, len(commands)), commands))
 
 
 GROWING_DELAY = CommandEvent(

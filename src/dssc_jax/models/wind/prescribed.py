@@ -136,7 +136,8 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
     wind = Vec3(0.0, 0.0, 0.0)
     covered_share = 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
-        share = jnp.maximum(elapsed_share(at, t, dt) - covered_share, 0.0)
+        remaining_share = elapsed_share(at, t, dt) - covered_share
+        share = jnp.where(remaining_share < 0.0, 0.0, remaining_share)  # at 0 with the slope, as a row that has ended
         wind = wind + Vec3(x, y, z) * share
         covered_share = covered_share + share
     return wind

@@ -2,16 +2,27 @@
 
 from typing import Annotated, NamedTuple
 
+import jax
 import numpy as np
 
 from dssc_jax.core.default_functions import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
+from dssc_jax.core.records import (
+    TIMES,
+    HeldRecord,
+    Interpolation,
+    Pieces,
+    Values,
+    columns_as_pieces,
+    held_mean,
+    held_record,
+    piece_at,
+)
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.core.wind import Wind, WindBounds
-from dssc_jax.models.wind.prescribed import enclosing
+from dssc_jax.models.wind.prescribed import enclosing, held_wind
 
 
 class RecordedWindParams(NamedTuple):
@@ -29,9 +40,25 @@ def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
     return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
 
 
-def held_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
+def first_wind(records: tuple[HeldRecord, ...], key: jax.Array) -> Vec3:
+    """The state before the first sample: the wind of a held record at t = 0 [m/s]."""
+    return wind_at(pieces_of(records), (), 0.0)
+
+
+def wind_mean(records: tuple[HeldRecord, ...], state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
+    """The mean of a held record over [t, t + dt), so that a jump within a sample does not reduce the order."""
+    x, y, z = records
+    return Vec3(held_mean(x, t, dt), held_mean(y, t, dt), held_mean(z, t, dt))
+
+
+def pieces_of(records: tuple[HeldRecord, ...]) -> tuple[Pieces, ...]:
+    """The pieces of the three components of a held record."""
+    return tuple(record.pieces for record in records)
+
+
+def held_bounds(records: tuple[HeldRecord, ...]) -> WindBounds:
     """Bounds of a wind that holds its values and jumps between them: the largest norms of the values."""
-    return enclosing(coefficient_rows(pieces, 0), None)
+    return enclosing(coefficient_rows(pieces_of(records), 0), None)
 
 
 def line_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
@@ -45,23 +72,31 @@ def coefficient_rows(pieces: tuple[Pieces, ...], power: int) -> list[Vec3]:
     return [Vec3(*row) for row in zip(*columns, strict=True)]
 
 
-BOUNDS = {Interpolation.HOLD: held_bounds, Interpolation.LINEAR: line_bounds}
-"""Bounds of the wind by the rule of interpolation; a cubic spline overshoots the recorded values, so it has none."""
-
-
 def recorded_wind(rule: Interpolation) -> Wind:
-    """The wind that interpolates a record of its three components by a rule."""
+    """The wind that interpolates a record of three components by a rule; with ``hold`` it is constant over each sample.
+
+    A cubic spline overshoots the recorded values, so it has no bounds.
+    """
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
+    if rule == Interpolation.HOLD:
+        return Wind(
+            params=RecordedWindParams,
+            init=first_wind,
+            step=wind_mean,
+            value=held_wind,
+            prepare=lambda params: tuple(map(held_record, prepare(params))),
+            bounds=held_bounds,
+        )
     return Wind(
         params=RecordedWindParams,
         init=stateless,
         step=unchanged,
         value=wind_at,
         prepare=prepare,
-        bounds=BOUNDS.get(rule),
+        bounds=line_bounds if rule == Interpolation.LINEAR else None,
     )
 
 
