@@ -176,6 +176,28 @@ def test_sensors_of_outputs_and_of_measured_signals_are_named(place, fault, monk
     assert re.search(rf"{re.escape(place)}$", caught.value.where)
 
 
+class Low(NamedTuple):
+    """A running minimum within a nested state."""
+
+    peak: float
+    low: tuple
+
+
+@pytest.mark.parametrize("infinity", [math.inf, -math.inf, np.float64("nan"), (0.0, math.inf)])
+def test_a_start_that_is_not_finite_is_refused_with_its_field(infinity, monkeypatch):
+    def init(gains, seen, wanted):
+        constant = jnp.asarray(infinity) if isinstance(infinity, tuple) else infinity
+        return Low(seen.y, (0.0, constant))
+
+    controller = CONTROLLER._replace(init=init, step=lambda g, state, y, r, dt: (state, Command(-y.y, 0.0), ()))
+    with pytest.raises(ConfigError, match=r"`init` starts low\.1 at ") as caught:
+        study(monkeypatch, plant=PLANT, controller=controller)
+    assert caught.value.where.endswith("controller")
+    plant = PLANT._replace(init=lambda params: Swing(0.1, -jnp.inf))
+    with pytest.raises(ConfigError, match=r"plant: `init` starts rate at -inf"):
+        study(monkeypatch, plant=plant, controller=CONTROLLER)
+
+
 def relu(params, state, drive, t):
     bounded = jax.custom_jvp(lambda x: jnp.minimum(x, 2.0))
     bounded.defjvp(lambda primals, tangents: (bounded(*primals), tangents[0]))

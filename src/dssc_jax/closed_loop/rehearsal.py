@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
@@ -55,6 +56,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
     key = jax.random.key(0)
     with faults_by_part(loop):
         check_results(loop, params)
+        check_starts(loop, params)
         state = initial_state(loop, params, key)
         derivative = initial_derivative(loop, params, state)
         require_form("plant", "derivative", "the state's derivative", state.plant, derivative)
@@ -98,6 +100,62 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
         f"{subject} other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
         "a pure function, which is traced once: give what is random a law, a [[disturbance]] or a [sensor]",
     )
+
+
+def check_starts(loop: Loop, params: LoopParams) -> None:
+    """Require that the user's parts start at finite numbers; those that follow from traced ones are not known.
+
+    Raises:
+        ConfigError: A number of an initial state is infinite or NaN.
+    """
+    key = jax.random.key(0)
+    user_parts = {function.part for function in user_functions(loop).values()}
+
+    def check(part: str, init: Callable[..., State], *arguments: object) -> None:
+        if part in user_parts:
+            with jax.ensure_compile_time_eval():  # a constant array of the part has its value here
+                require_finite_start(part, init(*arguments))
+
+    check("plant", loop.plant.init, params.plant)
+    check("wind", loop.wind.init, params.wind, key)
+    plant = as_arrays(loop.plant.init(params.plant))
+    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
+    references = loop.mimo_reference.at(params.reference, 0.0)
+    for i, name in enumerate(loop.channels):
+        seen = measurements[i]._replace(signals=(0.0,) * len(loop.measures))
+        check(place_of("controller", name), loop.controller[i].init, params.controller[i], seen, references[i])
+        check(place_of("sensor", name), loop.sensor[i].init, params.sensor[i], measurements[i], key)
+        differentiator = loop.differentiator[i]
+        check(place_of("differentiator", name), differentiator.init, params.differentiator[i], measurements[i])
+        check(place_of("unmodelled", name), loop.unmodelled[i].init, params.unmodelled[i])
+        check(place_of("disturbance", name), loop.disturbance[i].init, params.disturbance[i], key)
+    for name, model, model_params in zip(loop.input_names, loop.inputs, params.inputs, strict=True):
+        check(f"disturbance.{name}", model.init, model_params, key)
+    for signal, model, model_params in zip(loop.measures, loop.signal_sensor, params.signal_sensor, strict=True):
+        check(place_of("sensor", signal.name), model.init, model_params, Measurement(0.0, 0.0), key)
+
+
+def require_finite_start(part: str, state: State) -> None:
+    """Require that the known numbers of an initial state are finite.
+
+    Args:
+        part: Path of the part in the study.
+        state: Its initial state, any tree of numbers.
+
+    Raises:
+        ConfigError: A number is infinite or NaN; the message has its field.
+    """
+    for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]:
+        is_number = isinstance(leaf, jax.Array | np.ndarray | np.generic | float | int)
+        if not is_number or isinstance(leaf, Tracer) or np.all(np.isfinite(leaf)):
+            continue
+        field = jax.tree_util.keystr(path, simple=True, separator=".") or "the state"
+        raise ConfigError(
+            part,
+            f"`init` starts {field} at {np.asarray(leaf).tolist()}: a draw whose state is not finite has diverged and "
+            "ends. Start it at a finite number, such as the first measurement for a running minimum, or add a field "
+            "that tells whether it is set",
+        )
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:
