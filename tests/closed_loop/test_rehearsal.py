@@ -13,7 +13,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.closed_loop.repeatability import first_difference
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.types import Command, Controller, Measurement, Plant
+from dssc_jax.types import Command, Controller, Measurement, Plant, Sensor
 from tests.conftest import UNCERTAIN
 
 RANDOM = np.random.default_rng()
@@ -136,6 +136,66 @@ def test_controllers_function_is_named(fault, monkeypatch):
     with pytest.raises(ConfigError, match=rule) as caught:
         study(monkeypatch, plant=PLANT, controller=CONTROLLER._replace(step=step))
     assert "controller" in caught.value.where
+
+
+def without_state(reading):
+    """A sensor whose step gives this reading of a measurement."""
+    return Sensor(Params, lambda p, m, key: (), lambda p, state, m, key, t, dt: (state, reading(m)))
+
+
+SENSORS = {
+    "a random number": (without_state(lambda m: Measurement(m.y + RANDOM.normal(), m.y_dot)), "gives other values"),
+    "a name that is not there": (
+        without_state(lambda m: Measurement(m.nothing, 0.0)),
+        "`step` fails in line .*nothing",
+    ),
+    "another state": (
+        Sensor(Params, lambda p, m, key: m.y, lambda p, state, m, key, t, dt: ((state, state), m)),
+        r"`step` must return the state as number, got \(number, number\)",
+    ),
+    "an array": (
+        without_state(lambda m: Measurement(m.y * jnp.ones(3), m.y_dot)),
+        r"`step` must return the reading as .* got Measurement\(y=array of shape \(3,\)",
+    ),
+    "no state": (
+        Sensor(Params, lambda p, m, key: (), lambda p, state, m, key, t, dt: m.y),
+        r"`step` must return \(state, reading\), got number",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", SENSORS)
+@pytest.mark.parametrize("place", ["sensor", "sensor.x1"])
+def test_sensors_of_outputs_and_of_measured_signals_are_named(place, fault, monkeypatch):
+    sensor, rule = SENSORS[fault]
+    monkeypatch.setitem(globals(), "SENSOR", sensor)
+    chosen = {"kind": f"{__name__}:SENSOR"}
+    table = chosen if place == "sensor" else {"measures": ["x1"], "x1": chosen}
+    with pytest.raises(ConfigError, match=rule) as caught:
+        dj.Study.from_table({**UNCERTAIN, "sweep": {}, "differentiator": {"kind": "none"}, "sensor": table})
+    assert re.search(rf"{re.escape(place)}$", caught.value.where)
+
+
+class Low(NamedTuple):
+    """A running minimum within a nested state."""
+
+    peak: float
+    low: tuple
+
+
+@pytest.mark.parametrize("infinity", [math.inf, -math.inf, np.float64("nan"), (0.0, math.inf)])
+def test_a_start_that_is_not_finite_is_refused_with_its_field(infinity, monkeypatch):
+    def init(gains, seen, wanted):
+        constant = jnp.asarray(infinity) if isinstance(infinity, tuple) else infinity
+        return Low(seen.y, (0.0, constant))
+
+    controller = CONTROLLER._replace(init=init, step=lambda g, state, y, r, dt: (state, Command(-y.y, 0.0), ()))
+    with pytest.raises(ConfigError, match=r"`init` starts low\.1 at ") as caught:
+        study(monkeypatch, plant=PLANT, controller=controller)
+    assert caught.value.where.endswith("controller")
+    plant = PLANT._replace(init=lambda params: Swing(0.1, -jnp.inf))
+    with pytest.raises(ConfigError, match=r"plant: `init` starts rate at -inf"):
+        study(monkeypatch, plant=plant, controller=CONTROLLER)
 
 
 def relu(params, state, drive, t):

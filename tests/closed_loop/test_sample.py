@@ -1,5 +1,7 @@
 """The closed loop of one draw: order of the integrators, agreement with an independent solver, freezing."""
 
+from typing import NamedTuple
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from dssc_jax.core.integrators import rk4, semi_implicit_euler
 from dssc_jax.core.signals import PlantInput
 from dssc_jax.core.zero_dynamics import ZeroDynamics, companion, is_hurwitz, kharitonov, norm_observer
 from dssc_jax.models.plants.normal_form import NORMAL_FORM, NormalFormParams, NormalFormState
+from dssc_jax.types import SMOOTH, Command, Controller
 
 OPEN_LOOP = {
     "name": "order",
@@ -193,3 +196,55 @@ def test_every_sample_counts_once_whether_their_number_is_even_or_odd(uncertain,
     for measure in study.measures:
         np.testing.assert_allclose(batched[measure.name].values[2], alone.attrs[measure.name], rtol=1e-11)
     np.testing.assert_allclose(batched["error_rms"].values[2], np.sqrt(np.mean(alone["e"].values ** 2)), rtol=1e-11)
+
+
+class Gains(NamedTuple):
+    """Gains of a controller that filters twice."""
+
+    l0: float = 1.0
+
+
+class Filters(NamedTuple):
+    """Its state, as an array of shape (2,) or as a tuple of two numbers [y]."""
+
+    x: object
+
+
+def filtered(gains, state, measurement, reference, dt):
+    """One step with either form of the state."""
+    moved = [0.9 * x + 0.1 * c * (measurement.y - reference.y) for x, c in zip(state.x, (1.0, 2.0), strict=True)]
+    x = jnp.stack(moved) if isinstance(state.x, jax.Array) else tuple(moved)
+    return Filters(x), Command(-2.0 * (x[0] + x[1]) - 2.0 * measurement.y_dot, 0.0), ()
+
+
+IN_ARRAY = Controller(Gains, lambda g, y, r: Filters(jnp.zeros(2)), filtered, smooth=SMOOTH)
+IN_NUMBERS = IN_ARRAY._replace(init=lambda g, y, r: Filters((0.0, 0.0)))
+
+
+def with_controller(name):
+    """A study with one of these controllers."""
+    return dj.Study.from_table(
+        {
+            "name": "filters",
+            "draws": 4,
+            "loop": {"duration": 1.0, "sample_time": 0.02},
+            "plant": {"kind": "normal_form", "k_p": 1.0, "a_p": {"uniform": [0.5, 1.0]}, "initial": [1.0, 0.0]},
+            "controller": {"kind": f"{__name__}:{name}"},
+            "requirement": [{"metric": "error_max", "max": 2.0}],
+        }
+    )
+
+
+@pytest.mark.parametrize("kernel", ["lanes", "scan"])
+def test_a_state_may_be_an_array(kernel, monkeypatch):
+    """As machine code and by plain XLA; the sum that tells whether it is finite had its shape."""
+    monkeypatch.setenv("DSSC_JAX_KERNEL", kernel)
+    in_array, in_numbers = (dj.run(with_controller(name)).dataset for name in ("IN_ARRAY", "IN_NUMBERS"))
+    for name in ("outcome", "error_rms", "command_max"):
+        np.testing.assert_allclose(in_array[name], in_numbers[name], rtol=1e-12)
+    assert np.all(in_array["outcome"] == 0)
+
+
+def test_a_loop_with_an_array_as_state_is_linearised():
+    peaks = [dj.loop_margins(with_controller(name)).dataset["sensitivity_peak"] for name in ("IN_ARRAY", "IN_NUMBERS")]
+    np.testing.assert_allclose(*peaks, rtol=1e-9)

@@ -1,9 +1,13 @@
 """An uncertain number that the code of a user's part does not read is told; it follows from the program."""
 
+from typing import Annotated, NamedTuple
+
 import dssc_jax as dj
 from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement
 from dssc_jax.engine.unread_numbers import unread_numbers
+from dssc_jax.types import Sensor
 from tests.design.test_plant_checks import TANK, Level
 
 PLANT = "tests.engine.test_unread_numbers"
@@ -29,6 +33,15 @@ USED_WITH_INPUTS = USED._replace(
 )
 LIMITING = reading(lambda params: 2.0 + 0.0 * (params.area > 1e6))
 UNUSED = reading(lambda params: 2.0)
+
+
+class Noise(NamedTuple):
+    """A number of a sensor."""
+
+    size: Annotated[float, Quantity("y", "size", at_least=0.0)] = 0.1
+
+
+EXACT = Sensor(Noise, lambda p, m, key: (), lambda p, state, m, key, t, dt: (state, m))
 
 
 def study(tank, **changes):
@@ -62,6 +75,11 @@ def test_uncertain_disturbances_at_several_inputs_are_no_numbers_of_the_plant():
     """Beside a plant of one channel; the second input is not read, which the plant's own checks tell."""
     disturbance = [{"kind": "constant", "value": {"uniform": [0.1, 0.2]}, "input": name} for name in ("leak", "rain")]
     assert unread_numbers(study("USED_WITH_INPUTS", disturbance=disturbance)) == []
+
+
+def test_sensors_of_measured_signals_are_looked_at():
+    sensor = {"measures": ["y"], "y": {"kind": f"{PLANT}:EXACT", "size": {"uniform": [0.1, 0.2]}}}
+    assert unread_numbers(study("USED", sensor=sensor)) == ["sensor.y.size"]
 
 
 def test_parts_of_the_package_are_not_looked_at():

@@ -204,3 +204,40 @@ def sorting(gains, state, measurement, reference, dt):
 
 
 SORTING = next(iter(CONTROLLERS["pi"].members.values()))._replace(step=sorting)
+
+
+def with_state(start, following):
+    """A controller whose state, within its pair of fields, starts and continues so."""
+    return SORTING._replace(
+        init=lambda gains, measurement, reference: {"y": measurement.y, "n": start()},
+        step=lambda gains, state, measurement, reference, dt: (
+            {"y": measurement.y, "n": following(state["n"])},
+            Command(-gains.k_p * measurement.y + 0.01 * jax.numpy.sum(state["n"]).astype(float), 0.0),
+            (),
+        ),
+        transfer=None,
+    )
+
+
+BYTE = with_state(lambda: jax.numpy.uint8(0), lambda n: n + jax.numpy.uint8(1))
+WORD = with_state(lambda: jax.numpy.uint32(1), lambda n: n * jax.numpy.uint32(5))
+ARRAY = with_state(lambda: jax.numpy.zeros(2), lambda n: 0.5 * n)
+COUNTER = with_state(lambda: 0, lambda n: jax.numpy.where(n >= 255, 0, n + 1))
+FLAG = with_state(lambda: False, lambda n: n < 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("BYTE", "uint8"), ("WORD", "uint32"), ("ARRAY", r"an array of shape \(2,\)")]
+)
+def test_a_state_that_code_cannot_keep_is_refused_by_name(name, kind):
+    """An unsigned counter became a double that never wrapped; shifts of a word ended in a traceback."""
+    study = dj.Study.from_table(table({"kind": f"{__name__}:{name}", "k_p": 1.0, "k_i": 0.5}))
+    with pytest.raises(ConfigError, match=f"^controller: keeps n as {kind}.*: keep "):
+        FlightFolder(study)
+
+
+@pytest.mark.parametrize("name", ["COUNTER", "FLAG"])
+def test_integers_and_flags_are_kept_as_in_the_loop(name, tmp_path):
+    study = dj.Study.from_table(table({"kind": f"{__name__}:{name}", "k_p": 1.0, "k_i": 0.5}))
+    written(tmp_path, study)
+    assert values_compared(made(tmp_path, "check")) > 0

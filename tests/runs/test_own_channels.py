@@ -43,6 +43,12 @@ def plant(names):
 TWO = plant("ab")
 THREE = plant("abc")
 FIVE = plant("abcdf")
+FLYING = TWO._replace(
+    flies=True,
+    derivative=lambda params, state, drive, t: TWO.derivative(params, state, drive, t)._replace(
+        x=(state.v[0] + (0.0 if drive.wind is None else drive.wind.x), state.v[1])
+    ),
+)
 """
 
 
@@ -112,3 +118,30 @@ def test_code_records_the_channels_of_the_plant(channels, plant, tmp_path, monke
     (tmp_path / "channels.toml").write_text(text)
     assert guarded(["code", "channels.toml", "--allow-local", "--out", "written", "--draws", "1"]) == 0
     assert (tmp_path / "written" / "recorded.bin").stat().st_size > 0
+
+
+WIND = {"kind": "constant", "x": 1.0, "y": 0.0, "z": 0.0}
+STEPS = {"kind": "steps", "position": [0.1, 0.2, 3.0], "yaw": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        ({"wind": WIND}, r"wind\.kind: "),
+        ({"reference": STEPS}, "reference: is a vehicle's"),
+        ({"reference": {"position": [1.0, 0.0, 0.0]}}, "reference: is a vehicle's"),
+        ({"reference": {**STEPS, "a": {"kind": "step", "size": 0.5}}}, "reference: is a vehicle's"),
+    ],
+)
+def test_wind_and_flights_need_a_plant_that_flies(channels, changes, place):
+    """They had no effect, without a word; or a channel followed the position of another unit."""
+    with pytest.raises(ConfigError, match=rf"{place}.*'own_channels:TWO' does not fly; .*declares `flies=True`"):
+        dj.Study.from_table(table_of("TWO", **changes))
+
+
+def test_a_plant_that_flies_takes_wind_and_flights(channels):
+    still = dj.simulate(dj.Study.from_table(table_of("FLYING", reference=STEPS)))
+    windy = dj.simulate(dj.Study.from_table(table_of("FLYING", reference=STEPS, wind=WIND)))
+    assert np.all(still["b_y_ref"].values == 0.2)
+    assert windy["a_y"].values[-1] > still["a_y"].values[-1]
+    np.testing.assert_array_equal(windy["b_y"], still["b_y"])

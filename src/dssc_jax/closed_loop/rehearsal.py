@@ -11,18 +11,21 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
 from dssc_jax.closed_loop.repeatability import first_difference
 from dssc_jax.closed_loop.sample import LoopState, initial_state, step
+from dssc_jax.core.contracts import Sensor
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.signals import Command, Measurement, State
+from dssc_jax.core.signals import Command, Measurement, Params, State
 
 NEW_LINE = "\n"
 PACKAGE = __name__.partition(".")[0]
 RESULTS_OF_STEP = 3  # state, command, info
+RESULTS_OF_SENSOR = 2  # state, reading
 SLOTS_OF_CHANNELS = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 KEPT_VALUES = "a part keeps nothing between calls: what it has to remember is in the state that it returns"
 TRACED_VALUES = (
@@ -53,6 +56,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
     key = jax.random.key(0)
     with faults_by_part(loop):
         check_results(loop, params)
+        check_starts(loop, params)
         state = initial_state(loop, params, key)
         derivative = initial_derivative(loop, params, state)
         require_form("plant", "derivative", "the state's derivative", state.plant, derivative)
@@ -64,6 +68,8 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
             initial = getattr(state.channels[channel], slot)
             next_part_state = getattr(next_state.channels[channel], slot)
             require_form(place_of(slot, name), "step", "the state", initial, next_part_state)
+    for measured, initial, next_part_state in zip(loop.measures, state.signals, next_state.signals, strict=True):
+        require_form(place_of("sensor", measured.name), "step", "the state", initial, next_part_state)
     require_form("wind", "step", "the state", state.wind, next_state.wind)
 
 
@@ -96,8 +102,64 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
     )
 
 
+def check_starts(loop: Loop, params: LoopParams) -> None:
+    """Require that the user's parts start at finite numbers; those that follow from traced ones are not known.
+
+    Raises:
+        ConfigError: A number of an initial state is infinite or NaN.
+    """
+    key = jax.random.key(0)
+    user_parts = {function.part for function in user_functions(loop).values()}
+
+    def check(part: str, init: Callable[..., State], *arguments: object) -> None:
+        if part in user_parts:
+            with jax.ensure_compile_time_eval():  # a constant array of the part has its value here
+                require_finite_start(part, init(*arguments))
+
+    check("plant", loop.plant.init, params.plant)
+    check("wind", loop.wind.init, params.wind, key)
+    plant = as_arrays(loop.plant.init(params.plant))
+    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
+    references = loop.mimo_reference.at(params.reference, 0.0)
+    for i, name in enumerate(loop.channels):
+        seen = measurements[i]._replace(signals=(0.0,) * len(loop.measures))
+        check(place_of("controller", name), loop.controller[i].init, params.controller[i], seen, references[i])
+        check(place_of("sensor", name), loop.sensor[i].init, params.sensor[i], measurements[i], key)
+        differentiator = loop.differentiator[i]
+        check(place_of("differentiator", name), differentiator.init, params.differentiator[i], measurements[i])
+        check(place_of("unmodelled", name), loop.unmodelled[i].init, params.unmodelled[i])
+        check(place_of("disturbance", name), loop.disturbance[i].init, params.disturbance[i], key)
+    for name, model, model_params in zip(loop.input_names, loop.inputs, params.inputs, strict=True):
+        check(f"disturbance.{name}", model.init, model_params, key)
+    for signal, model, model_params in zip(loop.measures, loop.signal_sensor, params.signal_sensor, strict=True):
+        check(place_of("sensor", signal.name), model.init, model_params, Measurement(0.0, 0.0), key)
+
+
+def require_finite_start(part: str, state: State) -> None:
+    """Require that the known numbers of an initial state are finite.
+
+    Args:
+        part: Path of the part in the study.
+        state: Its initial state, any tree of numbers.
+
+    Raises:
+        ConfigError: A number is infinite or NaN; the message has its field.
+    """
+    for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]:
+        is_number = isinstance(leaf, jax.Array | np.ndarray | np.generic | float | int)
+        if not is_number or isinstance(leaf, Tracer) or np.all(np.isfinite(leaf)):
+            continue
+        field = jax.tree_util.keystr(path, simple=True, separator=".") or "the state"
+        raise ConfigError(
+            part,
+            f"`init` starts {field} at {np.asarray(leaf).tolist()}: a draw whose state is not finite has diverged and "
+            "ends. Start it at a finite number, such as the first measurement for a running minimum, or add a field "
+            "that tells whether it is set",
+        )
+
+
 def check_results(loop: Loop, params: LoopParams) -> None:
-    """Require that the plant returns measurements, and each controller a state, a command and an info.
+    """Require that the plant returns measurements, each sensor readings, and each controller state, command and info.
 
     Raises:
         ConfigError: A part returns something else.
@@ -107,6 +169,8 @@ def check_results(loop: Loop, params: LoopParams) -> None:
     references = loop.mimo_reference.at(params.reference, 0.0)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
+        sensor, sensor_params = loop.sensor[channel], params.sensor[channel]
+        check_reading(sensor, sensor_params, measurements[channel], place_of("sensor", name), loop.sample_time)
         measurement = measurements[channel]._replace(signals=(0.0,) * len(loop.measures))
         model, gains = loop.controller[channel], params.controller[channel]
         state = as_arrays(model.init(gains, measurement, references[channel]))
@@ -115,6 +179,29 @@ def check_results(loop: Loop, params: LoopParams) -> None:
         if not isinstance(result, tuple) or len(result) != RESULTS_OF_STEP:
             raise ConfigError(place, f"`step` must return (state, command, info), got {form(result)}")
         require_form(place, "step", "the command", Command(0.0, 0.0), result[1])
+    for signal, model, model_params in zip(loop.measures, loop.signal_sensor, params.signal_sensor, strict=True):
+        place = place_of("sensor", signal.name)
+        check_reading(model, model_params, Measurement(0.0, 0.0), place, loop.sample_time)
+
+
+def check_reading(model: Sensor, params: Params, measurement: Measurement, place: str, dt: float) -> None:
+    """Require that a sensor returns its state and a reading of numbers.
+
+    Args:
+        model: The sensor.
+        params: Its parameters.
+        measurement: A true measurement.
+        place: Path of the sensor in the study.
+        dt: Sample time T_s [s].
+
+    Raises:
+        ConfigError: The sensor returns something else.
+    """
+    key = jax.random.key(0)
+    result = model.step(params, model.init(params, measurement, key), measurement, key, 0.0, dt)
+    if not isinstance(result, tuple) or len(result) != RESULTS_OF_SENSOR:
+        raise ConfigError(place, f"`step` must return (state, reading), got {form(result)}")
+    require_form(place, "step", "the reading", Measurement(0.0, 0.0), result[1])
 
 
 def place_of(slot: str, channel: str) -> str:
@@ -139,6 +226,8 @@ def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
         for name, model in zip(loop.channels, getattr(loop, slot), strict=True):
             places.append((place_of(slot, name), model))
     places += [(f"disturbance.{name}", model) for name, model in zip(loop.input_names, loop.inputs, strict=True)]
+    signal_names = [signal.name for signal in loop.measures]
+    places += [(f"sensor.{name}", model) for name, model in zip(signal_names, loop.signal_sensor, strict=True)]
     functions = {}
     for place, model in places:
         for field, function in model._asdict().items():

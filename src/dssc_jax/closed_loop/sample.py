@@ -200,11 +200,12 @@ def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
 def all_finite(state: LoopState) -> Scalar:
     """Whether the sum of the state is finite, and so small that metrics can add the squares of signals.
 
-    The commands that reach the plant follow from other states, and are left out.
+    The commands that reach the plant follow from other states, and are left out. A state that is an array adds the sum
+    of its numbers.
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
-    numbers = [leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
+    numbers = [jnp.sum(leaf) if jnp.ndim(leaf) else leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
     return jnp.abs(sum(numbers)) < FAR_BELOW * math.sqrt(largest)
 
 

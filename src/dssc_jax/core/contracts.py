@@ -104,6 +104,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         settle: ``(params, state, wind) -> state`` at t = 0 in the mean wind at the start [m/s], if the parameters ask
             for an equilibrium with it, from the state of ``init``; None: the wind does not count. Not called without a
             wind.
+        flies: Whether the plant is a vehicle that reads ``input.wind``; with several channels, these are x, y, z and
+            psi. A plant that does not fly has neither a wind nor the vehicle's references.
     """
 
     params: type
@@ -133,6 +135,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     begin: Begin | None = None
     native: str = ""
     settle: Callable[[Params, State, Vec3], State] | None = None
+    flies: bool = False
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """The signals that ``monitor`` reports with these parameters; those without unit and meaning are left out."""

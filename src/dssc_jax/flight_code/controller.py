@@ -182,7 +182,8 @@ def trace_controller(study: Study, index: int) -> SampledController:
     """Trace the start, the step and, if it has one, the transfer of a channel's controller.
 
     Raises:
-        ConfigError: The controller is native code already, or an operation has no exact form in C.
+        ConfigError: The controller is native code already, keeps states that are no real numbers, or an operation has
+            no exact form in C.
     """
     loop = study.loop
     place = f"controller.{loop.channels[index]}".rstrip(".")
@@ -218,6 +219,7 @@ def trace_controller(study: Study, index: int) -> SampledController:
     signal_shapes = (number,) * (len(channel_signals) - len(OF_CHANNEL))
     signals = (Measurement(number, number, signal_shapes), ReferencePoint(number, number, number))
     traced_transfer = None
+    require_real_numbers(loop.channels[index], jax.eval_shape(start, numbers, *signals))
     try:
         traced_start, state = traced_function(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
@@ -239,6 +241,32 @@ def trace_controller(study: Study, index: int) -> SampledController:
         precision=study.config.loop.precision,
         measured_signals=channel_signals,
     )
+
+
+def require_real_numbers(channel: str, state: ControlState) -> None:
+    """Require that every state of a channel's software is a real number, the only type that generated code keeps.
+
+    Args:
+        channel: Name of the channel; empty for a plant with one channel.
+        state: Shapes and types of the state, as the loop keeps it: it makes signed integers and flags real numbers.
+
+    Raises:
+        ConfigError: A state is an array or an unsigned integer; the message has its field.
+    """
+    for path, leaf in tree_flatten_with_path(state)[0]:
+        if leaf.shape == () and jnp.issubdtype(leaf.dtype, jnp.floating):
+            continue
+        slot, _, field = keystr(path, simple=True, separator=".").partition(".")
+        if leaf.shape:
+            kind, remedy = f"an array of shape {leaf.shape}", "keep its numbers in fields of their own, such as a tuple"
+        else:
+            kind = f"{leaf.dtype}, which wraps"
+            remedy = "keep a counter as an int, and write where it begins again: jnp.where(n >= 255, 0, n + 1)"
+        raise ConfigError(
+            f"{slot}.{channel}".rstrip("."),
+            f"keeps {field or 'its state'} as {kind}; generated code keeps single real numbers, which the loop makes "
+            f"of float, int and bool: {remedy}",
+        )
 
 
 def command_parts(command: Command) -> tuple[Scalar, Scalar, Scalar]:

@@ -307,9 +307,11 @@ def code_entries(study: Study) -> Manifest:
 def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
     """List the differences between two manifests that may change the last digits of a result.
 
-    These are the versions of numerical packages, device, compiler settings and the user's code.
+    These are the versions of numerical packages, device, compiler settings and the user's code. A file of code that the
+    old manifest does not name is no difference: older ones lack the modules that the user's modules import.
     """
-    return differences(machinery(old), machinery(new))
+    known_code = {name: module for name, module in new.get("code", {}).items() if name in old.get("code", {})}
+    return differences(machinery(old), machinery({**new, "code": known_code}))
 
 
 def machinery(manifest: Manifest) -> dict[str, object]:

@@ -1,8 +1,10 @@
 """Files of the code that a study refers to, as ``module:object`` or as native code, found without running it."""
 
+import ast
 import hashlib
 import importlib.util
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,8 @@ from dssc_jax.study.native import native_files
 
 REFERENCE_KEYS = ("kind", "metric", "names")
 """Keys of a study's tables whose values may be ``module:object``."""
+FOLDERS_OF_INSTALLED = frozenset({"site-packages", "dist-packages"})
+PACKAGE = __name__.partition(".")[0]
 
 
 def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
@@ -51,9 +55,10 @@ def code_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]
     """File and SHA-256 digest of all code that a study refers to, for JSON.
 
     Returns:
-        The files of modules by ``module:object``, and those of native code by their name in the study.
+        The files of modules by ``module:object``, those that they import by the module's name, see
+        :func:`imported_files`, and those of native code by their name in the study.
     """
-    modules = {name: file_digest(code_file(name)) for name in code_names(table)}
+    modules = {name: file_digest(code_file(name)) for name in code_names(table)} | imported_digests(table)
     native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
     return modules | native
 
@@ -65,6 +70,86 @@ def file_digest(file: Path | None) -> dict[str, str | None]:
     return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
 
 
+def imported_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
+    """File and digest of the user's modules that the code of a study imports, by the module's name."""
+    imported: dict[str, Path] = {}
+    for name in code_names(table):
+        imported |= imported_files(name)
+    return {name: file_digest(imported[name]) for name in sorted(imported)}
+
+
+def imported_files(name: str) -> dict[str, Path]:
+    """Files of the user's modules that the module in ``module:object`` imports, directly or through others.
+
+    They are read from the text of the import statements, which runs no code. A module counts if it is of the same
+    package, or if its file lies under the folder from which the named module comes and is not installed there.
+
+    Returns:
+        Files by the module's name, without the named module itself.
+    """
+    start = name.partition(":")[0]
+    file = code_file(start)
+    if file is None:
+        return {}
+    top_name = start.partition(".")[0]
+    folder = top_folder(start, file)
+    found = {start: file}
+    pending_modules = [*parent_packages(start), start]
+    known_names = set(pending_modules)
+    while pending_modules:
+        module = pending_modules.pop()
+        module_file = found.get(module) or code_file(module)
+        if module_file is None:
+            continue
+        is_below = module_file.is_relative_to(folder) and FOLDERS_OF_INSTALLED.isdisjoint(module_file.parts)
+        if not is_below and module.partition(".")[0] != top_name:
+            continue
+        found[module] = module_file
+        new_names = set(imported_names(module, module_file)) - known_names
+        known_names |= new_names
+        pending_modules += new_names
+    return {module: found_file for module, found_file in found.items() if module != start}
+
+
+def parent_packages(module: str) -> list[str]:
+    """Names of the packages above a module, which its import runs first: ``a`` and ``a.b`` for ``a.b.c``."""
+    parts = module.split(".")
+    return [".".join(parts[:count]) for count in range(1, len(parts))]
+
+
+def imported_names(module: str, file: Path) -> Iterator[str]:
+    """Names of the modules that a file's import statements may name, without Python's own and this package.
+
+    In ``from a import b``, b may be a module or an object; both a and a.b are names.
+
+    Args:
+        module: Name of the module, against which relative imports are resolved.
+        file: Its file.
+    """
+    try:
+        tree = ast.parse(files.read_bytes(file)) if file.suffix == ".py" else ast.Module([], [])
+    except (SyntaxError, ValueError):  # its import fails, and says why
+        return
+    parts = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = parts[: len(parts) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *filter(None, [node.module])])
+            names = [origin, *(f"{origin}.{alias.name}" for alias in node.names)]
+        for name in names:
+            top_name = name.partition(".")[0]
+            if top_name and top_name != PACKAGE and top_name not in sys.stdlib_module_names:
+                yield from (*parent_packages(name), name)
+
+
+def top_folder(module: str, file: Path) -> Path:
+    """The folder from which a module is imported; of a package, the folder that holds it."""
+    return file.parents[module.count(".") + (file.name == "__init__.py")]
+
+
 def module_folders(modules: object) -> tuple[Path, ...]:
     """Folders from which a run imported the modules of :func:`code_digests`; of a package, the folder that holds it."""
     if not isinstance(modules, Mapping):
@@ -73,8 +158,7 @@ def module_folders(modules: object) -> tuple[Path, ...]:
     for name, module in modules.items():
         file = module.get("file") if isinstance(module, Mapping) else None
         if isinstance(file, str) and Path(file).is_file():
-            depth = name.partition(":")[0].count(".") + (Path(file).name == "__init__.py")
-            paths.append(Path(file).parents[depth])
+            paths.append(top_folder(name.partition(":")[0], Path(file)))
     return tuple(dict.fromkeys(paths))
 
 
@@ -86,6 +170,8 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
 
 def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
     """Describe each ``module:object`` that a study refers to and its file, in words; empty if there is none.
+
+    A module that these import is told only if it has changed since the run.
 
     Args:
         table: Table of the study.
@@ -102,4 +188,8 @@ def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] 
         else:
             is_changed = bool(recorded_entry) and recorded_entry.get("sha256") != current["sha256"]
             lines.append(f"{name} from {current['file']}{', changed since the run' * is_changed}")
+    for name, current in imported_digests(table).items() if modules else ():
+        entry = (modules or {}).get(name)
+        if isinstance(entry, Mapping) and entry.get("sha256") != current["sha256"]:
+            lines.append(f"{name} from {current['file']}, which it imports, changed since the run")
     return "; ".join(lines)

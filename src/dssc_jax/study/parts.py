@@ -26,6 +26,7 @@ from dssc_jax.study.schema import LoopTable, StudyTable, UnitsTable
 from dssc_jax.study.slots import (
     PER_CHANNEL,
     SLOTS,
+    is_flight,
     parse_channels,
     parse_disturbances,
     parse_inputs,
@@ -35,6 +36,8 @@ from dssc_jax.study.slots import (
     with_units,
 )
 from dssc_jax.study.table_errors import first_error
+
+DECLARATION_OF_FLIGHT = "a Plant of your own that reads `drive.wind` declares `flies=True` (docs/extending.md)"
 
 
 class LoopParts(NamedTuple):
@@ -151,16 +154,21 @@ def parse_single_parts(
         Plant, reference and wind by slot.
 
     Raises:
-        ConfigError: A table is not valid, or a plant that does not fly has a wind.
+        ConfigError: A table is not valid, or a plant that does not fly has a wind or a vehicle's reference.
     """
     parts = {
         "plant": plant,
         "reference": parse_reference(tables["reference"], channels, units, plant.model.angles),
         "wind": parse_winds(tables["wind"]),
     }
-    if len(channels) == 1:
+    if not plant.model.flies:
+        declaration = f"; {DECLARATION_OF_FLIGHT}" if ":" in plant.kind else ""
         if parts["wind"].kind != "none":
-            raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
+            raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance{declaration}")
+        if len(channels) > 1 and is_flight(tables["reference"], channels):
+            rule = f"is a vehicle's, and the plant '{plant.kind}' does not fly; give a channel its own, such as"
+            raise ConfigError("reference", f"{rule} [reference.{channels[0]}]{declaration}")
+    if len(channels) == 1:
         parts["plant"] = with_units(plant, units[0])
     return parts
 

@@ -97,14 +97,20 @@ def reference_kinds(is_angle: bool) -> Registry:
     return entries
 
 
+def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
+    """Whether the common part of a reference's table is a flight of the package other than rest at zero."""
+    common = {name: value for name, value in table.items() if name not in channels}
+    return common.get("kind", "zero") in REGISTRIES["trajectory"] and common not in ({}, {"kind": "zero"})
+
+
 def parse_reference(
     table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...], angles: Collection[str]
 ) -> Component:
     """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces the signal of channel x.
 
-    The package's trajectories have a signal for each channel of the vehicle. A plant with fewer channels takes the
-    first signals, and further channels of a plant with more stay at zero. A user's trajectory has a signal for each
-    channel of the plant.
+    The package's trajectories have a signal for each channel of the vehicle. A plant that does not fly takes none of
+    them (:func:`is_flight`): all its channels stay at zero. One that flies with fewer channels takes the first signals.
+    A user's trajectory has a signal for each channel of the plant.
 
     Args:
         table: Table of the reference.

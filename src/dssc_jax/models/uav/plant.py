@@ -317,6 +317,7 @@ UAV = Plant(
     info=UavInfo,
     outputs=outputs,
     settle=settle,
+    flies=True,
     software=Onboard(
         period=software_period,
         start=software_start,
