@@ -45,7 +45,7 @@ def place_name(channel: str, point: BreakPoint) -> str:
 
 
 class AdditionParams(NamedTuple):
-    """Parameters of a sensor, and a measurement that is added to its input."""
+    """Parameters of a sensor, and a measurement that is added to its input where the loop is broken."""
 
     params: Params
     addition: Measurement

@@ -136,7 +136,7 @@ def check_starts(loop: Loop, params: LoopParams) -> None:
 
 
 def require_finite_start(part: str, state: State) -> None:
-    """Require that the known numbers of an initial state are finite.
+    """Require that the numbers of an initial state are finite; traced ones have no value yet, and are passed over.
 
     Args:
         part: Path of the part in the study.

@@ -119,7 +119,7 @@ def show_design(design: DesignFile, certificate: Certificate, limits: Limits | N
     Args:
         design: The design.
         certificate: Verdict of Theorem 1 on the design.
-        limits: How far each bound can change; None if the design is not certified.
+        limits: How far each bound of the plant can change alone before the certificate is lost; None if there is none.
     """
     printable_name = "".join(character if character.isprintable() else "?" for character in design.name)
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "

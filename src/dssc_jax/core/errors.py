@@ -94,7 +94,10 @@ def folded(name: str) -> str:
 
 
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
-    """The valid name nearest to a misspelt one, in a list of length 1; an empty list if none is near."""
+    """The valid name nearest to a misspelt one, in a list of length 1; an empty list if none is near.
+
+    A name that is equal after :func:`folded` comes first, then the most similar one.
+    """
     names = sorted(map(str, valid))
     equal_names = [valid_name for valid_name in names if folded(valid_name) == folded(name)]
     return equal_names[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)

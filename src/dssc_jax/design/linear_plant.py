@@ -149,7 +149,10 @@ class DesignProblem(NamedTuple):
 
 
 def linear_actuators(study: Study) -> LinearActuators:
-    """The linear actuators of a study of one channel, as one actuator, and the kinds of all other parts."""
+    """The linear actuators of a study of one channel, in series as one actuator, and the kinds of the parts left out.
+
+    Left out are sensors and actuators for which superposition does not hold.
+    """
     linear_elements = []
     left_out = measuring_kinds(study)
     for element, params in acting_elements(study.table, study.config):

@@ -78,7 +78,7 @@ class TracedFunction(NamedTuple):
 
 
 def traced_function(function: Callable[..., Any], *shapes: Any) -> tuple[TracedFunction, Any]:
-    """Trace a function.
+    """Trace a function into a program that can be written in C.
 
     Args:
         function: A function of trees of scalars.

@@ -67,7 +67,10 @@ def digest_content(folder: Path, index: Index) -> Any:
 
 
 def stored_ranges(folder: Path, index: Index) -> list[DrawRange]:
-    """The digests of a block; none if they are absent, damaged, or those of another block."""
+    """The stored digests of a block, for each range of its draws.
+
+    The list is empty if the file of the digests is absent, damaged, or that of another block.
+    """
     content = digest_content(folder, index)
     try:
         if content["block"] != list(index):

@@ -39,7 +39,10 @@ NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
-    """A number of the loop, for JSON: its value, the table of its law or the text of its expression; unit, meaning."""
+    """A number of the loop for JSON.
+
+    Its value is a number, the table of the law of an uncertain number, or the text of an expression.
+    """
 
     model_config = NO_EXTRA_FIELDS
     value: float | dict[str, list[float | list[float]]] | str

@@ -88,7 +88,7 @@ class MarginContest(Analysis):
     def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
         """See :class:`Analysis`; the stored controllers may name no code that the stored study does not name."""
         description = read_description(Path(folder), cls.kind)
-        require_named(description["source"], description["study"], description["settings"].get("tables"))
+        require_no_foreign_code(description["source"], description["study"], description["settings"].get("tables"))
         return super().load(folder, trust_code)
 
     @cached_property
@@ -154,8 +154,8 @@ class MarginContest(Analysis):
         )
 
 
-def require_named(source: str, study: TomlTable, tables: object) -> None:
-    """Require that stored controllers name no code that their stored study does not name, before any is imported.
+def require_no_foreign_code(source: str, study: TomlTable, tables: object) -> None:
+    """Require that stored controllers name only code that their study names; called before anything is imported.
 
     A folder is loaded with the trust that its study has, so an altered table of controllers must add no code to it.
 

@@ -45,7 +45,7 @@ class RivalName(NamedTuple):
 
 
 def rival_names() -> dict[str, RivalName]:
-    """The controller of every name: each kind alone, with each of its sampled forms, and with ``limited``."""
+    """All controllers that a comparison can name: each kind, each of its sampled forms, and with a limited command."""
     names = {}
     for kind, entry in CONTROLLERS.items():
         names[kind] = RivalName(kind)
@@ -83,7 +83,8 @@ def controller_kinds(study: Study) -> str:
 def common_gains(study: Study, name: str) -> ControllerTable:
     """The gains that the study's controller and a user's own controller have in common, by key.
 
-    These are the error pole ``l0`` and the nominal control ``nominal``, as far as the user's controller has them.
+    Gains of one channel are in a table under its name. Common gains are the error pole ``l0`` and the nominal control
+    ``nominal``, as far as the user's controller has them.
 
     Args:
         study: The study.

@@ -52,7 +52,7 @@ class ApproximatedFailures:
 
 @dataclass(frozen=True)
 class PlainFailures:
-    """The failures of the plain draws."""
+    """The failures among plain draws, which check the estimate of the rare-event method."""
 
     draws: Annotated[int, Quantity("1", "number of plain draws")]
     failures: Annotated[int, Quantity("1", "plain draws that failed")]
@@ -266,7 +266,10 @@ class RareEvent(Analysis):
 
 
 def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
-    """Design points as variables of a dataset, along ``design_point``."""
+    """Design points, the likeliest failures, as variables of a dataset along ``design_point``.
+
+    Coordinates have the dimension ``number``, too.
+    """
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
     factors = np.array([design_point.second_order for design_point in design_points])

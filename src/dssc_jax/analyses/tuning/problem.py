@@ -62,6 +62,7 @@ class TheoremSlacks:
         with jax.enable_x64(True):
             traced_excess, traced_slopes = self._excess_and_slopes(jnp.asarray(z))
         excess = {name: float(value) for name, value in traced_excess.items()}
+        # a slope that is not a number, as at the end of a range, moves nothing
         slopes = {name: np.nan_to_num(np.asarray(slope)) for name, slope in traced_slopes.items()}
         return excess, slopes
 

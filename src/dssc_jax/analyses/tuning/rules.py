@@ -203,8 +203,8 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         table: The study's ``[tune]``.
 
     Raises:
-        ConfigError: the name is not that of a number, the number is uncertain or follows from others, or the theorem
-            fixes it.
+        ConfigError: the name is not that of a number; or the number is uncertain, follows from others, is fixed before
+            tracing or by the theorem, or moves a bound that a required slack or a certified design keeps.
     """
     place = f"tune.parameters.{name}"
     if table.certified and name in PARAMETER_OF_NUMBER:

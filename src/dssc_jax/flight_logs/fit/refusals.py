@@ -64,13 +64,13 @@ class Unexplained(FitRefused):
 
 
 class Explained(NamedTuple):
-    """How well the simulated output of a channel describes the log, in the output's unit."""
+    """How well the simulated output of a channel describes the log; sizes are in the output's unit."""
 
     residual: float  # root mean square of the residual
     noise: float  # root mean square of the noise that log and study account for
     output: float  # standard deviation of the logged output
     independent: float  # number of independent samples of the residual
-    limit: float  # root mean square that noise alone hardly exceeds
+    limit: float  # root mean square of the residual that noise alone hardly exceeds
     reading_noise: float  # root mean square of the noise from one reading to the next
 
     @property
@@ -80,13 +80,13 @@ class Explained(NamedTuple):
 
     @property
     def least_unexplained(self) -> float:
-        """Lower confidence limit of that share."""
+        """Lower confidence limit of ``unexplained``, by the law of chi squared of the residual's mean square."""
         largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
         return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the residual is clearly larger than noise explains, and no trifle."""
+        """Whether the residual is clearly larger than noise explains, and leaves more than ``LEAST_DOUBTED``."""
         return self.residual > max(MUCH_LARGER * self.noise, self.limit) and self.unexplained > LEAST_DOUBTED
 
 

@@ -51,7 +51,7 @@ def attitude_columns(log: FlightLog) -> dict[str, Column]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LogWarning)  # the first reading of the log has warned
             topics, begin, _ = read_topics(log.file, {column.partition(".")[0] for column in ULOG_COLUMNS.values()})
-        present = {name: column for name, column in ULOG_COLUMNS.items() if has_topic(topics, column)}
+        present = {name: column for name, column in ULOG_COLUMNS.items() if has_attitude_fields(topics, column)}
         return {name: ulog_column(topics, begin, name, column) for name, column in present.items()}
     frame = recorded_frame(log.file)
     numbers = frame.select_dtypes("number")
@@ -61,8 +61,8 @@ def attitude_columns(log: FlightLog) -> dict[str, Column]:
     return {name: Column(time, numbers[name].to_numpy(float)) for name in ULOG_COLUMNS if name in numbers}
 
 
-def has_topic(topics: TopicData, column: str) -> bool:
-    """Whether a log has a column's topic, with the fields from which the column is computed."""
+def has_attitude_fields(topics: TopicData, column: str) -> bool:
+    """Whether a log has the fields from which a column is computed: a quaternion for an angle, a vector for a rate."""
     topic, _, field = column.partition(".")
     fields = topics.get(f"{topic}:0", {})
     return ("q[0]" if field in ANGLES else "xyz[0]") in fields

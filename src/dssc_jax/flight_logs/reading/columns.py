@@ -69,7 +69,11 @@ def column_map(table: Mapping[str, object], signal_names: Sequence[str]) -> Colu
 
 
 def time_source(entry: object) -> TimeSource:
-    """Check the entry of the times."""
+    """Parse the entry ``time``: the name of a column, or a table of ``column`` and ``scale``, its unit in seconds.
+
+    Raises:
+        ConfigError: The entry is neither, or the scale is not finite and above 0.
+    """
     table = {"column": entry} if isinstance(entry, str) else entry
     if not isinstance(table, Mapping) or not set(table) <= set(TimeSource._fields):
         raise ConfigError("time", f"must be the name of a column, or a table of column and scale, got {entry!r}")
@@ -83,7 +87,11 @@ def time_source(entry: object) -> TimeSource:
 
 
 def signal_source(name: str, entry: object) -> SignalSource:
-    """Check the entry of a signal."""
+    """Parse the entry of a signal: the name of a column, or a table of ``column``, ``scale`` and ``offset``.
+
+    Raises:
+        ConfigError: The entry is neither, or a number is not finite, or the scale is 0.
+    """
     table = {"column": entry} if isinstance(entry, str) else entry
     if not isinstance(table, Mapping) or not set(table) <= set(SignalSource._fields):
         raise ConfigError(name, f"must be a column, or a table of column, scale and offset, got {entry!r}")

@@ -66,7 +66,7 @@ def add_symbol(symbol: str, address: int) -> None:
 
 @cache
 def has_near_constants() -> bool:
-    """Whether instructions read constants from memory at an offset from themselves.
+    """Whether compiled code reads each constant from memory where it is used, at an offset from the instruction.
 
     On x86-64 without AVX-512 there are 16 vector registers, too few to hold constants, so each constant is read where
     it is used. This needs a memory manager that has been tried with Linux's object files only.

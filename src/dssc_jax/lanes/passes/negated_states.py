@@ -54,7 +54,10 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
 
 
 def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
-    """Positions of pairs of states that may be opposite: their values were computed equally many turns ago."""
+    """Ordered pairs of positions of states, of which one may always be minus the other.
+
+    The values of both were computed equally many iterations of the loop ago. Either may replace the other.
+    """
     positions_by_delay: dict[int, list[int]] = {}
     for position in range(len(loop.states)):
         positions_by_delay.setdefault(turns_behind(loop, position), []).append(position)

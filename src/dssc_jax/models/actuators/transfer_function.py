@@ -80,12 +80,18 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 
 
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
-    """The realisation of G from its coefficients in rising powers of mu s."""
-    unit, poles = scale_time(denominator)
-    zeros = np.zeros(len(poles))
-    zeros[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
-    c = zeros - zeros[-1] * poles
-    return Realisation(unit, as_rows(companion(tuple(poles[:-1]))), tuple(c[:-1].tolist()), float(zeros[-1]))
+    """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
+
+    The unit of time is that of :func:`scale_time`, in which the denominator is monic, so that the direct feedthrough is
+    the last coefficient of the numerator.
+    """
+    unit, scaled_denominator = scale_time(denominator)
+    scaled_numerator = np.zeros(len(scaled_denominator))
+    scaled_numerator[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
+    feedthrough = scaled_numerator[-1]
+    c = scaled_numerator - feedthrough * scaled_denominator
+    a = as_rows(companion(tuple(scaled_denominator[:-1])))
+    return Realisation(unit, a, tuple(c[:-1].tolist()), float(feedthrough))
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:

@@ -192,13 +192,16 @@ def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) ->
 
 
 def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The gain L, shape (n, m), of the steady-state Kalman filter; raises ConfigError.
+    """The gain L of the steady-state Kalman filter, which corrects a prediction x to x + L (y - C x); shape (n, m).
 
     Args:
         a: A in discrete time, shape (n, n).
-        rows: C of the measured signals, shape (m, n).
-        w: Covariance of the state's noise in a sample, shape (n, n).
+        rows: Rows of C of the measured signals, shape (m, n).
+        w: Covariance of the noise that is added to the state in each sample, shape (n, n).
         v: Covariance of the signals' noise, shape (m, m).
+
+    Raises:
+        ConfigError: The measured signals do not show a mode of A.
     """
     p = riccati_solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
     return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T

@@ -169,7 +169,13 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 
 @lru_cache(maxsize=256)
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(F t) and the integral of exp(F s) G over s from 0 to a time t [s]; cached, so callers must not change it."""
+    """The exact solution of x' = F x + G u over a time t [s] with u held: exp(F t), and the integral of exp(F s) G.
+
+    F and G are those of :func:`held_matrix`. The result is cached, so callers must not change it.
+
+    Returns:
+        Matrices of the shapes (n, n) and (n,).
+    """
     exponential = expm(held_matrix(problem, a_p, rate) * time)
     return exponential[:-1, :-1], exponential[:-1, -1]
 
@@ -344,7 +350,15 @@ def box_steps(
     *,
     is_integrated: bool,
 ) -> Iterable[Step]:
-    """One sample at every corner of plant and gains, and at the control points of 1/mu."""
+    """The step of the loop over one sample at every corner of plant and gains, and at the control points of 1/mu.
+
+    Args:
+        problem: The problem.
+        box: Intervals of the plant's numbers.
+        gains: Interval of each gain of the equivalent controller.
+        degree: Degree of the Bernstein polynomial in 1/mu that encloses the solution between the samples.
+        is_integrated: Whether the state holds the integral of the command, whose first gain is a mean slope.
+    """
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     rates = box.get("rate", (0.0, 0.0))
     for a_p in interval_ends(box["a_p"]):

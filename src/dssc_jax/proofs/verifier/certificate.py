@@ -51,16 +51,12 @@ class Stage(TypedDict):
 
 
 class SmallGainStage(Stage):
-    """A stage of the method "small gain".
+    """A stage of the method "small gain"."""
 
-    ``gains`` are those of the middle loop, ``bounds`` those of its signals and states. ``change`` bounds the change of
-    sigma in a sample, and ``coordinate`` tells what z holds.
-    """
-
-    gains: Sequence[float]
-    bounds: Sequence[float]
-    change: float
-    coordinate: str
+    gains: Sequence[float]  # of the middle loop, from which those of the functions deviate
+    bounds: Sequence[float]  # of the absolute values of the middle loop's signals, then of its states
+    change: float  # bound of |sigma[k+1] - sigma[k]|
+    coordinate: str  # quantity that the state z of the controller holds, one of COORDINATES
 
 
 class InvariantStage(Stage):

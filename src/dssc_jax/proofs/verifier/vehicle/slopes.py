@@ -70,19 +70,34 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
 def vertical_slopes(
     problem: VehicleProblem, damping: arb, y: Mapping[str, arb], remainders: Balls, constant: arb
 ) -> Balls:
-    """Bounds of the slopes of the signals of z, by name; see :func:`plane_slopes`.
+    """Bounds of the slopes of the signals of z, by name: the same steps as :func:`plane_slopes`, without attitude.
 
-    ``constant`` bounds the constant o of the channel.
+    With a rotor lag, ``behind`` is the lift that is wanted and not there yet.
+
+    Args:
+        problem: The certificate's problem.
+        damping: Damping of drag c in the linear channel [1/s].
+        y: Bounds of the signals, by name.
+        remainders: Bounds of the remainders, by name.
+        constant: Bound of the constant o of the channel.
     """
     l0 = arb(problem["channels"]["z"]["l0"])
-    e_dot = y["acceleration"] + remainders["force"] + constant
-    demand = arb(problem["velocity_gain"]) * e_dot
-    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + remainders["force"] + constant, "wanted": demand}
-    lift = demand
+    velocity_slope = y["acceleration"] + remainders["force"] + constant
+    demand_slope = arb(problem["velocity_gain"]) * velocity_slope
+    lift_slope = demand_slope
+    slopes = {
+        "e": y["e_dot"],
+        "e_dot": velocity_slope,
+        "sigma": y["bend"] + remainders["force"] + constant,
+        "wanted": demand_slope,
+    }
     if problem["rotor_lag"] > 0:
-        lift = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
-        slopes |= {"lift": lift, "behind": demand + lift}
-    return slopes | {"acceleration": damping * e_dot + lift, "bend": abs(l0 - damping) * e_dot + lift}
+        lift_slope = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
+        slopes["lift"] = lift_slope
+        slopes["behind"] = demand_slope + lift_slope
+    slopes["acceleration"] = damping * velocity_slope + lift_slope
+    slopes["bend"] = abs(l0 - damping) * velocity_slope + lift_slope
+    return slopes
 
 
 def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], remainders: Balls) -> Balls:
