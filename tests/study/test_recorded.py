@@ -187,6 +187,7 @@ def test_a_pipe_is_no_record(tmp_path):
         ("t,y\n0,1\n0,2\n", r"rising times; 0 s comes after 0 s in line 3"),
         ("t,y\n0,1\n0.1,inf\n", r"must hold finite numbers; line 3 does not"),
         ("t,y\n0,1\n0.1,two\n", r"must hold numbers there; line 3 has 'two'"),
+        ("t,y\n12:00:01,1\n12:00:02,2\n", r"must hold numbers there; line 2 has '12:00:01'; write times in seconds"),
         ("t,y\n", r"reference.file: 'log.csv' has no row with numbers in 't', 'y'"),
         ("", r"reference.file: '.*log.csv' is empty"),
         ("t,z\n0,1\n", r"reference.column: 'log.csv' has no column 'y'"),

@@ -27,6 +27,8 @@ RATE_SLOT = "reference"
 """Slot whose record may also have the rate of its values."""
 TIME = "t"
 """Default name of the column of times."""
+TIME_FIELDS = ("time", "time_column")
+"""Fields that name the column of times."""
 PARQUET = (".parquet", ".pq")
 ULOG = b"ULog\x01\x12\x35"
 """First bytes of a log of PX4."""
@@ -177,7 +179,8 @@ def numbers_of(column: Any, path: Path, field: str) -> list[float]:
     """
     text = first_text(column, path)
     if text:
-        raise ConfigError(field, f"'{path.name}' must hold numbers there; {text}")
+        remedy = "; write times in seconds" if field in TIME_FIELDS else ""
+        raise ConfigError(field, f"'{path.name}' must hold numbers there; {text}{remedy}")
     return [float(cell) for cell in column]
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.hints.reference_clocks import shortest_number
+from dssc_jax.flight_logs.hints.references import other_reference_text
 from dssc_jax.flight_logs.reading.columns import TimeSource
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
@@ -99,3 +100,12 @@ def test_a_late_reference_does_not_move_a_fit_of_logged_commands():
         "late, and a fit of logged commands does not use it"
     )
     np.testing.assert_array_equal(fit_log(study, late).estimates, fit_log(study, log).estimates)
+
+
+def test_a_reference_that_rests_may_be_a_little_beside_the_study():
+    """Beside a channel that moves by metres, a millimetre is none."""
+    logged = np.full(100, 0.001)
+    resting = np.zeros(100)
+    assert other_reference_text(logged, resting, 2.0, "m") == ""
+    assert "differs from the study's by 0.001 m rms" in other_reference_text(logged, resting, 0.0, "m")
+    assert "differs from the study's by 0.1 m rms" in other_reference_text(100.0 * logged, resting, 2.0, "m")

@@ -114,7 +114,10 @@ def compared_references(
         if stretch is not None:
             comparison.shifts[name] = stretch_text(log, stretch)
             continue
-        text = other_reference_text(logged[index], references[index, 0], study.units[index].output)
+        unit = study.units[index].output
+        same_unit = [units.output == unit for units in study.units]
+        largest_range = float(np.ptp(references[same_unit, 0], axis=1).max())
+        text = other_reference_text(logged[index], references[index, 0], largest_range, unit)
         if text:
             comparison.others[name] = text
     return comparison
@@ -171,16 +174,18 @@ def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
     return reference_stretch(stretched)
 
 
-def other_reference_text(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
+def other_reference_text(logged: np.ndarray, reference: np.ndarray, largest_range: float, unit: str) -> str:
     """That a logged reference is another one, with the size of the difference; empty if the difference is small.
 
     Args:
         logged: Values, NaN where missing, in the output's unit, shape (samples,).
         reference: The study's at the same times.
+        largest_range: Largest range of the study's references in this unit: one that rests may differ by a part of it.
         unit: Unit of the output.
     """
     difference = rms(logged - reference)
-    if not np.isfinite(difference) or difference <= max(OTHER * np.ptp(reference), SAME_REFERENCE * rms(reference)):
+    tolerance = max(OTHER * np.ptp(reference), SAME_REFERENCE * rms(reference), SAME_REFERENCE * largest_range)
+    if not np.isfinite(difference) or difference <= tolerance:
         return ""
     return (
         f"differs from the study's by {difference:.3g} {unit} rms, whose range is {np.ptp(reference):.3g} {unit}, and "
