@@ -171,10 +171,7 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
 def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[np.ndarray, np.ndarray]:
     """The exact solution of x' = F x + G u over a time t [s] with u held: exp(F t), and the integral of exp(F s) G.
 
-    F and G are those of :func:`held_matrix`. The result is cached, so callers must not change it.
-
-    Returns:
-        Matrices of the shapes (n, n) and (n,).
+    Shapes (n, n) and (n,). The matrices are cached, so callers must not change them.
     """
     exponential = expm(held_matrix(problem, a_p, rate) * time)
     return exponential[:-1, :-1], exponential[:-1, -1]
@@ -350,15 +347,7 @@ def box_steps(
     *,
     is_integrated: bool,
 ) -> Iterable[Step]:
-    """The step of the loop over one sample at every corner of plant and gains, and at the control points of 1/mu.
-
-    Args:
-        problem: The problem.
-        box: Intervals of the plant's numbers.
-        gains: Interval of each gain of the equivalent controller.
-        degree: Degree of the Bernstein polynomial in 1/mu that encloses the solution between the samples.
-        is_integrated: Whether the state holds the integral of the command, whose first gain is a mean slope.
-    """
+    """Steps of the loop over one sample, at every corner of plant and gains and at the control points of 1/mu."""
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     rates = box.get("rate", (0.0, 0.0))
     for a_p in interval_ends(box["a_p"]):
