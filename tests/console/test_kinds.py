@@ -18,7 +18,7 @@ def test_every_field_is_told(slot, kind):
     member = next(iter(entry.members.values()))
     specs = field_specs(getattr(member, "params", member))
     named = {row[0].split(".")[0] for row in rows}
-    assert named - {entry.option} - entry.keys.keys() == {n for n, s in specs.items() if not s.derived}
+    assert named - {entry.option} - entry.keys.keys() == {n for n, s in specs.items() if not s.is_derived}
     assert all(meaning for _, _, meaning, _, _ in rows)
     assert kinds()[slot][kind]["about"].keys() == {row[0] for row in rows}
 

@@ -124,9 +124,9 @@ def test_machine_code_and_plain_xla_agree(case_2, uncertain):
 
 MEMORY = """
 import dssc_jax as dj
-from dssc_jax.study.library import find
+from dssc_jax.study.library import find_study
 shorter = {"draws": 100_000, "loop.duration": 6.0, "requirement": [{"metric": "error_rms", "max": 20.0}]}
-study = dj.Study.load(find("mu_robustness")).without_sweep().override(shorter)
+study = dj.Study.load(find_study("mu_robustness")).without_sweep().override(shorter)
 result = dj.run(study)
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is inherited on exec
 print(int(peak.split()[1]) / 1e6, result.manifest["times"]["seconds"])

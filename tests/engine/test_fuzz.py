@@ -97,7 +97,7 @@ def test_a_fall_back_without_a_warning_is_found(monkeypatch):
     monkeypatch.setattr(worker, "REFUSALS", set())
     assert ran(alone("sort", "float64")).findings == []
     monkeypatch.setattr(worker, "REFUSALS", set())
-    monkeypatch.setattr(kernels, "slower", lambda reason: None)
+    monkeypatch.setattr(kernels, "warn_of_plain_xla", lambda reason: None)
     assert {found["said"] for found in ran(alone("sort", "float64")).findings} == {"no warning"}
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
@@ -147,7 +146,7 @@ def require_finite_start(part: str, state: State) -> None:
     """
     for path, leaf in jax.tree_util.tree_flatten_with_path(state)[0]:
         is_number = isinstance(leaf, jax.Array | np.ndarray | np.generic | float | int)
-        if not is_number or isinstance(leaf, Tracer) or np.all(np.isfinite(leaf)):
+        if not is_number or is_finite_or_traced(leaf):
             continue
         field = jax.tree_util.keystr(path, simple=True, separator=".") or "the state"
         raise ConfigError(
@@ -156,6 +155,14 @@ def require_finite_start(part: str, state: State) -> None:
             "ends. Start it at a finite number, such as the first measurement for a running minimum, or add a field "
             "that tells whether it is set",
         )
+
+
+def is_finite_or_traced(leaf: object) -> bool:
+    """Whether a number or array is finite; a traced one has no value yet, and passes."""
+    try:
+        return bool(np.all(np.isfinite(np.asarray(leaf))))
+    except jax.errors.TracerArrayConversionError:
+        return True
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:

@@ -156,6 +156,6 @@ def test_several_logs_are_warned_of_one_by_one(tmp_path, capsys):
     study.write_text(tomli_w.dumps(linear(draws=39).table))
     out = str(tmp_path / "o")
     assert guarded(["compare-log", str(study), *map(str, paths), "--probability", "0.4", "--out", out]) == 0
-    told = capsys.readouterr().err
+    told = capsys.readouterr().out
     assert "warning: fast.csv: y changes by 0.97" in told
     assert "right.csv: y changes" not in told

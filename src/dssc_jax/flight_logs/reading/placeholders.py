@@ -52,7 +52,8 @@ def dropout_value(values: np.ndarray) -> float | None:
     Args:
         values: The output's readings, all finite, shape (rows,).
     """
-    changes = np.abs(np.diff(values))
+    with np.errstate(over="ignore"):
+        changes = np.abs(np.diff(values))
     if len(changes) < LEAST_OTHERS or not changes.any():
         return None
     usual_change = float(np.median(changes[changes > 0.0]))
