@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.metrics.streaming import (
     Span,
     Window,
     final_value,
-    largest_size,
+    largest_absolute,
     total,
 )
 from dssc_jax.core.numerics import at_least, root_abs, sign
@@ -175,7 +175,7 @@ def update_smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Sca
 
 
 PERFORMANCE: dict[str, Metric] = {
-    "error_rate_max": largest_size("y/s", "largest |e'|", lambda s: s.e_dot),
+    "error_rate_max": largest_absolute("y/s", "largest |e'|", lambda s: s.e_dot),
     "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES, least=0.0),
     "itae": Metric(
         "y s^2",
@@ -237,8 +237,8 @@ PERFORMANCE: dict[str, Metric] = {
         course=RISES,
         least=0.0,
     ),
-    "roll_max": largest_size("rad", "largest |roll|", lambda i: i.plant.phi, ("phi",), Scope.VEHICLE),
-    "pitch_max": largest_size("rad", "largest |pitch|", lambda i: i.plant.theta, ("theta",), Scope.VEHICLE),
+    "roll_max": largest_absolute("rad", "largest |roll|", lambda i: i.plant.phi, ("phi",), Scope.VEHICLE),
+    "pitch_max": largest_absolute("rad", "largest |pitch|", lambda i: i.plant.theta, ("theta",), Scope.VEHICLE),
     "rotor_thrust_max": Metric(
         "N",
         "largest commanded thrust of a rotor",

@@ -172,7 +172,7 @@ def rms(
     return Metric(unit, meaning, total(square), root_mean, needs, scope, least=0.0)
 
 
-def largest_size(
+def largest_absolute(
     unit: str,
     meaning: str,
     signal: Callable[[MetricInput], Scalar],
@@ -217,9 +217,9 @@ FLYING = ("tilt",)
 VEHICLE = Scope.VEHICLE
 METRICS: dict[str, Metric] = {
     "error_rms": rms("y", "rms of the output error e", lambda s: s.e),
-    "error_max": largest_size("y", "largest |e|", lambda s: s.e),
+    "error_max": largest_absolute("y", "largest |e|", lambda s: s.e),
     "sigma_rms": rms("y/s", "rms of sigma", lambda s: s.sigma),
-    "sigma_max": largest_size("y/s", "largest |sigma|", lambda s: s.sigma),
+    "sigma_max": largest_absolute("y/s", "largest |sigma|", lambda s: s.sigma),
     "settling_time": Metric(
         "s",
         "time after which |e| stays within the band",
@@ -234,14 +234,14 @@ METRICS: dict[str, Metric] = {
         "u", "total variation of the robust command u", update_variation, final_value, course=RISES, least=0.0
     ),
     "command_rms": rms("u", "rms of the robust command u", lambda s: s.u),
-    "command_max": largest_size("u", "largest |u|", lambda s: s.u),
-    "total_command_max": largest_size("u", "largest |u + u_n|", lambda s: s.u_total),
+    "command_max": largest_absolute("u", "largest |u|", lambda s: s.u),
+    "total_command_max": largest_absolute("u", "largest |u + u_n|", lambda s: s.u_total),
     "outside_sliding": share_of_time("outside sliding", outside_sliding, SLIDING),
-    "sampling_ratio": largest_size("1", "largest sampling ratio", sampling_ratio, SAMPLING),
+    "sampling_ratio": largest_absolute("1", "largest sampling ratio", sampling_ratio, SAMPLING),
     "sampling_ratio_above_1": share_of_time("with a sampling ratio above 1", sampling_ratio_above_1, SAMPLING),
     "position_error_rms": rms("m", "rms of the position error", position_error, FLYING, VEHICLE),
-    "position_error_max": largest_size("m", "largest position error", position_error, FLYING, VEHICLE),
-    "tilt_max": largest_size("rad", "largest tilt of body z", lambda i: i.plant.tilt, FLYING, VEHICLE),
+    "position_error_max": largest_absolute("m", "largest position error", position_error, FLYING, VEHICLE),
+    "tilt_max": largest_absolute("rad", "largest tilt of body z", lambda i: i.plant.tilt, FLYING, VEHICLE),
     "rotor_limited": share_of_time("with a rotor at its limit", rotor_limited, FLYING, VEHICLE),
     "rotor_limited_longest": Metric(
         "s",
