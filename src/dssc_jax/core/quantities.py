@@ -66,6 +66,11 @@ class Quantity:
         return " and ".join(bounds)
 
 
+def unit_and_meaning(unit: str, meaning: str) -> dict[str, str]:
+    """The attributes by which a variable of a dataset states its unit and its meaning, following the CF conventions."""
+    return {"units": unit, "long_name": meaning}
+
+
 def quantities_of(kind: type | None) -> dict[str, Quantity]:
     """The quantities of a NamedTuple type by field, of the fields that declare one; empty for None."""
     if kind is None:

@@ -21,7 +21,7 @@ from dssc_jax.analyses.falsification.conditions import require_falsifiable, requ
 from dssc_jax.analyses.falsification.search import SearchPrograms, SimulatedPoints, WorstDrawSearch
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.metrics.requirements import Requirement, counted_places
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
@@ -151,7 +151,7 @@ class Falsified(Analysis):
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         variables = {}
         for name, (column, unit, meaning) in columns.items():
-            variables[name] = ("point", column, {"units": unit, "long_name": meaning})
+            variables[name] = ("point", column, unit_and_meaning(unit, meaning))
         return cls(
             study=study,
             dataset=xr.Dataset(variables, attrs={"title": study.name}),

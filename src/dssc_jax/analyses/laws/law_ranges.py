@@ -18,7 +18,7 @@ from dssc_jax.analyses.conditions import criterion_of, require_share
 from dssc_jax.analyses.defaults import LIMIT
 from dssc_jax.analyses.laws.ranged_draws import RangedDraws, WeightedLaws, mixture_values
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate
 from dssc_jax.engine.evaluation import require_independent
@@ -314,6 +314,6 @@ def law_ranges_dataset(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) 
     }
     data = {}
     for (name, meaning), column in zip(meanings.items(), columns, strict=True):
-        data[name] = (TABLE, np.array(column), {"units": "that of the argument", "long_name": meaning})
+        data[name] = (TABLE, np.array(column), unit_and_meaning("that of the argument", meaning))
     coordinates = {TABLE: (TABLE, list(labels), {"long_name": "argument of a law"})}
     return xr.Dataset(data, coords=coordinates, attrs={"title": study.name})

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.margins.search import CLOCK, Censoring, Critical, Walk
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.design.certification import Reach, reach
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
@@ -126,7 +126,7 @@ class Margins(Analysis):
             unit: Unit of the slack.
         """
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
-        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
+        attributes = unit_and_meaning(quantity.unit, quantity.meaning)
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
         columns = {
             "critical": (critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
@@ -136,18 +136,18 @@ class Margins(Analysis):
         if critical.violated is not None:
             columns["violated_first"] = (
                 critical.violated,
-                {"units": "1", "long_name": "index of the requirement violated first"},
+                unit_and_meaning("1", "index of the requirement violated first"),
             )
         for name, values in drawn_numbers.items():
             law = study.quantities[name]
-            columns[name] = (values, {"units": law.unit, "long_name": law.meaning})
+            columns[name] = (values, unit_and_meaning(law.unit, law.meaning))
         index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
         data = xr.Dataset(
             {name: (("draw",), values, attrs) for name, (values, attrs) in columns.items()},
             coords={"draw": index, "value": (("value",), walk.grid, attributes)},
             attrs={"title": study.name, "parameter": parameter},
         )
-        data["slack"] = (("value", "draw"), critical.slack, {"units": unit, "long_name": "signed slack"})
+        data["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))
         return cls(
             study=study,
             dataset=data,

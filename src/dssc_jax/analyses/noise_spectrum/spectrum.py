@@ -5,6 +5,7 @@ import xarray as xr
 from scipy import signal
 
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.quantities import unit_and_meaning
 
 SEGMENT = 1024
 """Samples of a segment of Welch's method."""
@@ -61,9 +62,9 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     }
     variables = {}
     for name, (values, unit, meaning) in columns.items():
-        variables[name] = (("frequency",), values, {"units": unit, "long_name": meaning})
+        variables[name] = (("frequency",), values, unit_and_meaning(unit, meaning))
     return xr.Dataset(
         variables,
-        coords={"frequency": (("frequency",), frequency, {"units": "Hz", "long_name": "frequency"})},
+        coords={"frequency": (("frequency",), frequency, unit_and_meaning("Hz", "frequency"))},
         attrs={"amplification": float(np.sqrt(np.sum(gain**2 * noise_density) / np.sum(noise_density)))},
     )

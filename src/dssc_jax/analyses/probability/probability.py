@@ -14,7 +14,7 @@ from dssc_jax.analyses.defaults import MOST_STRATIFIED, WIDTH
 from dssc_jax.analyses.probability.strata import StratifiedEstimate, stratified_probability
 from dssc_jax.analyses.slacks import StudySlacks
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, draws_as_narrow
@@ -63,10 +63,10 @@ class FailureProbability(Analysis):
         """Create the analysis from an estimate."""
         upper = np.append(estimate.edges, np.inf)
         columns = {
-            "upper": ("stratum", upper, {"units": "1", "long_name": "upper edge of the predicted slack, scaled"}),
-            "draws": ("stratum", estimate.draws, {"units": "1", "long_name": "number of draws"}),
-            "failures": ("stratum", estimate.failures, {"units": "1", "long_name": "draws that failed"}),
-            "weight": (("net", "stratum"), estimate.weights, {"units": "1", "long_name": "probability of the stratum"}),
+            "upper": ("stratum", upper, unit_and_meaning("1", "upper edge of the predicted slack, scaled")),
+            "draws": ("stratum", estimate.draws, unit_and_meaning("1", "number of draws")),
+            "failures": ("stratum", estimate.failures, unit_and_meaning("1", "draws that failed")),
+            "weight": (("net", "stratum"), estimate.weights, unit_and_meaning("1", "probability of the stratum")),
         }
         return cls(study, xr.Dataset(columns, attrs={"title": study.name}), width, estimate.simulations)
 

@@ -17,7 +17,7 @@ from dssc_jax.analyses.rare_events.importance import ImportanceSampling, Weighte
 from dssc_jax.analyses.rare_events.splitting import DEFAULT_SPLITTING, Splitting, SplittingEstimate, split
 from dssc_jax.analyses.slacks import StudySlacks
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.sampling import Arrays, inside_cube, values_at
 from dssc_jax.results.analysis import Analysis
@@ -141,20 +141,20 @@ class RareEvent(Analysis):
         noise_meaning = "index of the in-loop noise; -1: of a plain draw"
         columns = {
             "plain": ("failure", is_plain, {"long_name": "a plain draw, not a point of the method"}),
-            "noise": ("failure", noise, {"units": "1", "long_name": noise_meaning}),
-            "weight": ("failure", weights, {"units": "1", "long_name": "weight of the failure"}),
-            "point": (("failure", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
+            "noise": ("failure", noise, unit_and_meaning("1", noise_meaning)),
+            "weight": ("failure", weights, unit_and_meaning("1", "weight of the failure")),
+            "point": (("failure", "number"), points, unit_and_meaning("1", "standard normal coordinate")),
         }
         largest = 0.0
         if isinstance(estimate, SplittingEstimate):
-            columns["estimate"] = ("repeat", estimate.estimates, {"units": "1", "long_name": "failure probability"})
-            columns["levels"] = ("repeat", estimate.levels, {"units": "1", "long_name": "levels passed"})
+            columns["estimate"] = ("repeat", estimate.estimates, unit_and_meaning("1", "failure probability"))
+            columns["levels"] = ("repeat", estimate.levels, unit_and_meaning("1", "levels passed"))
         if isinstance(estimate, WeightedEstimate):
             largest = estimate.largest
             columns |= design_point_columns(estimate.design_points)
         for name, values in values_at(study, inside_cube(special.ndtr(points))).items():
             quantity = study.quantities[name]
-            columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
+            columns[name] = ("failure", values, unit_and_meaning(quantity.unit, quantity.meaning))
         number = ("number", np.array(list(study.laws)), {"long_name": "uncertain number"})
         dataset = xr.Dataset(columns, coords={"number": number}, attrs={"title": study.name})
         return cls(
@@ -274,9 +274,9 @@ def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[ob
     distances = np.array([design_point.distance for design_point in design_points])
     factors = np.array([design_point.second_order for design_point in design_points])
     return {
-        "design": (("design_point", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
-        "distance": ("design_point", distances, {"units": "1", "long_name": "distance from the median draw"}),
-        "second_order": ("design_point", factors, {"units": "1", "long_name": "SORM's factor"}),
+        "design": (("design_point", "number"), points, unit_and_meaning("1", "standard normal coordinate")),
+        "distance": ("design_point", distances, unit_and_meaning("1", "distance from the median draw")),
+        "second_order": ("design_point", factors, unit_and_meaning("1", "SORM's factor")),
     }
 
 

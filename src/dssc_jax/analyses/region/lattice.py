@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from dssc_jax.core.quantities import unit_and_meaning
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
@@ -198,5 +199,5 @@ class Lattice:
         coords = {}
         for dimension, axis, values in zip(TABLE, self.over, self.axes, strict=True):
             quantity = self.study.quantities[axis.name]
-            coords[dimension] = (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
+            coords[dimension] = (dimension, values, unit_and_meaning(quantity.unit, quantity.meaning))
         return xr.Dataset(columns, coords=coords, attrs={"title": self.study.name})

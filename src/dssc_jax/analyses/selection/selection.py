@@ -15,7 +15,7 @@ from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST_RACED, RACED
 from dssc_jax.analyses.selection.race import RaceResult, race
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, require_independent
@@ -235,9 +235,9 @@ def selection_dataset(study: Study, points: Mapping[str, np.ndarray], result: Ra
     columns = {}
     for name, column in points.items():
         quantity = study.quantities[name]
-        columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
+        columns[name] = ("candidate", column, unit_and_meaning(quantity.unit, quantity.meaning))
     place_meaning = "place among the chosen, 0: the best, -1: none"
-    columns["draws"] = ("candidate", result.draws, {"units": "1", "long_name": "number of draws"})
-    columns["failures"] = ("candidate", result.failures, {"units": "1", "long_name": "draws that failed"})
-    columns["place"] = ("candidate", place, {"units": "1", "long_name": place_meaning})
+    columns["draws"] = ("candidate", result.draws, unit_and_meaning("1", "number of draws"))
+    columns["failures"] = ("candidate", result.failures, unit_and_meaning("1", "draws that failed"))
+    columns["place"] = ("candidate", place, unit_and_meaning("1", place_meaning))
     return xr.Dataset(columns, attrs={"title": study.name})

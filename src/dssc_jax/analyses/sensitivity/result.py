@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.sensitivity.outputs import FAILURE
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import headline_measure
 from dssc_jax.study import Study
@@ -251,10 +251,10 @@ def sensitivity_dataset(
         values = np.stack([quantities[place] if quantities else blank for quantities in outputs.values()])
         unit = "1" if measure.share else "the output's"
         for end, (suffix, side) in enumerate(ENDS.items()):
-            attributes = {"units": unit, "long_name": measure.meaning + side}
+            attributes = unit_and_meaning(unit, measure.meaning + side)
             columns[name + suffix] = (("output", "factor"), values[..., end], attributes)
     counts = np.array(list(missing.values()))
-    columns["missing"] = (("output",), counts, {"units": "1", "long_name": "simulations without a value"})
+    columns["missing"] = (("output",), counts, unit_and_meaning("1", "simulations without a value"))
     coords = {
         "output": ("output", np.array(list(outputs)), {"long_name": "metric, or failure"}),
         "factor": ("factor", np.array(list(factors)), {"long_name": "uncertain number, or noise"}),

@@ -14,7 +14,7 @@ from dssc_jax.analyses.worst_loop.box import Box
 from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
@@ -360,7 +360,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
         "cells": "cells computed",
     }.items():
         values = np.array([getattr(case, name) for case in loop_cases])
-        columns[name] = ("loop", values, {"units": "1", "long_name": meaning})
+        columns[name] = ("loop", values, unit_and_meaning("1", meaning))
     for name, meaning in {
         "low": "lower end",
         "high": "upper end",
@@ -394,5 +394,5 @@ def multiloop_dataset(box: Box, case: JointCase | None) -> xr.Dataset:
     }
     variables = {}
     for name, (dims, values, unit, meaning) in columns.items():
-        variables[f"multiloop_{name}"] = (dims, np.asarray(values), {"units": unit, "long_name": meaning})
+        variables[f"multiloop_{name}"] = (dims, np.asarray(values), unit_and_meaning(unit, meaning))
     return xr.Dataset(variables, coords={"channel": list(case.channels)})

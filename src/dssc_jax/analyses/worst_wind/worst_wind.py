@@ -17,7 +17,7 @@ from dssc_jax.analyses.worst_wind.ascent import Ascent, WorstFlight
 from dssc_jax.analyses.worst_wind.flights import AXES, WindFlights, WindGrid, require_certain_wind
 from dssc_jax.analyses.worst_wind.wind_set import Limits, WindSet
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.results.analysis import Analysis
@@ -316,13 +316,13 @@ def worst_wind_dataset(flights: WindFlights, worst_flights: dict[str, WorstFligh
         columns[name] = (values, quantity.unit, quantity.meaning)
     variables = {}
     for name, (values, unit, meaning) in columns.items():
-        variables[name] = ("signal", np.asarray(values), {"units": unit, "long_name": meaning})
+        variables[name] = ("signal", np.asarray(values), unit_and_meaning(unit, meaning))
     for index, axis in enumerate(AXES):
         winds = np.stack([worst.point.winds[0, :, index] for worst in worst_flights.values()])
-        attributes = {"units": "m/s", "long_name": f"worst wind along {axis}"}
+        attributes = unit_and_meaning("m/s", f"worst wind along {axis}")
         variables[f"wind_{axis}"] = (("signal", "time"), winds, attributes)
     coords = {
-        "signal": ("signal", list(worst_flights), {"units": "", "long_name": "signal, by the name of its metric"}),
-        "time": ("time", flights.grid.times, {"units": "s", "long_name": "time of the wind's vector"}),
+        "signal": ("signal", list(worst_flights), unit_and_meaning("", "signal, by the name of its metric")),
+        "time": ("time", flights.grid.times, unit_and_meaning("s", "time of the wind's vector")),
     }
     return xr.Dataset(variables, coords=coords, attrs={"title": flights.study.name})
