@@ -5,11 +5,12 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
+from dssc_jax.engine.batching import join_batches
 from dssc_jax.exploration.figures import TICK_TEXT
 from dssc_jax.exploration.flight_page import flight_html
 from dssc_jax.exploration.flight_view import VIEW, FlightView, failure_sample, recorded_flights
 from dssc_jax.exploration.live import ATTITUDE, LiveRun, has_vehicle, recorded_signals
-from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
+from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey
 from tests.browser import BROWSER, needs_browser
 
 STUDY = """
@@ -35,7 +36,7 @@ def flown(tmp_path_factory):
     path.write_text(STUDY)
     study = dj.Study.load(path)
     program = RecordedDraws(study, {}, recorded_signals(study), lanes=16)
-    results = all_draws(list(program.batches(study, np.arange(6))))
+    results = join_batches(list(program.batches(study, np.arange(6))))
     return path, LiveRun(study, results, {}, program.times)
 
 

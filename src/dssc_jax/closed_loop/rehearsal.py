@@ -19,7 +19,7 @@ from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.contracts import Sensor
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.signals import Command, Measurement, Params, State
+from dssc_jax.core.signals import Command, Measurement, Measurements, Params, ReferencePoints, State
 
 NEW_LINE = "\n"
 PACKAGE = __name__.partition(".")[0]
@@ -117,9 +117,7 @@ def check_starts(loop: Loop, params: LoopParams) -> None:
 
     check("plant", loop.plant.init, params.plant)
     check("wind", loop.wind.init, params.wind, key)
-    plant = as_arrays(loop.plant.init(params.plant))
-    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
-    references = loop.mimo_reference.at(params.reference, 0.0)
+    measurements, references = first_signals(loop, params)
     for i, name in enumerate(loop.channels):
         seen = measurements[i]._replace(signals=(0.0,) * len(loop.measures))
         check(place_of("controller", name), loop.controller[i].init, params.controller[i], seen, references[i])
@@ -165,15 +163,20 @@ def is_finite_or_traced(leaf: object) -> bool:
         return True
 
 
+def first_signals(loop: Loop, params: LoopParams) -> tuple[Measurements, ReferencePoints]:
+    """Measurement and reference of each channel at t = 0, without inputs."""
+    plant = as_arrays(loop.plant.init(params.plant))
+    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
+    return measurements, loop.mimo_reference.at(params.reference, 0.0)
+
+
 def check_results(loop: Loop, params: LoopParams) -> None:
     """Require that the plant returns measurements, each sensor readings, and each controller state, command and info.
 
     Raises:
         ConfigError: A part returns something else.
     """
-    plant = as_arrays(loop.plant.init(params.plant))
-    measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
-    references = loop.mimo_reference.at(params.reference, 0.0)
+    measurements, references = first_signals(loop, params)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
         sensor, sensor_params = loop.sensor[channel], params.sensor[channel]

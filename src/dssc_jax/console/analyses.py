@@ -11,7 +11,6 @@ from dssc_jax.analyses.probability import FailureProbability
 from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import (
-    STAYS_FINITE,
     number_text,
     output,
     show_files,
@@ -19,6 +18,7 @@ from dssc_jax.console.terminal import (
     show_line,
     show_pairs,
     show_paragraph,
+    show_required,
     show_table,
 )
 from dssc_jax.results.summary import largest_count
@@ -33,7 +33,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
     Untuned gains are the given ones, or those that correspond to DSSC's (Table 2).
     """
     answer = comparison.answer
-    show_head(comparison.study.name, f"required: {'; '.join(answer.requirements) or STAYS_FINITE}")
+    show_required(comparison.study.name, answer.requirements)
     show_contest(answer.corresponding, answer, "given or corresponding gains")
     if answer.tuned:
         show_contest(answer.tuned.contest, answer, "tuned gains")
@@ -147,7 +147,7 @@ def sensitivity_text(value: float, low: float, high: float) -> str:
 def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
     """Print a failure probability from strata, the failures in each stratum, and the simulations saved."""
     answer = estimate.answer
-    show_head(estimate.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(estimate.study.name, answer.requirements)
     show_paragraph(f"{estimate.headline} ({100 * answer.confidence:g} %, strata)")
     if not answer.reached:
         low, high = answer.interval
@@ -173,7 +173,7 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
     plain = answer.plain
     low, high = answer.interval
     level = f"{100 * answer.confidence:g} % {answer.interval_method}"
-    show_head(event.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(event.study.name, answer.requirements)
     if answer.refusal:
         show_paragraph(f"no importance sampling: {answer.refusal}")
     if estimate.probability == 0.0:

@@ -6,14 +6,14 @@ from pathlib import Path
 from dssc_jax.analyses.laws.answer import LawError, LawErrorsAnswer
 from dssc_jax.analyses.laws.law_errors import LawErrors
 from dssc_jax.console.stated import interval_text, show_stated
-from dssc_jax.console.terminal import show_files, show_head, show_line, show_table
+from dssc_jax.console.terminal import show_files, show_line, show_required, show_table
 from dssc_jax.statistics.divergence_balls import BALLS
 
 
 def show_laws(errors: LawErrors, files: list[Path]) -> None:
     """Print how far all laws may be wrong together and each law alone, and what follows from stated amounts."""
     answer = errors.answer
-    show_head(errors.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(errors.study.name, answer.requirements)
     failure = answer.failure
     interval = interval_text(failure.interval)
     show_line(
@@ -66,7 +66,7 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
 
 def show_each_law(errors: LawErrors) -> None:
     """Print how far each law alone may be wrong; the law with the smallest admissible shift comes first."""
-    laws = sorted(errors.answer.by_law.items(), key=lambda entry: admissible_shift(entry[1]))
+    laws = sorted(errors.answer.by_law.items(), key=lambda entry: least_shift_first(entry[1]))
     quantities = errors.study.quantities
     rows = []
     for name, law in laws:
@@ -131,8 +131,8 @@ def show_fresh_draws(answer: LawErrorsAnswer) -> None:
     show_table(head, rows, "along the worst direction")
 
 
-def admissible_shift(law: LawError) -> tuple[float, float]:
-    """Admissible shift of a law's mean, estimated and with confidence, as a sort key."""
+def least_shift_first(law: LawError) -> tuple[float, float]:
+    """Sort key of a law: the admissible shift of its mean by the estimate, and among equals that with confidence."""
     estimate = law.mean_shift_estimate
     return (math.inf if estimate is None else estimate, law.mean_shift)
 

@@ -13,6 +13,7 @@ from dssc_jax.console.terminal import (
     show_line,
     show_pairs,
     show_paragraph,
+    show_required,
     show_table,
 )
 from dssc_jax.statistics import CONFIDENCE, wilks_draws
@@ -48,7 +49,7 @@ def show_margins(margins: Margins, files: list[Path]) -> None:
     """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved."""
     answer = margins.answer
     start, end = answer.bounds
-    show_head(margins.study.name, f"required: {'; '.join(answer.criterion)}")
+    show_required(margins.study.name, answer.criterion)
     limit = tolerance_text(answer.lower_tolerance, answer.draws, end, answer.unit)
     rows = [
         ("draws", str(answer.draws)),

@@ -4,13 +4,13 @@ from pathlib import Path
 
 from dssc_jax.analyses.laws.law_ranges import LawRanges
 from dssc_jax.console.stated import interval_text
-from dssc_jax.console.terminal import show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.console.terminal import show_files, show_line, show_paragraph, show_required, show_table
 
 
 def show_ranges(ranges: LawRanges, files: list[Path]) -> None:
     """Print the failure probability over all laws within their ranges, and the best and the worst of these laws."""
     answer = ranges.answer
-    show_head(ranges.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(ranges.study.name, answer.requirements)
     show_line(ranges.headline)
     show_paragraph(f"{answer.draws} draws of a mixture, worth at least {answer.least_effective:.0f} of every law")
     rows = []

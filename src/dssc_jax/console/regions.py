@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from dssc_jax.analyses.region.safe_region import RegionAnswer, SafeRegion
-from dssc_jax.console.terminal import show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.console.terminal import show_files, show_line, show_paragraph, show_required, show_table
 from dssc_jax.results.schema import name_with_unit
 
 
 def show_region(region: SafeRegion, files: list[Path]) -> None:
     """Print how many pairs of values meet the requirements, the safe ranges, and the claim."""
     answer = region.answer
-    show_head(region.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(region.study.name, answer.requirements)
     share = f"{100 * answer.passing:g} %"
     rows = [
         (f"at least {share} of all plants pass", str(answer.meets), f"at most {answer.failures_allowed} failures"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from dssc_jax.closed_loop.metrics.requirements import ended_early
 from dssc_jax.console.stated import show_stated
-from dssc_jax.console.terminal import STAYS_FINITE, number_text, show_head, show_line, show_paragraph, show_table
+from dssc_jax.console.terminal import number_text, show_line, show_paragraph, show_required, show_table
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline_measure
 from dssc_jax.results.schema import name_with_unit, outcome_codes
@@ -32,8 +32,7 @@ VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
 def show_result(result: "Result") -> None:
     """Print the failure probabilities of a run or a sweep with their intervals, what it cost, and its folder."""
     axes = result.study.axes
-    required = "; ".join(rule.text for rule in result.study.requirements)
-    show_head(result.study.name, f"required: {required or STAYS_FINITE}")
+    show_required(result.study.name, [rule.text for rule in result.study.requirements])
     if result.has_equal_draws:
         show_paragraph(equal_draws_text(result))
     if not axes:

@@ -9,7 +9,15 @@ from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
 from dssc_jax.analyses.selection import Selection
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
 from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity, tuned_table
-from dssc_jax.console.terminal import number_text, output, show_files, show_head, show_line, show_paragraph, show_table
+from dssc_jax.console.terminal import (
+    number_text,
+    output,
+    show_files,
+    show_line,
+    show_paragraph,
+    show_required,
+    show_table,
+)
 from dssc_jax.study import Study
 
 ENDED_EARLY = "ended early"
@@ -31,7 +39,7 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
 def show_selection(selection: Selection, files: list[Path]) -> None:
     """Print the selected candidates, the claim about them, and the cost."""
     answer = selection.answer
-    show_head(selection.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(selection.study.name, answer.requirements)
     show_paragraph(f"{selection.headline} ({100 * answer.confidence:g} %, all together)")
     rows = []
     for rank, candidate in enumerate(answer.chosen, start=1):
@@ -129,7 +137,7 @@ def likelihood_text(likelihood: LikelihoodAnswer) -> str:
 def show_falsification(falsified: Falsified, files: list[Path]) -> None:
     """Print the worst draw and the likeliest failure that were found, with their likelihoods."""
     answer = falsified.answer
-    show_head(falsified.study.name, f"required: {'; '.join(answer.requirements)}")
+    show_required(falsified.study.name, answer.requirements)
     within = answer.within
     if within:
         show_paragraph(f"searched: within {within.distance:.4g} sigma, which holds {within.mass:.5g} of all draws")

@@ -45,6 +45,11 @@ def show_head(name: str, text: str) -> None:
     output().print(f"[bold]{escape(name)}[/bold]  {escape(text)}")
 
 
+def show_required(name: str, requirements: Sequence[str]) -> None:
+    """Print the name of a study in bold, followed by what it requires; without requirements that draws stay finite."""
+    show_head(name, f"required: {'; '.join(requirements) or STAYS_FINITE}")
+
+
 def show_line(text: str) -> None:
     """Print a text without line breaks, so that long names and paths can be copied from a terminal."""
     output().print(text, markup=False, soft_wrap=True)
@@ -55,7 +60,7 @@ def show_paragraph(text: str) -> None:
     output().print(text, markup=False)
 
 
-def announce_compiling(study: "Study", quiet: bool = False) -> None:
+def announce_compiling(study: "Study", quiet: bool) -> None:
     """Tell on standard error that the loop is about to be compiled, unless ``quiet``."""
     if not quiet:
         notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")

@@ -123,4 +123,5 @@ def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
 
 def falls_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant is stable and its output falls as its command rises; ``omega`` is the bandwidth [rad/s]."""
-    return bool(np.all(np.abs(np.linalg.eigvals(plant.a)) < 1.0)) and plant.response(1e-6 * omega).real < 0.0
+    is_stable = bool(np.all(np.abs(np.linalg.eigvals(plant.a)) < 1.0))
+    return is_stable and plant.response(1e-6 * omega).real < 0.0

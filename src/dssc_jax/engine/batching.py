@@ -374,7 +374,12 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
         columns = {name: column[part] for name, column in values.items()}
         started.append(engine(columns, indices[part]))
     batches = [finish() for finish in started]
-    return {name: np.concatenate([arrays[name] for arrays in batches]) for name in batches[0]}
+    return join_batches(batches)
+
+
+def join_batches(batches: Sequence[Arrays]) -> Arrays:
+    """The arrays of several batches by name, those of one batch after those of the other."""
+    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
 def is_noisy(engine: Engine) -> bool:

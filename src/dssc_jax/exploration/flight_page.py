@@ -6,11 +6,11 @@ from bokeh.models import Div
 from markupsafe import escape
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import values_of_draws
+from dssc_jax.engine.batching import join_batches, values_of_draws
 from dssc_jax.exploration.flight_view import FlightView
 from dssc_jax.exploration.interactive_report import standalone_page
 from dssc_jax.exploration.live import VEHICLE_BATCH, LiveRun, has_vehicle, recorded_signals
-from dssc_jax.runs.recorded_draws import RecordedDraws, all_draws
+from dssc_jax.runs.recorded_draws import RecordedDraws
 from dssc_jax.study import Study
 
 GHOSTS = 32
@@ -36,7 +36,7 @@ def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
     ghost_draws = [index for index in range(min(ghosts + 1, fixed.config.draws)) if index != draw]
     indices = np.array([draw, *ghost_draws[:ghosts]])
     program = RecordedDraws(fixed, {}, recorded_signals(fixed), lanes=VEHICLE_BATCH)
-    results = all_draws(list(program.batches(fixed, indices)))
+    results = join_batches(list(program.batches(fixed, indices)))
     values_of_all = values_of_draws(fixed, slice(0, int(indices.max()) + 1))
     values = {name: column[indices] for name, column in values_of_all.items()}
     run = LiveRun(fixed, results, values, program.times)

@@ -13,7 +13,7 @@ import numpy as np
 from dssc_jax.closed_loop.metrics.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
-from dssc_jax.engine.batching import values_of_draws
+from dssc_jax.engine.batching import join_batches, values_of_draws
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
@@ -26,7 +26,7 @@ from dssc_jax.exploration.sliders import (
 )
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.results.result import interval_method
-from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
+from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey
 from dssc_jax.statistics import CONFIDENCE, describe_probability
 from dssc_jax.study import Study
 from dssc_jax.study.tables import to_toml
@@ -230,7 +230,7 @@ class LiveStudy:
                 return None
             if time.monotonic() - start > QUIET_SECONDS:
                 progress(f"{finished_draws:,} of {count:,} draws")
-        return LiveRun(study, all_draws(batches), values_of_draws(study, slice(0, count)), program.times)
+        return LiveRun(study, join_batches(batches), values_of_draws(study, slice(0, count)), program.times)
 
     @cached_property
     def first(self) -> LiveRun:

@@ -106,8 +106,3 @@ class RecordedDraws:
             return OrderedDict([*results_of(study, run).items(), *signals.items()])
 
         return lane
-
-
-def all_draws(batches: Sequence[Arrays]) -> Arrays:
-    """The results of several batches as one."""
-    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}

@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
-from dssc_jax.engine.batching import Engine, Layout, computing, execute, values_of_draws
+from dssc_jax.engine.batching import Engine, Layout, computing, execute, join_batches, values_of_draws
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
@@ -94,7 +94,7 @@ def run_until(
         progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
-    columns = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
+    columns = {name: column[:draws] for name, column in join_batches(batches_done).items()}
     copy_block(dataset, (slice(0, draws),), columns, values_of_draws(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,

@@ -17,7 +17,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
 from dssc_jax.study import Study
-from dssc_jax.study.laws import is_number
+from dssc_jax.study.laws import is_range
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.tables import set_dotted
 
@@ -80,8 +80,7 @@ def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[f
     """
     extents = {}
     for name, extent in requested.items():
-        numbers = isinstance(extent, list) and len(extent) == 2 and all(is_number(value) for value in extent)
-        if not numbers or not 0.0 < extent[0] < extent[1]:
+        if not is_range(extent) or not 0.0 < extent[0] < extent[1]:
             raise ConfigError(f"tune.{name}", f"must be [lo, hi] with 0 < lo < hi, got {extent!r}")
         extents[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
     if extents:

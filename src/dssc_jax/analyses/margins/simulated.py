@@ -17,7 +17,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, execute, values_of_draws
+from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, execute, join_batches, values_of_draws
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
@@ -208,8 +208,7 @@ def critical_numbers(
         blocks.append(critical_block(evaluator, block, numbers_at, walk, bisections, report))
     fields = zip(*(critical for critical, _ in blocks), strict=True)
     critical = Critical(*(np.concatenate(arrays, axis=-1) for arrays in fields))
-    numbers = {name: np.concatenate([laws[name] for _, laws in blocks]) for name in blocks[0][1]}
-    return critical, numbers
+    return critical, join_batches([numbers for _, numbers in blocks])
 
 
 def critical_block(
@@ -266,10 +265,9 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
         layout = Layout.of(study_at_value)
         engine = Engine(study_at_value, layout.lanes, clock=clock)
         blocks = list(execute(engine, layout.blocks()))
-        for name in study_at_value.laws:
-            numbers[name] = np.concatenate([laws[name] for _, _, laws in blocks])
+        numbers.update(join_batches([laws for _, _, laws in blocks]))
         progress(clock.lanes, len(studies) * len(draws))
-        results = {name: np.concatenate([block[name] for _, block, _ in blocks]) for name in blocks[0][1]}
+        results = join_batches([results for _, results, _ in blocks])
         return violated.slack(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)

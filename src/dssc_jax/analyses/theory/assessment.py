@@ -21,6 +21,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import medians
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
@@ -265,7 +266,7 @@ def assess(
         except ConfigError as error:
             not_covered[kind.value] = error.rule
     if Time.SAMPLED in local and is_time_constant(study, over):
-        middle = study.override({**{name: law.median for name, law in study.laws.items()}, "draws": 1})
+        middle = study.override({**medians(study), "draws": 1})
         critical = float(local_margin(middle, **walk).dataset["critical"].values[0])
         edge = None if np.isnan(critical) else critical
     oscillations = {}

@@ -8,6 +8,8 @@ import xarray as xr
 from dssc_jax.analyses.theory.describing import limit_cycles
 from dssc_jax.analyses.theory.linearised import at_rest
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import unit_and_meaning
+from dssc_jax.engine.batching import medians
 from dssc_jax.runs import run as running
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, section_of
@@ -52,7 +54,6 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     if study.config.loop.sample_time > longest * (1 + 1e-9):
         raise ConfigError(f"{study.source}: loop.sample_time", f"must be <= {longest:g}, a 20th of mu")
     resting = at_rest(study)
-    middle = {name: law.median for name, law in resting.laws.items()}
     changes = {
         "plant.initial": [push, 0.0],
         "draws": 1,
@@ -60,7 +61,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "metrics": {"after": after, "names": ["sigma_max"]},
         "sweep": {mu: [float(value) for value in values]},
     }
-    largest = running.run(resting.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
+    largest = running.run(resting.override({**medians(resting), **changes})).dataset["sigma_max"].values[:, 0]
     predicted = np.full((len(values), 2), np.nan)
     if study.loop.controller[0].describing is not None:
         for row, cycle in zip(predicted, limit_cycles(resting, [{mu: value} for value in values]), strict=True):
@@ -70,10 +71,10 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     unit = study.units[0].of("y/s")
     return xr.Dataset(
         {
-            "amplitude": ((mu,), largest, {"units": unit, "long_name": "largest |sigma| of what is left"}),
-            "predicted": ((mu,), amplitude, {"units": unit, "long_name": "amplitude by describing function"}),
-            "frequency": ((mu,), frequency, {"units": "rad/s", "long_name": "frequency by describing function"}),
+            "amplitude": ((mu,), largest, unit_and_meaning(unit, "largest |sigma| of what is left")),
+            "predicted": ((mu,), amplitude, unit_and_meaning(unit, "amplitude by describing function")),
+            "frequency": ((mu,), frequency, unit_and_meaning("rad/s", "frequency by describing function")),
         },
-        coords={mu: ((mu,), np.asarray(values, float), {"units": "s", "long_name": "time constant mu"})},
+        coords={mu: ((mu,), np.asarray(values, float), unit_and_meaning("s", "time constant mu"))},
         attrs={"controller": kind_in(study.config, "controller"), "push": push},
     )

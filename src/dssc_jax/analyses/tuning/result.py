@@ -21,13 +21,14 @@ from dssc_jax.analyses.tuning.search_variables import FREE_PREFIX
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.design import Free
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.proofs.claims import claim_for
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED, STORED_APART
 from dssc_jax.results.manifest import write_json
+from dssc_jax.results.summary import rows_of_columns
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study
 from dssc_jax.study.schema import TuneTable
@@ -166,8 +167,7 @@ class Tuned(Analysis):
     def history(self) -> list[dict[str, Any]]:
         """The history of the search: a row for each evaluation on validation draws, values by column."""
         looks = self.dataset[[name for name, variable in self.dataset.items() if variable.dims == ("look",)]]
-        columns = {str(name): variable.values.tolist() for name, variable in looks.items()}
-        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        return rows_of_columns({str(name): variable.values.tolist() for name, variable in looks.items()})
 
     @property
     def proved_loop(self) -> dict[str, Any]:
@@ -262,7 +262,7 @@ def tuning_dataset(study: Study, history: Sequence[Mapping[str, Any]], costs: Ma
         columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))
     variables = {}
     for name, (dimension, values, quantity) in columns.items():
-        variables[name] = (dimension, values, {"units": quantity.unit, "long_name": quantity.meaning})
+        variables[name] = (dimension, values, unit_and_meaning(quantity.unit, quantity.meaning))
     return xr.Dataset(variables, attrs={"title": study.name})
 
 

@@ -113,6 +113,10 @@ class NativeFmu:
         """The names of the scalar real variables that have a causality."""
         return [name for name, variable in self.variables.items() if variable.causality == causality]
 
+    def references_with(self, causality: str) -> list[int]:
+        """The value references of the scalar real variables that have a causality, in the same order."""
+        return [variable.reference for variable in self.variables.values() if variable.causality == causality]
+
     def parameter(self, name: str, place: str) -> FmuVariable:
         """Find a variable that a study sets before t = 0, by its name in a study (:func:`field_name`).
 

@@ -59,7 +59,7 @@ def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Co
         ConfigError: The entry is missing, or names no such variable.
     """
     if key not in table:
-        candidates = [name for name, variable in fmu.variables.items() if variable.causality == causality]
+        candidates = fmu.names_with(causality)
         rule = f"is required: an {causality} of '{fmu.file}'; it has {', '.join(sorted(candidates)) or 'none'}"
         raise ConfigError(key, rule)
     return Connection(key, fmu.variable(table[key], key, causality))

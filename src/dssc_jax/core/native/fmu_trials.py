@@ -50,7 +50,7 @@ def trial_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
         FmiError: An instance does not start.
     """
     calls = fmu.calls
-    inputs = [variable.reference for variable in fmu.variables.values() if variable.causality == INPUT]
+    inputs = fmu.references_with(INPUT)
     h = fmu.step_size or TRIAL_STEP
     outputs = {flight: bytearray() for flight in flights}
     instances: dict[int, int] = {}
@@ -88,8 +88,8 @@ def trial_step(fmu: NativeFmu, address: int, t: float, h: float, signals: np.nda
         The values of all outputs; None if a call fails.
     """
     calls = fmu.calls
-    inputs = [variable.reference for variable in fmu.variables.values() if variable.causality == INPUT]
-    outputs = [variable.reference for variable in fmu.variables.values() if variable.causality == OUTPUT]
+    inputs = fmu.references_with(INPUT)
+    outputs = fmu.references_with(OUTPUT)
     values = np.full(len(outputs), inf)
     if inputs and calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data) > WARNING:
         return None

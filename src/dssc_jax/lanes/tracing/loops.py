@@ -10,7 +10,14 @@ from dssc_jax.lanes.program import BOOL, Recording, Value
 from dssc_jax.lanes.tracing import indexing
 from dssc_jax.lanes.tracing.memory import Memory, move_to_memory
 from dssc_jax.lanes.tracing.specification import any_value, array_type, rule
-from dssc_jax.lanes.tracing.states import assemble, components, flatten, is_varying, refuse_recordings
+from dssc_jax.lanes.tracing.states import (
+    assemble,
+    components,
+    flags_of_components,
+    flatten,
+    is_varying,
+    refuse_recordings,
+)
 from dssc_jax.lanes.tracing.varying import is_key, parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -37,7 +44,7 @@ def while_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any]
         raise Unsupported("an array in memory in a loop that lanes leave at different times")
     enter = translator.run(head, [*head_constants, *initial_state])[0]
     scalars = flatten(initial_state, build)
-    differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
+    differs = flags_of_components(varying, initial_state, build)
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
     carried = list(scalars)
     if lanes_differ:  # the last state tells whether the lane still runs
@@ -84,7 +91,7 @@ def scan_rule(translator: "Translator", equation: JaxprEqn, operands: list[Any])
     )
     scalars = flatten(initial_state, build)
     index = np.dtype(np.int32)
-    differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
+    differs = flags_of_components(flags, initial_state, build)
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn

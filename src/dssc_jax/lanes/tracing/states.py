@@ -13,6 +13,11 @@ from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.unsupported import Unsupported
 
 
+def flags_of_components(flags: Sequence[int], values: Sequence[Any], build: Builder) -> list[bool]:
+    """The flag of each state of a loop, repeated for each of its :func:`components`."""
+    return [bool(flag) for flag, value in zip(flags, values, strict=True) for _ in components(value, build)]
+
+
 def components(value: Any, build: Builder) -> list[Value]:
     """The scalars of a value, in order: itself, the words of a key, the token of a memory, or an array's elements.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search.gains import start_ratio
-from dssc_jax.proofs.search.impulse_responses import responses
+from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.law_spread import Deviation, LawSpread
 from dssc_jax.proofs.search.sampled_loop import (
     Step,
@@ -62,7 +62,7 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     step = step_of(problem, point, box, is_integrated=is_integrated)
     n = step.a.shape[0]
     t = problem.sample_time
-    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
+    if spectral_radius(step.a) >= 1.0:
         return None
     e, _, sigma, change = step.rows
     slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))

@@ -19,7 +19,7 @@ from dssc_jax.proofs.search.bounds_map import (
     BoundsMap,
     bounds_map,
 )
-from dssc_jax.proofs.search.impulse_responses import decay_of
+from dssc_jax.proofs.search.impulse_responses import decay_of, spectral_radius
 from dssc_jax.proofs.search.law_spread import (
     StageRegion,
     law_spreads,
@@ -93,7 +93,7 @@ class BoundsStage:
 
 def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     """The smallest bounds with origin + matrix bounds <= bounds, (signals,); None if the gain is not small."""
-    if np.max(np.abs(np.linalg.eigvals(matrix))) >= 1.0 - 1e-6:
+    if spectral_radius(matrix) >= 1.0 - 1e-6:
         return None
     return np.linalg.solve(np.eye(origin.size) - matrix, origin + SMALLEST_BOUND)
 

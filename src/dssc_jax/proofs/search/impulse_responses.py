@@ -45,7 +45,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     block_jump = jump @ jump_powers[-1]
     short_rows = np.concatenate(row_powers)
     long_jumps = np.concatenate(jump_powers)
-    decay_share = 1.0 - np.max(np.abs(np.linalg.eigvals(block_jump)))
+    decay_share = 1.0 - spectral_radius(block_jump)
     z = np.concatenate([inputs, starts], axis=1)
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.shape[1]))
@@ -72,7 +72,7 @@ def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
     coordinates in which the solution of the first is the unit matrix.
     """
     n = a.shape[0]
-    radius = np.max(np.abs(np.linalg.eigvals(a)))
+    radius = spectral_radius(a)
     contraction = 0.5 * (1.0 + radius)
     gramian = solve_discrete_lyapunov(a / contraction, np.eye(n))
     scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
@@ -80,3 +80,8 @@ def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
     scaled_p = solve_discrete_lyapunov((inverse @ a @ scale / contraction).T, np.eye(n))
     p = inverse.T @ scaled_p @ inverse
     return float(1.0 - contraction**2), 0.5 * (p + p.T)
+
+
+def spectral_radius(a: np.ndarray) -> float:
+    """The largest modulus of the eigenvalues of a matrix, (n, n)."""
+    return np.max(np.abs(np.linalg.eigvals(a)))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 
+from dssc_jax.proofs.search.impulse_responses import spectral_radius
 from dssc_jax.proofs.search.sampled_loop import Step
 
 clarabel: Any = importlib.import_module("clarabel")  # its extension module has no types
@@ -79,7 +80,7 @@ def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarra
         None if the loop is not stable, or excites a subspace only.
     """
     n = step.a.shape[0]
-    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
+    if spectral_radius(step.a) >= 1.0:
         return None
     columns = np.stack(starts, axis=1) * np.sqrt(decay)
     excitation = step.b @ step.b.T + columns @ columns.T

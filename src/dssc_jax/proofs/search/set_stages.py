@@ -10,7 +10,7 @@ import numpy as np
 
 from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
-from dssc_jax.proofs.search.impulse_responses import responses
+from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.law_spread import slide_hull
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import (
@@ -221,7 +221,7 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
     gains = gain_hull(problem, 1e-9, 1e-9)
     origin = step_of(problem, box_middle(box, gains), box, is_integrated=is_integrated)
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
-    radius = np.max(np.abs(np.linalg.eigvals(origin.a)))
+    radius = spectral_radius(origin.a)
     speed = float(-np.log(radius) / problem.sample_time)
     if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
@@ -305,7 +305,7 @@ def set_with_start(
     return None
 
 
-def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float] = RATES) -> SetStage | None:
+def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float]) -> SetStage | None:
     """Search a smaller set that attracts all of a region; None if its |e| is not much smaller.
 
     Args:
@@ -333,7 +333,9 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
 def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
     """The largest |row z| in the loop of one step, from the starts and under inputs of size 1; ``row`` is its place."""
     response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
-    return np.inf if response is None else float((response.peaks + response.sums.sum(axis=1))[0])
+    if response is None:
+        return np.inf
+    return float((response.peaks + response.sums.sum(axis=1))[0])
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.search.impulse_responses import decay_of
+from dssc_jax.proofs.search.impulse_responses import decay_of, spectral_radius
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.attitude import OutOfRange, Signals
 from dssc_jax.proofs.search.vehicle.channels import (
@@ -277,7 +277,7 @@ def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Coupli
 def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, Slopes]) -> bool:
     """Whether all sampled channels are stable."""
     steps = [sampled_channel(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
-    return all(np.max(np.abs(np.linalg.eigvals(step.a))) < 1.0 for step in steps)
+    return all(spectral_radius(step.a) < 1.0 for step in steps)
 
 
 def fixed_point_from(
@@ -331,9 +331,7 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
     return VehicleBounds(vehicle.slopes, vehicle.damping, y, rotors, totals)
 
 
-def best_bounds(
-    problem: VehicleProblem, room_factor: float = 1.0, *, from_start: bool = True
-) -> VehicleBounds | Obstacle:
+def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
     """Search the bounds with the smallest |e| in the plane, over several dampings of drag there.
 
     Args:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssc_jax.proofs.search.impulse_responses import responses
+from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChannel, flow, sampled_channel
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
@@ -146,7 +146,7 @@ def channel_response(
     channel: ChannelProblem,
     linear: LinearChannel,
     slopes: tuple[float, ...],
-    start_offsets: np.ndarray | None = None,
+    start_offsets: np.ndarray | None,
 ) -> ChannelResponse | None:
     """The largest responses of a channel's signals; None if it is not stable or they last too long.
 
@@ -159,7 +159,7 @@ def channel_response(
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a, rows = observation.step.a, observation.rows
-    if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
+    if spectral_radius(a) >= 1.0:
         return None
     input_responses = responses(a, rows, observation.columns, np.zeros((a.shape[0], 0)))
     if input_responses is None:
@@ -230,7 +230,7 @@ def channel_series(
     linear: LinearChannel,
     slopes: tuple[float, ...],
     length: int,
-    start_offsets: np.ndarray | None = None,
+    start_offsets: np.ndarray | None,
 ) -> ChannelSeries:
     """The responses of a channel's signals, sample by sample. Only the channel of z has a constant force.
 
