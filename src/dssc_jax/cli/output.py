@@ -22,5 +22,6 @@ def show_warning(
 def say(text: str) -> None:
     """Print one line to standard error; control characters are replaced, and a long text is cut off."""
     line = " ".join(text.split())
-    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
+    if len(line) > LONGEST:
+        line = f"{line[:LONGEST]} ..."
     print("".join(character if character.isprintable() else "?" for character in line), file=sys.stderr)

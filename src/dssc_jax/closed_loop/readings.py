@@ -13,7 +13,8 @@ STATE = "x"
 
 def has_measured_angle(loop: Loop, i: int) -> bool:
     """Whether the output of channel i is an angle that is also a measured signal."""
-    return is_angle(loop, i) and signal_name(loop.channels[i], "y") in [signal.name for signal in loop.measures]
+    output = signal_name(loop.channels[i], "y")
+    return is_angle(loop, i) and output in [signal.name for signal in loop.measures]
 
 
 def continuous_outputs(loop: Loop, measurements: Measurements, previous: Signals | tuple[State, ...]) -> Measurements:

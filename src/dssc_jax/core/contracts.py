@@ -12,10 +12,9 @@ import jax
 
 from dssc_jax.core.default_functions import (
     ignore_sample,
-    never_averages,
+    never,
     never_broken,
     never_grounded,
-    never_transparent,
     no_constraint,
     no_info,
     no_signals,
@@ -293,7 +292,7 @@ class Sensor(NamedTuple):
     step: Callable[[Params, State, Measurement, jax.Array, Scalar, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
-    transparent: Callable[[Params], bool] = never_transparent
+    transparent: Callable[[Params], bool] = never
 
 
 class Differentiator(NamedTuple):
@@ -313,7 +312,7 @@ class Differentiator(NamedTuple):
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = unchanged_params
     smooth: Declaration = None
-    transparent: Callable[[Params], bool] = never_transparent
+    transparent: Callable[[Params], bool] = never
 
 
 class Timing(StrEnum):
@@ -379,4 +378,4 @@ class Unmodelled(NamedTuple):
     follow: Callable[[Params, State, Scalar, Scalar, Scalar], State] | None = None
     order: int | None = None
     superposes: bool = False
-    averages: Callable[[Params], bool] = never_averages
+    averages: Callable[[Params], bool] = never

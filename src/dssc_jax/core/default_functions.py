@@ -45,21 +45,16 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
     return state
 
 
-def never_averages(params: Params) -> bool:
-    """Report that the output never acts through its mean over a sample."""
-    return False
-
-
 def no_signals(gains: Params) -> int:
     """The number of measured signals of a controller that takes y and y' alone: 0."""
     return 0
 
 
-def always_transparent(params: Params) -> bool:
-    """Report that a part passes y and y' on at once."""
+def always(params: Params) -> bool:
+    """True for all parameters."""
     return True
 
 
-def never_transparent(params: Params) -> bool:
-    """Report that a part may have dynamics of its own between y, y' and what it passes on."""
+def never(params: Params) -> bool:
+    """False for all parameters."""
     return False

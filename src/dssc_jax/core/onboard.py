@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from dssc_jax.core.default_functions import never
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Params, PlantInput, Scalar, State
 from dssc_jax.core.vectors import Vec3
@@ -14,11 +15,6 @@ WHOLE = 1e-9
 def no_strings(params: Params) -> tuple[str, ...]:
     """No sentences or names, whatever the parameters."""
     return ()
-
-
-def not_settled(params: Params) -> bool:
-    """Report that the integrals start at the numbers of the study."""
-    return False
 
 
 class Onboard(NamedTuple):
@@ -58,7 +54,7 @@ class Onboard(NamedTuple):
     outputs: Callable[[Params], tuple[str, ...]] = no_strings
     directions: tuple[str, ...] = ()
     integrals: Callable[[Params], tuple[str, ...]] = no_strings
-    settled: Callable[[Params], bool] = not_settled
+    settled: Callable[[Params], bool] = never
     drives: str = ""
     tunable: tuple[str, ...] = ()
     taken_over: Callable[[Params, State, tuple[Scalar, ...], float], tuple[State, Scalar]] | None = None

@@ -44,8 +44,11 @@ def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[fl
     Reference:
         V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485.
     """
-    patterns = ("llhh", "hhll", "lhhl", "hllh")
-    return [tuple(low[i] if p[i % 4] == "l" else high[i] for i in range(len(low))) for p in patterns]
+    ends = {"l": low, "h": high}
+    polynomials = []
+    for pattern in ("llhh", "hhll", "lhhl", "hllh"):
+        polynomials.append(tuple(ends[pattern[i % 4]][i] for i in range(len(low))))
+    return polynomials
 
 
 def require_hurwitz(dynamics: ZeroDynamics) -> None:

@@ -33,14 +33,12 @@ def ends_of(study: Study) -> Ends:
     A number that follows from parameters lies between the ends of an interval that holds all its values, whatever the
     other numbers are: what holds for all numbers between their ends holds for every draw.
     """
-    count = len(study.axes)
-    swept: dict[str, Numeric] = {
-        name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
-        for position, (name, values) in enumerate(study.axes.items())
-    }
-    ends = {name: law.support for name, law in study.written_laws.items()} | {
-        name: (axis, axis) for name, axis in swept.items()
-    }
+    ends: dict[str, tuple[Numeric, Numeric]] = {name: law.support for name, law in study.written_laws.items()}
+    for position, (name, values) in enumerate(study.axes.items()):
+        shape = [1] * len(study.axes)
+        shape[position] = -1
+        axis = np.asarray(values).reshape(shape)
+        ends[name] = (axis, axis)
     ends |= expression_ends(study, ends)
     low, high = (study.params({name: pair[end] for name, pair in ends.items()}) for end in (0, 1))
     return Ends(low, high)

@@ -240,11 +240,10 @@ def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGain
     refusal: ConfigError | None = None
     best: FirstGains | None = None
     bandwidth = start
-    remaining_halvings = HALVINGS
+    last_halving = HALVINGS - 1
     for halving in range(HALVINGS):
-        if remaining_halvings == 0:
+        if halving > last_halving:
             break
-        remaining_halvings -= 1
         bandwidth = start * 0.5**halving
         try:
             candidate = design_at_bandwidth(problem, kind, bandwidth)
@@ -253,7 +252,8 @@ def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGain
             continue
         if best is None or is_better(candidate, best):
             best = candidate
-            remaining_halvings = FURTHER if candidate.sensitivity_peak <= MOST_PEAK else remaining_halvings
+            if best.sensitivity_peak <= MOST_PEAK:
+                last_halving = halving + FURTHER
     if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
         return best_nearby(problem, kind, best, start)
     if refusal is not None and refusal.where != "`bandwidth`":

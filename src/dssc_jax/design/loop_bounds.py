@@ -159,7 +159,8 @@ def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
 
 def are_same_numbers(first: Any, second: Any) -> bool:
     """Whether two parts, or two parameters, have equal numbers, none of which is swept."""
-    return all(isinstance(leaf, int | float) for leaf in jax.tree.leaves((first, second))) and first == second
+    leaves = jax.tree.leaves((first, second))
+    return all(isinstance(leaf, int | float) for leaf in leaves) and first == second
 
 
 def form_of(model: Plant, params: Any) -> NormalForm:

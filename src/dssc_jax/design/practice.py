@@ -119,7 +119,9 @@ def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> tu
 
 def output_norm(bounds: Bounds) -> float:
     """|C_eta|, the norm of the output row of the zero dynamics; 0 for a plant of order two."""
-    return 0.0 if bounds.zero_dynamics is None else float(sum(x * x for x in bounds.zero_dynamics.c) ** 0.5)
+    if bounds.zero_dynamics is None:
+        return 0.0
+    return float(sum(x * x for x in bounds.zero_dynamics.c) ** 0.5)
 
 
 class Modulation(NamedTuple):

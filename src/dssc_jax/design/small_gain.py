@@ -50,8 +50,13 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     m = len(a)
     zero = xp.zeros_like(l0)
     unit = xp.ones_like(l0)
-    rows = [[unit if j == i + 1 else zero for j in range(m)] + [zero] for i in range(m - 1)]
-    rows += [[-x * unit for x in a] + [-l0], [zero] * m + [-l0]]
+    rows = []
+    for i in range(m - 1):
+        row = [zero] * (m + 1)
+        row[i + 1] = unit
+        rows.append(row)
+    rows.append([-x * unit for x in a] + [-l0])
+    rows.append([zero] * m + [-l0])
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     p = lyapunov(matrix)
     eigenvalues = xp.linalg.eigvalsh(p)

@@ -237,7 +237,8 @@ class ProbabilityFigure:
 
 def path_views(study: Study) -> Sequence[tuple[str, str]]:
     """The two channels of each view of a vehicle's path, from above and from the side; none without x, y and z."""
-    return (("x", "y"), ("x", "z")) if {"x", "y", "z"} <= set(study.loop.channels) else ()
+    has_path = {"x", "y", "z"} <= set(study.loop.channels)
+    return (("x", "y"), ("x", "z")) if has_path else ()
 
 
 def displayed_signals(study: Study) -> Sequence[str]:

@@ -71,7 +71,9 @@ class Proved:
     @property
     def share(self) -> float:
         """Share of the problem's box that is proved, by volume; 1/mu counts on a logarithmic scale."""
-        return 1.0 if self.complete else float(sum(volume(proof.box, self.problem) for proof in self.proofs))
+        if self.complete:
+            return 1.0
+        return float(sum(volume(proof.box, self.problem) for proof in self.proofs))
 
     def summary(self) -> JsonObject:
         """The outcome as JSON's types: whether it is proved, bounds of |e| [m], the statement, and the failures."""
@@ -170,7 +172,7 @@ def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int]
     return prove_axis(problem, boxes, progress)
 
 
-def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:
+def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None) -> Proved:
     """:func:`prove` for the problem of a loop of the class (5)-(8).
 
     The largest box that is not proved yet is tried first. If no proof is found, it is halved, as long as no more than

@@ -327,16 +327,20 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
     In the plane they bound the norms of both vectors. For psi the second one bounds |psi'|, which starts at 0.
     """
     plants: list[UavParams] = [end.plant for end in ends]
-    *first_points_of_axes, yaw = first_points(study, ends)
-    rounding_room = 0.0 if study.loop.reference is HOVER else START_ROOM
-    distances = [largest_of([end.position[i] - first_points_of_axes[i][0] for end in plants]) for i in range(3)]
-    speeds = [largest_of([end.velocity[i] - first_points_of_axes[i][1] for end in plants]) for i in range(3)]
-    yaw_errors = [float(end.yaw) - yaw[0] for end in plants]
+    *first_points_of_axes, (first_yaw, _) = first_points(study, ends)
+    distances = []
+    speeds = []
+    for axis, (place, rate) in enumerate(first_points_of_axes):
+        distances.append(largest_of([end.position[axis] - place for end in plants]))
+        speeds.append(largest_of([end.velocity[axis] - rate for end in plants]))
+    yaw_errors = [float(end.yaw) - first_yaw for end in plants]
     full_turns = TURN * round(sum(yaw_errors) / (2.0 * TURN))  # the vehicle takes the shorter way round
+    yaw_error = largest_of([angle - full_turns for angle in yaw_errors])
+    room = 0.0 if study.loop.reference is HOVER else START_ROOM
     return {
-        "x": (math.hypot(distances[0], distances[1]) + rounding_room, math.hypot(speeds[0], speeds[1]) + rounding_room),
-        "z": (distances[2] + rounding_room, speeds[2] + rounding_room),
-        "psi": (largest_of([angle - full_turns for angle in yaw_errors]) + rounding_room, 0.0),
+        "x": (math.hypot(*distances[:2]) + room, math.hypot(*speeds[:2]) + room),
+        "z": (distances[2] + room, speeds[2] + room),
+        "psi": (yaw_error + room, 0.0),
     }
 
 

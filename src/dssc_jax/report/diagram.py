@@ -220,7 +220,9 @@ def part_kind(study: Study, slot: str) -> str:
 def present_kinds(study: Study, slot: str) -> list[str]:
     """The kinds of a part that do something: of all channels, of single channels, and of measured signals."""
     table = getattr(study.config, section_of(study.config, slot))
-    parts = table if isinstance(table, list) else [table, *(part for part in table.values() if isinstance(part, dict))]
+    parts = table
+    if isinstance(table, dict):
+        parts = [table, *(part for part in table.values() if isinstance(part, dict))]
     kinds = dict.fromkeys(part.get("kind") for part in parts)
     return [kind for kind in kinds if kind not in (None, *ABSENT)]
 

@@ -66,7 +66,8 @@ class Subject:
     def point_summary(self) -> SummaryRow:
         """The summary of the point shown in detail."""
         shape = tuple(len(values) for values in self.result.study.axes.values())
-        return self.summary["points"][np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0]
+        place = np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0
+        return self.summary["points"][place]
 
     @property
     def point_phrase(self) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.metrics.requirements import violated
+from dssc_jax.core.quantities import unit_and_meaning
 from dssc_jax.core.signals import Outcome
 from dssc_jax.study import Study
 
@@ -68,21 +69,18 @@ def variables(study: Study) -> dict[str, Variable]:
         attributes = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
         by_name[name] = Variable(("draw",), "float64", attributes)
     for measure in study.measures:
-        attributes = {"units": measure.unit, "long_name": measure.meaning + measure.window_text}
+        attributes = unit_and_meaning(measure.unit, measure.meaning + measure.window_text)
         by_name[measure.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
-        attributes = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
+        attributes = unit_and_meaning(requirement.measure.unit, f"signed slack of {requirement.text}")
         by_name[requirement.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
         meaning = f"time from which on a violation of {requirement.text} was certain (NaN: it is met)"
-        by_name[requirement.violation_name] = Variable(grid, real, {"units": "s", "long_name": meaning})
-    attributes = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
+        by_name[requirement.violation_name] = Variable(grid, real, unit_and_meaning("s", meaning))
+    attributes = unit_and_meaning("s", "time of the first non-finite step (NaN: none)")
     by_name["failed_at"] = Variable(grid, real, attributes)
     if study.loop.settled:
-        attributes = {
-            "units": "s",
-            "long_name": "time from which on it had settled, and was not simulated (NaN: none)",
-        }
+        attributes = unit_and_meaning("s", "time from which on it had settled, and was not simulated (NaN: none)")
         by_name["settled_at"] = Variable(grid, real, attributes)
     codes = outcome_codes(study)
     attributes = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
@@ -106,14 +104,16 @@ def coordinates(study: Study) -> dict[str, Variable]:
     by_name = {}
     for name in study.axes:
         quantity = study.quantities[name]
-        by_name[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
+        by_name[name] = Variable((name,), "float64", unit_and_meaning(quantity.unit, quantity.meaning))
     by_name["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
     return by_name
 
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
     """Values of the :func:`coordinates` of a study's dataset."""
-    return {name: np.asarray(values) for name, values in study.axes.items()} | {"draw": np.arange(study.config.draws)}
+    values = {name: np.asarray(axis) for name, axis in study.axes.items()}
+    values["draw"] = np.arange(study.config.draws)
+    return values
 
 
 def dataset_attributes(study: Study) -> dict[str, str]:

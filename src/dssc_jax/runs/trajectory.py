@@ -14,7 +14,7 @@ from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.named import quantity_of, signals_in
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import Quantity, nominal, quantities_of
+from dssc_jax.core.quantities import Quantity, nominal, quantities_of, unit_and_meaning
 from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import lane_names, margins_in, values_of_draws
 from dssc_jax.engine.linearisation.margin_values import margin_values
@@ -166,7 +166,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
     code = int(ended.outcome)
     return xr.Dataset(
         variables_over_time,
-        coords={"t": (("t",), recorded.instant.t, {"units": "s", "long_name": "time"})},
+        coords={"t": (("t",), recorded.instant.t, unit_and_meaning("s", "time"))},
         attrs={
             "study": study.name,
             "draw": draw,
@@ -234,7 +234,7 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
         quantity = quantity_of(signal, study.loop.quantities)
     unit = "" if quantity is None else units.of(quantity.unit)
     meaning = signal if quantity is None else units.named(quantity.meaning)
-    return {"units": unit, "long_name": f"{channel}: {meaning}" if has_channel else meaning}
+    return unit_and_meaning(unit, f"{channel}: {meaning}" if has_channel else meaning)
 
 
 def measured_quantities(study: Study) -> dict[str, Quantity]:
@@ -298,7 +298,9 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:
     """Index of the value nearest to the requested one; 0 if that is None."""
-    return 0 if requested is None else int(np.argmin(np.abs(np.asarray(values) - requested)))
+    if requested is None:
+        return 0
+    return int(np.argmin(np.abs(np.asarray(values) - requested)))
 
 
 def worst_point(result: "Result", draw: int) -> dict[str, int]:
@@ -308,4 +310,5 @@ def worst_point(result: "Result", draw: int) -> dict[str, int]:
         return dict.fromkeys(axes, 0)
     slacks = [result.dataset[r.name].isel(draw=draw).values / r.scale for r in result.study.requirements]
     slack = np.min(slacks, axis=0)
-    return dict(zip(axes, map(int, np.unravel_index(np.argmin(slack), slack.shape)), strict=True))
+    index = np.unravel_index(np.argmin(slack), slack.shape)
+    return dict(zip(axes, map(int, index), strict=True))

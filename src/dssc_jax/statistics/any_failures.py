@@ -33,7 +33,8 @@ class AnyFailures:
 
         Exact without correlations, and an upper bound with them.
         """
-        return float(np.sqrt(np.abs(self.precision[np.ix_(free, free)]).sum()))
+        precision = self.precision[np.ix_(free, free)]
+        return float(np.sqrt(np.abs(precision).sum()))
 
     def is_uncorrelated(self, free: np.ndarray) -> bool:
         """Whether no changed law is correlated with any other law."""

@@ -131,10 +131,12 @@ class WeightedDraws:
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
         """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws."""
-        directions = [failing.mean(axis=0), *failing[np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)]]
+        chosen = np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)
+        directions = [failing.mean(axis=0), *failing[chosen]]
         corners = [np.where(sign * direction > 0.0, high, low) for direction in directions]
         unmoved = np.zeros(failing.shape[1])
-        slope = sign * self.change.mean_slope(unmoved, failing, np.full(len(failing), 1.0 / len(failing)))
+        equal_weights = np.full(len(failing), 1.0 / len(failing))
+        slope = sign * self.change.mean_slope(unmoved, failing, equal_weights)
         return [unmoved, np.where(slope > 0.0, high, low), *corners]
 
 

@@ -100,7 +100,8 @@ def reference_kinds(is_angle: bool) -> Registry:
 def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
     """Whether the common part of a reference's table is a flight of the package other than rest at zero."""
     common = {name: value for name, value in table.items() if name not in channels}
-    return common.get("kind", "zero") in REGISTRIES["trajectory"] and common not in ({}, {"kind": "zero"})
+    rests_at_zero = common in ({}, {"kind": "zero"})
+    return common.get("kind", "zero") in REGISTRIES["trajectory"] and not rests_at_zero
 
 
 def parse_reference(

@@ -9,6 +9,7 @@ from scipy import special
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
 from dssc_jax.analyses.laws.answer import DEVIATIONS
+from dssc_jax.core.quantities import unit_and_meaning
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.order import quantile_interval
@@ -59,15 +60,16 @@ def law_errors_dataset(
     columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns |= knowledge_columns(draws, shift.draws.confidence, limit)
-    columns["worst_shift"] = (TABLE, part, in_deviations("part in the worst shift of all means"))
+    columns["worst_shift"] = (TABLE, part, unit_and_meaning(DEVIATIONS, "part in the worst shift of all means"))
     for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
-        columns[prefix] = (dimension, curve[:, 0], without_unit("worst failure probability"))
-        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], without_unit("its upper limit"))
-        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], without_unit("upper limit whatever draws fail"))
+        columns[prefix] = (dimension, curve[:, 0], unit_and_meaning("1", "worst failure probability"))
+        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], unit_and_meaning("1", "its upper limit"))
+        guarantee = unit_and_meaning("1", "upper limit whatever draws fail")
+        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], guarantee)
     coordinates = {
         TABLE: (TABLE, np.array(draws.names), {"long_name": "uncertain number"}),
-        "size": ("size", sizes, in_deviations("shift of all means")),
-        "width": ("width", np.exp(log_widths), without_unit("relative width of all laws")),
+        "size": ("size", sizes, unit_and_meaning(DEVIATIONS, "shift of all means")),
+        "width": ("width", np.exp(log_widths), unit_and_meaning("1", "relative width of all laws")),
     }
     return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.study.name})
 
@@ -95,11 +97,11 @@ def law_columns(
         row[3] = max(float(np.exp(widening.bound)), bounds.largest_widening(free, limit) or 1.0)
         row[4] = np.nan if widening.estimate is None else np.exp(widening.estimate)
     return {
-        "shift": (TABLE, table[:, 0], in_deviations("shift of the mean, with confidence")),
-        "shift_estimate": (TABLE, table[:, 1], in_deviations("shift of the mean, estimate")),
+        "shift": (TABLE, table[:, 0], unit_and_meaning(DEVIATIONS, "shift of the mean, with confidence")),
+        "shift_estimate": (TABLE, table[:, 1], unit_and_meaning(DEVIATIONS, "shift of the mean, estimate")),
         "towards": (TABLE, table[:, 2].astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
-        "widening": (TABLE, table[:, 3], without_unit("relative width, with confidence")),
-        "widening_estimate": (TABLE, table[:, 4], without_unit("relative width, estimate")),
+        "widening": (TABLE, table[:, 3], unit_and_meaning("1", "relative width, with confidence")),
+        "widening_estimate": (TABLE, table[:, 4], unit_and_meaning("1", "relative width, estimate")),
     }
 
 
@@ -129,7 +131,9 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
         meanings[name] = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
     for name in MEDIAN_ENDS:
         meanings[name] = "an end of the interval of the median level in failed draws"
-    return {name: (TABLE, np.array(columns[name]), without_unit(meaning)) for name, meaning in meanings.items()}
+    return {
+        name: (TABLE, np.array(columns[name]), unit_and_meaning("1", meaning)) for name, meaning in meanings.items()
+    }
 
 
 def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
@@ -155,13 +159,3 @@ def failing_direction(shifts: WeightedDraws, free: np.ndarray) -> int:
     failing = shifts.scores[shifts.failed][:, free]
     total = float(failing.sum())
     return int(np.sign(total)) if abs(total) > CLEAR * np.sqrt(failing.size) else 0
-
-
-def in_deviations(meaning: str) -> dict[str, str]:
-    """Attributes of a variable in standard deviations."""
-    return {"units": DEVIATIONS, "long_name": meaning}
-
-
-def without_unit(meaning: str) -> dict[str, str]:
-    """Attributes of a variable without a unit."""
-    return {"units": "1", "long_name": meaning}

@@ -113,7 +113,8 @@ class RangedDraws:
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
         """Logarithm of the weight that each draw has under laws of the box, shape (n,)."""
-        return np.sum([log_density(law, self.values[name]) for name, law in laws.items()], axis=0) - self.log_proposal
+        log_densities = [log_density(law, self.values[name]) for name, law in laws.items()]
+        return np.sum(log_densities, axis=0) - self.log_proposal
 
     def estimate(self, laws: dict[str, Law]) -> WeightedLaws:
         """Estimate the failure probability under laws of the box from the weighted draws."""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.fans import FAN_LEVELS, FANS, fan_quantiles
 from dssc_jax.analyses.loop_margins.multiloop import MultiloopMargins
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, tolerance_limits
@@ -297,7 +297,7 @@ def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Da
     }
     variables = {}
     for name, (dimensions, values, unit, meaning) in columns.items():
-        variables[f"multiloop_{name}"] = (dimensions, np.stack(values), {"units": unit, "long_name": meaning})
+        variables[f"multiloop_{name}"] = (dimensions, np.stack(values), unit_and_meaning(unit, meaning))
     return xr.Dataset(variables, coords={"channel": list(margins[0].channels)})
 
 
@@ -327,7 +327,7 @@ def margins_dataset(
     columns: dict[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, object]]] = {}
     for name, kind in MARGIN_KINDS.items():
         values = np.stack([broken.margins[name] for broken in broken_loops]).reshape(*shape, draws)
-        columns[name] = (LoopMargins.table, values, {"units": kind.unit, "long_name": kind.meaning})
+        columns[name] = (LoopMargins.table, values, unit_and_meaning(kind.unit, kind.meaning))
     flags = {"flag_values": [s.value for s in Status], "flag_meanings": " ".join(s.name.lower() for s in Status)}
     status = np.stack([broken.status for broken in broken_loops]).reshape(*shape, draws)
     columns["status"] = (LoopMargins.table, status, {"long_name": "whether the loop has margins", **flags})
@@ -338,16 +338,16 @@ def margins_dataset(
     for name, (unit, meaning) in FANS.items():
         values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(FAN_LEVELS), -1)
         dims = (*LoopMargins.table[:2], "level", "frequency")
-        columns[name] = (dims, values, {"units": unit, "long_name": f"{meaning}, quantile over the draws"})
+        columns[name] = (dims, values, unit_and_meaning(unit, f"{meaning}, quantile over the draws"))
     for name, part in (("real", np.real(plotted_responses)), ("imaginary", np.imag(plotted_responses))):
         values = part.reshape(*shape, -1, frequencies.size)
-        attributes = {"units": "1", "long_name": f"{name} part of the loop transfer function L"}
+        attributes = unit_and_meaning("1", f"{name} part of the loop transfer function L")
         columns[f"loop_{name}"] = ((*LoopMargins.table[:2], "line", "frequency"), values, attributes)
     coords = {
         "operating_point": ("operating_point", np.array(points), {"long_name": "where the loop is linearised"}),
         "loop": ("loop", np.array(loops), {"long_name": "where the loop is broken"}),
         "draw": ("draw", np.arange(draws), {"long_name": "draw index"}),
-        "level": ("level", np.array(FAN_LEVELS), {"units": "1", "long_name": "level of the quantile"}),
-        "frequency": ("frequency", frequencies, {"units": "rad/s", "long_name": "frequency"}),
+        "level": ("level", np.array(FAN_LEVELS), unit_and_meaning("1", "level of the quantile")),
+        "frequency": ("frequency", frequencies, unit_and_meaning("rad/s", "frequency")),
     }
     return xr.Dataset(columns, coords=coords, attrs={"title": study.name})

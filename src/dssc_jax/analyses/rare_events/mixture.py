@@ -29,7 +29,8 @@ class Component(NamedTuple):
     def log_density(self, points: np.ndarray) -> np.ndarray:
         """Logarithm of the density at points of shape (n, d), up to a constant that all normal laws share; (n,)."""
         scores = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
-        return -0.5 * np.sum(scores**2, axis=0) - float(np.log(np.diag(self.root)).sum())
+        log_determinant = float(np.log(np.diag(self.root)).sum())  # of the root
+        return -0.5 * np.sum(scores**2, axis=0) - log_determinant
 
 
 def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:

@@ -96,7 +96,8 @@ def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = C
 
 def normal_scores(points: np.ndarray, noisy: bool) -> np.ndarray:
     """Normal scores of points of the unit cube, shape (rows, laws); with a further column of 0 for in-loop noise."""
-    return np.pad(special.ndtri(inside_cube(points)), ((0, 0), (0, int(noisy))))
+    scores = special.ndtri(inside_cube(points))
+    return np.pad(scores, ((0, 0), (0, int(noisy))))
 
 
 def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:

@@ -101,8 +101,9 @@ class DerivativePair(NamedTuple):
         places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
         distance = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
-        by_distance = sorted(places.tolist(), key=lambda place: -np.nan_to_num(distance[tuple(place)], nan=np.inf))
-        return [tuple(place) for place in by_distance[:SHOWN]]
+        distance = np.nan_to_num(distance, nan=np.inf)
+        indices = [tuple(place) for place in places.tolist()]
+        return sorted(indices, key=lambda index: -distance[index])[:SHOWN]
 
 
 def compare_derivatives(

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, no_point_limit
+from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints
 from dssc_jax.analyses.worst_loop.linear_models import WIDENED, LinearModel, LinearModels, measurement_points
 from dssc_jax.analyses.worst_loop.readouts import SINGLE_READOUT, Enclosure, Readout
 
@@ -104,8 +104,10 @@ def first_angles(poles: np.ndarray) -> np.ndarray:
     Args:
         poles: Poles of the loop in the middle of the box, shape (states,).
     """
-    slowest = np.abs(np.log(poles[np.abs(poles) > FIRST_ANGLE].astype(complex))).min(initial=1.0)
-    return np.concatenate([[0.0], np.geomspace(min(FIRST_ANGLE * slowest, 0.1), np.pi, INTERVALS)])
+    lasting_poles = poles[np.abs(poles) > FIRST_ANGLE].astype(complex)
+    slowest = np.abs(np.log(lasting_poles)).min(initial=1.0)
+    first = min(FIRST_ANGLE * slowest, 0.1)
+    return np.concatenate([[0.0], np.geomspace(first, np.pi, INTERVALS)])
 
 
 def cover_box(
@@ -113,7 +115,7 @@ def cover_box(
     ends: tuple[np.ndarray, np.ndarray],
     goals: np.ndarray,
     most: int,
-    remaining_points: RemainingPoints = no_point_limit,
+    remaining_points: RemainingPoints,
     readout: Readout = SINGLE_READOUT,
 ) -> CoverBounds:
     """Bound the gains over a box and all frequencies, by halving the worst cells until the goals are met.

@@ -15,6 +15,7 @@ import xarray as xr
 
 from dssc_jax.closed_loop.metrics.streaming import Measure
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.quantities import unit_and_meaning
 from dssc_jax.core.signals import Outcome
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.engine.batching import BLOCK, medians
@@ -131,7 +132,8 @@ class WindFlights:
         Returns:
             Each signal's value, and ``outcome``, shape (n,) each. A flight that ends early has the worst value, +-inf.
         """
-        return self._worst(self._plain(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers)))
+        results = self._plain(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
+        return self._worst(results)
 
     def with_slopes(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray], names: Sequence[str]) -> "Slopes":
         """Fly once in each wind, and differentiate one signal of each flight.
@@ -249,7 +251,7 @@ def fly_winds(
     results = flights(np.asarray(winds, float), columns)
     variables = {}
     for name, signal in flights.signals.items():
-        variables[name] = ("flight", results[name], {"units": signal.measure.unit, "long_name": signal.measure.meaning})
+        variables[name] = ("flight", results[name], unit_and_meaning(signal.measure.unit, signal.measure.meaning))
     outcome_meaning = "outcome code, above 0 if the flight ended early"
     variables["outcome"] = ("flight", results["outcome"], {"long_name": outcome_meaning})
     return xr.Dataset(variables, attrs={"title": study.name})

@@ -1,7 +1,5 @@
 """dssc-jax run: every draw of a study at its own values."""
 
-from pathlib import Path
-
 from dssc_jax.cli.analysing import usual_folder
 from dssc_jax.cli.declarations.simulation import Run
 from dssc_jax.cli.exit_codes import DONE, FAILS
@@ -26,13 +24,9 @@ def run(options: Run) -> int:
         return run_with_rule(study, rule, options)
     require_unset("with a fixed number of draws", max_draws=options.max_draws)
     out = options.out or usual_folder(study, "run", options.settings, options.draws, options.seed)
-    print_result(computed_result(study, out, options, stated_amounts(options)), out, options.as_json)
+    amounts = StatedAmounts(parse_within(options.within), options.shift, options.widening)
+    print_result(computed_result(study, out, options, amounts), out, options.as_json)
     return DONE
-
-
-def stated_amounts(options: Run) -> StatedAmounts:
-    """The amounts by which the laws may be wrong, from the options."""
-    return StatedAmounts(parse_within(options.within), options.shift, options.widening)
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> StoppingRule | None:
@@ -67,7 +61,7 @@ def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
     """Simulate draws until a stopping rule is met, print the result, and return the exit code."""
     warn_of_study(study)
     limit = MOST_DRAWS if options.max_draws is None else options.max_draws
-    out = options.out or folder_of_rule(study, rule, limit)
+    out = options.out or usual_folder(study.override({"draws": limit}), f"run-{rule.slug}", limit)
     with progress_bar(study, quiet=options.as_json, early="the rule is met") as advance:
         result = run_until(
             study,
@@ -82,8 +76,3 @@ def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
         )
     print_result(result, out, options.as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
-
-
-def folder_of_rule(study: Study, rule: StoppingRule, limit: int) -> Path:
-    """The usual folder of a run with a stopping rule."""
-    return usual_folder(study.override({"draws": limit}), f"run-{rule.slug}", limit)

@@ -20,4 +20,6 @@ def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
             it, the result is computed and not stored.
     """
     name = None if cache_directory() is None else name_of(label, *subjects)
-    return compute() if name is None else decoded(cached(f"{label}-{name}", lambda: encoded(compute())))
+    if name is None:
+        return compute()
+    return decoded(cached(f"{label}-{name}", lambda: encoded(compute())))

@@ -48,7 +48,10 @@ def slopes_of(
     _, unravel = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
 
     def derivative(model: Part, p: Params) -> tuple[jax.Array, jax.Array]:
-        return jax.jvp(lambda inputs: vector_of(part_map.apply(model, p, *unravel(inputs))), (point,), (axis,))
+        def outputs(inputs: jax.Array) -> jax.Array:
+            return vector_of(part_map.apply(model, p, *unravel(inputs)))
+
+        return jax.jvp(outputs, (point,), (axis,))
 
     value, slope = derivative(part, params)
     inner = derivative(*place.inner_side(params))[1] if place.has_inner_side else slope

@@ -112,27 +112,25 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     return response
 
 
-def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
-    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops, shape (count,).
+def common_grid(poles: np.ndarray) -> np.ndarray:
+    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops, shape (FREQUENCIES,).
 
     Args:
         poles: Closed-loop eigenvalues of all loops, any shape.
-        count: Number of angles.
     """
-    return loop_grids(poles.reshape(1, -1), count)[0]
+    return loop_grids(poles.reshape(1, -1))[0]
 
 
-def loop_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
-    """The :func:`common_grid` of each single loop, shape (n, count).
+def loop_grids(poles: np.ndarray) -> np.ndarray:
+    """The :func:`common_grid` of each single loop, shape (n, FREQUENCIES).
 
     Args:
         poles: Closed-loop eigenvalues, shape (n, states).
-        count: Number of angles.
     """
     rates = np.abs(np.log(np.where(np.abs(poles) > SMALLEST_FACTOR, poles, 1.0).astype(complex)))
     slowest = np.min(np.where(rates > 10.0**-DECADES, rates, np.inf), axis=1, initial=1.0)
     first = np.maximum(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES)
-    return np.geomspace(first, np.pi * (1.0 - 1e-9), count, axis=1)
+    return np.geomspace(first, np.pi * (1.0 - 1e-9), FREQUENCIES, axis=1)
 
 
 def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray) -> np.ndarray:
@@ -354,7 +352,8 @@ def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[
     crossings, is_crossing = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
     at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
     with np.errstate(all="ignore"):
-        factors = 1.0 + 1.0 / np.concatenate([np.where(is_crossing, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
+        ends = np.real(g)[:, [0, -1]]
+        factors = 1.0 + 1.0 / np.concatenate([np.where(is_crossing, at, np.nan), ends], axis=1)
     is_margin = np.isfinite(factors) & (factors > SMALLEST_FACTOR) & (factors < 1.0 / SMALLEST_FACTOR)
     upper = np.where(is_margin & (factors > 1.0), factors, np.inf).min(axis=1)
     lower = np.where(is_margin & (factors < 1.0), factors, 0.0).max(axis=1)

@@ -199,9 +199,8 @@ def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> A
 
 def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """``lax.dot_general``: sums of products over some axes of two arrays."""
-    (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
     sides = []
-    for operand, sums, batch in zip(operands, (left_sum, right_sum), (left_batch, right_batch), strict=True):
+    for operand, sums, batch in zip(operands, *params["dimension_numbers"], strict=True):
         tensor = as_tensor(operand, build)
         free = [axis for axis in range(tensor.ndim) if axis not in (*sums, *batch)]
         shapes = [[tensor.shape[axis] for axis in axes] for axes in (batch, free, sums)]

@@ -76,7 +76,8 @@ def wide_index(build: Builder, start: Value) -> Value:
 
 def clip_index(build: Builder, start: Value, limit: int) -> Value:
     """A signed index, clipped to 0 .. limit."""
-    return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(limit, start.dtype))
+    at_least_zero = build.add("max", start, build.constant(0, start.dtype))
+    return build.add("min", at_least_zero, build.constant(limit, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:

@@ -246,12 +246,12 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
     return results
 
 
-def this_axis(axes: Any, equation: JaxprEqn) -> bool:
-    """The condition of a reduction's axes: the axis over the lanes alone."""
+def is_lane_axis(axes: Any, equation: JaxprEqn) -> bool:
+    """Whether a reduction's only axis is that over the lanes: the condition under which it has a translation."""
     return tuple(axes) == (AXIS,)
 
 
-OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=no_value)}
+OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=is_lane_axis, axis_index_groups=no_value)}
 """Reductions over the lanes that run together."""
 
 REMATERIALISED = rule(called_program, None, jaxpr=any_value, prevent_cse=any_value, differentiated=any_value,

@@ -6,7 +6,7 @@ every dt. Angles must not be wrapped.
 """
 
 from dssc_jax.core.contracts import Differentiator, NoParams
-from dssc_jax.core.default_functions import always_transparent
+from dssc_jax.core.default_functions import always
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.differentiators.high_gain_observer import HIGH_GAIN_OBSERVER
@@ -18,7 +18,7 @@ NO_DIFFERENTIATOR = Differentiator(
     init=lambda params, measurement: (),
     step=lambda params, state, measurement, dt: (state, measurement),
     smooth=SMOOTH,
-    transparent=always_transparent,
+    transparent=always,
 )
 
 DIFFERENTIATORS: Registry = {

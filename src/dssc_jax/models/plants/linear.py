@@ -173,7 +173,9 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     """
     leading, *lower = params.denominator
     order = len(lower)
-    rows: list[tuple[Scalar, ...]] = [tuple(1.0 if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
+    rows: list[tuple[Scalar, ...]] = []
+    for i in range(1, order):
+        rows.append(tuple(1.0 if j == i else 0.0 for j in range(order)))
     rows.append(tuple(-coefficient / leading for coefficient in reversed(lower)))
     column = (*(0.0,) * (order - 1), 1.0)
     return LinearDynamics(tuple(rows), (column,), (column,))

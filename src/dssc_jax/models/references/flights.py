@@ -32,8 +32,8 @@ Flight: TypeAlias = tuple[ReferencePoint, ReferencePoint, ReferencePoint, Refere
 Placed = TypeVar("Placed", HoverParams, StepsParams)
 
 
-def three_values(params: Placed) -> Placed:
-    """Require a position of three values; raises ConfigError."""
+def require_place_in_space(params: Placed) -> Placed:
+    """Return the parameters, whose position must have three values; raises ConfigError."""
     if len(params.position) != 3:
         raise ConfigError("position", f"needs three values, got {len(params.position)}")
     return params
@@ -61,5 +61,5 @@ def whole_mission(params: NoParams, t: Scalar) -> Flight:
 
 
 WHOLE_MISSION = Reference(NoParams, whole_mission)
-HOVER = Reference(HoverParams, lambda params, t: fixed_point(params.position, params.yaw), three_values)
-STEPS = Reference(StepsParams, steps_at, three_values)
+HOVER = Reference(HoverParams, lambda params, t: fixed_point(params.position, params.yaw), require_place_in_space)
+STEPS = Reference(StepsParams, steps_at, require_place_in_space)

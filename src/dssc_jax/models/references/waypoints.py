@@ -98,7 +98,8 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
 
 def enu(params: WaypointParams) -> np.ndarray:
     """East, north and up of the waypoints in the tangent plane at the ground of the first one [m], shape (n, 3)."""
-    latitude, longitude = (np.radians(np.asarray(x, float)) for x in (params.latitude_deg, params.longitude_deg))
+    latitude = np.radians(np.asarray(params.latitude_deg, float))
+    longitude = np.radians(np.asarray(params.longitude_deg, float))
     east = np.array([-np.sin(longitude[0]), np.cos(longitude[0]), 0.0])
     up = np.array([east[1] * np.cos(latitude[0]), -east[0] * np.cos(latitude[0]), np.sin(latitude[0])])
     origin = ecef(latitude[:1], longitude[:1], np.zeros(1))
@@ -142,8 +143,11 @@ def check_path(params: WaypointParams) -> None:
 def spline(params: WaypointParams) -> CubicSpline:
     """Natural cubic spline of x, y, z [m] and psi [rad] through the waypoints over their chord length u [m]."""
     points = enu(params)
-    yaw = np.zeros(len(points)) if params.yaw_deg is None else np.unwrap(np.radians(np.asarray(params.yaw_deg, float)))
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    yaw = np.zeros(len(points))
+    if params.yaw_deg is not None:
+        yaw = np.unwrap(np.radians(np.asarray(params.yaw_deg, float)))
+    distances = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    chord = np.concatenate([[0.0], np.cumsum(distances)])
     return CubicSpline(chord, np.column_stack([points, yaw]), bc_type="natural")
 
 

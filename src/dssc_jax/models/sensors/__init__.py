@@ -1,7 +1,7 @@
 """Registry of sensors: one per channel, evaluated once per controller sample; a new one is one file and one row."""
 
 from dssc_jax.core.contracts import NoParams, Sensor
-from dssc_jax.core.default_functions import always_transparent
+from dssc_jax.core.default_functions import always
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.sensors.lag import SENSOR_LAG
@@ -13,7 +13,7 @@ IDEAL = Sensor(
     init=lambda params, measurement, key: (),
     step=lambda params, state, measurement, key, t, dt: (state, measurement),
     smooth=SMOOTH,
-    transparent=always_transparent,
+    transparent=always,
 )
 
 SENSORS: Registry = {

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Sensor
-from dssc_jax.core.default_functions import always_transparent
+from dssc_jax.core.default_functions import always
 from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
@@ -76,7 +76,7 @@ def recorded_sensor(start: NoiseStart) -> Sensor:
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
         return noise.length * uniforms(key, 1)[0] if start == NoiseStart.RANDOM else 0.0
 
-    return Sensor(RecordedNoiseParams, init, step, prepare, smooth=SMOOTH, transparent=always_transparent)
+    return Sensor(RecordedNoiseParams, init, step, prepare, smooth=SMOOTH, transparent=always)
 
 
 RECORDED_NOISE = Entry(

@@ -246,8 +246,10 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
 
 def bernstein_weight(degree: int, i: int, k: int) -> float:
     """Share of the k-th term of a polynomial on [-1, 1] in its i-th coefficient in Bernstein's basis."""
-    signs = sum((-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j) for j in range(k + 1))
-    return signs / comb(degree, k)
+    signed_sum = 0
+    for j in range(k + 1):
+        signed_sum += (-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j)
+    return signed_sum / comb(degree, k)
 
 
 def step_of(
@@ -335,8 +337,9 @@ def middle(interval: Interval) -> float:
 
 def box_middle(box: Box, gains: dict[str, Interval]) -> LoopPoint:
     """The plant and the gains at the middle of their intervals."""
-    centre = LoopGains(*(middle(gains[name]) for name in ("k_p", "k_i", "k_n")))
-    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))), centre)
+    middle_gains = LoopGains(middle(gains["k_p"]), middle(gains["k_i"]), middle(gains["k_n"]))
+    rate = middle(box.get("rate", (0.0, 0.0)))
+    return LoopPoint(middle(box["k_p"]), middle(box["a_p"]), rate, middle_gains)
 
 
 def box_steps(
@@ -358,7 +361,7 @@ def box_steps(
                     yield step_of(problem, point, box, is_integrated=is_integrated, held_sample=held_sample)
 
 
-def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:
+def start_corners(problem: ProofProblem, box: Box, ratio: Interval) -> list[np.ndarray]:
     """Every corner of the states in which the loop may start, (n,) each.
 
     z is affine in the initial state, in each signal and in the ratio, so that every start is in the corners' hull.

@@ -120,7 +120,7 @@ class CellSearch:
     room_factor: float
 
 
-def cell_bounds(problem: VehicleProblem, room_factor: float = 1.0) -> CellBounds | Obstacle:
+def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
     """Search bounds in time cells, with several cells and slopes until one choice succeeds.
 
     Args:
@@ -331,7 +331,9 @@ def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
 
 def slides_in_all_cells(search: CellSearch, cells: list[Signals]) -> bool:
     """Whether every channel slides under the largest bounds of all cells."""
-    largest = {name: {key: max(y[name][key] for y in cells) for key in cells[0][name]} for name in CHANNELS}
+    largest: Signals = {}
+    for name in CHANNELS:
+        largest[name] = {key: max(cell[name][key] for cell in cells) for key in cells[0][name]}
     totals, couplings = vehicle_totals(search.nominal, largest)
     try:
         remainders, _ = remainders_of(search.problem, totals, search.damping, couplings=couplings)

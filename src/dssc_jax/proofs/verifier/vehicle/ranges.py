@@ -88,7 +88,9 @@ def distance_from_one(interval: Interval) -> arb:
 
 def largest_difference(first: Interval, second: Interval) -> arb:
     """The largest |x - y| over two intervals."""
-    return maximum(abs(arb(first[1]) - arb(second[0])).upper(), abs(arb(second[1]) - arb(first[0])).upper())
+    first_low, first_high = map(arb, first)
+    second_low, second_high = map(arb, second)
+    return maximum(abs(first_high - second_low).upper(), abs(second_high - first_low).upper())
 
 
 def largest_sum(first: Interval, second: Interval) -> arb:
