@@ -41,7 +41,7 @@ def study_of(options: StudyOptions) -> Study:
     return load_study(options.study, settings | numbers, options.allow_local, options.allow_native)
 
 
-def load_study(name: str, changes: Mapping[str, object], local: bool, native: bool = False) -> Study:
+def load_study(name: str, changes: Mapping[str, object], local: bool, native: bool) -> Study:
     """Load a study with changes.
 
     Args:
@@ -70,7 +70,7 @@ def spare_gpu_memory() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
-def stored_result(folder: Path, trust_code: bool = False, local: bool = False, native: bool = False) -> Result:
+def stored_result(folder: Path, trust_code: bool, local: bool, native: bool) -> Result:
     """Load a stored result, which may come from an untrusted source.
 
     Args:

@@ -53,7 +53,7 @@ def until_all_ended(
     return jax.lax.while_loop(goes_on, block, (first_carry, any_running(first_carry)))[0]
 
 
-def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment: int | None = None) -> C:
+def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment: int | None) -> C:
     """Advance sample by sample through all ``steps``, in a form that can be differentiated.
 
     Args:

@@ -10,7 +10,7 @@ MOST_LISTED = 12
 """Largest number of boxes without a proof, or of invalid certificates, that are listed."""
 
 
-def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str] = ()) -> None:
+def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str]) -> None:
     """Print the statement of a proof and the boxes that are not proved.
 
     Args:

@@ -208,7 +208,6 @@ def static_unmodelled(
     params: type,
     output: Callable[[Params, Scalar], Scalar],
     *,
-    held: bool = True,
     smooth: Declaration = None,
     continuous: bool = False,
     prepare: Callable[[Params], Params] = unchanged_params,
@@ -218,7 +217,6 @@ def static_unmodelled(
     Args:
         params: NamedTuple type of the parameters.
         output: ``(params, command) -> command`` received by the plant.
-        held: Whether the output is constant between the samples if the command is.
         smooth: As in :class:`Plant`.
         continuous: As in :class:`Unmodelled`.
         prepare: As in :class:`Plant`.
@@ -229,7 +227,7 @@ def static_unmodelled(
         step=lambda params, state, command, dt: state,
         output=lambda params, state, command: output(params, command),
         prepare=prepare,
-        held=held,
+        held=True,
         smooth=smooth,
         continuous=continuous,
     )

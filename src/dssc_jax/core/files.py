@@ -296,7 +296,7 @@ def delete(path: Path, within: Path | None = None) -> None:
     path.unlink(missing_ok=True)
 
 
-def delete_tree(folder: Path, within: Path | None = None) -> None:
+def delete_tree(folder: Path, within: Path | None) -> None:
     """Delete a folder with its content if it exists; symbolic links in it are deleted, not followed.
 
     Raises:

@@ -191,7 +191,7 @@ def optimise(
     return optimal_free
 
 
-def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
+def edges(free: Free, ranges: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
     """Sentences on the parameters at an end of their range, within :data:`AT_EDGE` of its logarithmic length."""
     descriptions = []
     for name, (low, high) in ranges.items():

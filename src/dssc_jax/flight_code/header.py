@@ -104,7 +104,7 @@ def transfer_declaration(controller: SampledController) -> str:
     )
 
 
-def readme_text(code: FlightCode, monitor: Iterable[str] = ()) -> str:
+def readme_text(code: FlightCode, monitor: Iterable[str]) -> str:
     """``README.md`` of the folder of generated code.
 
     Args:

@@ -161,7 +161,7 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def probability_top(largest: float, margin: float = 0.06) -> float:
+def probability_top(largest: float, margin: float) -> float:
     """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1."""
     return max(largest, 1e-6) * (1.0 + margin) if largest < 0.5 else 1.0 + 0.5 * margin
 
@@ -191,7 +191,7 @@ def write(figure: Figure, path: Path) -> Path:
     return path
 
 
-def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None = None) -> None:
+def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None) -> None:
     """Write a figure as PNG and SVG; a thread compresses the PNG while the SVG is drawn.
 
     Args:

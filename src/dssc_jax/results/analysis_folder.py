@@ -184,7 +184,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
     return description
 
 
-def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> StoredAnalysis:
+def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:
     """Read an analysis written by :func:`save`.
 
     Args:

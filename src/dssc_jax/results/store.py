@@ -219,7 +219,7 @@ class Store:
             raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with `resume`")
 
 
-def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, Manifest]:
+def read_run(folder: Path, trust_code: bool) -> tuple[Study, xr.Dataset, Manifest]:
     """Read study, dataset and manifest of a results folder.
 
     Raises:

@@ -55,7 +55,7 @@ class DesignChoice:
         return {"design": content}
 
 
-def chosen_design(study: Study, folder: Path | None = None, resume: bool = False) -> DesignChoice:
+def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoice:
     """Choose the design of a study's draws.
 
     Args:

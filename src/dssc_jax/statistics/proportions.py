@@ -208,30 +208,28 @@ class DesignEffect(NamedTuple):
     plain_draws: int
 
 
-def draws_as_narrow(share: float, width: float, confidence: float = CONFIDENCE) -> int:
-    """Number of independent draws whose exact interval has a width, if a share of them fails.
+def draws_as_narrow(share: float, width: float) -> int:
+    """Number of independent draws whose exact interval of 95 % has a width, if a share of them fails.
 
     Args:
         share: Share of the draws that fail, in (0, 1).
         width: Upper minus lower limit of the interval, in (0, 1).
-        confidence: Coverage of the interval.
     """
 
     def excess(logarithm: float) -> float:
         count = math.exp(logarithm)
-        low, high = clopper_pearson(share * count, count, confidence)
+        low, high = clopper_pearson(share * count, count)
         return float(high - low) - width
 
     return math.ceil(math.exp(optimize.root_scalar(excess, bracket=(0.0, math.log(1e15))).root))
 
 
-def design_effect(happened: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> DesignEffect | None:
+def design_effect(happened: np.ndarray, replicates: int) -> DesignEffect | None:
     """Estimate the gain of a replicated design over independent draws, from its own draws.
 
     Args:
         happened: Whether each draw has the event, shape (n,), n a multiple of R; draw i belongs to replicate i mod R.
         replicates: Number R of replicates, >= 2.
-        confidence: Coverage of the intervals.
 
     Returns:
         None if all draws have the event, or none has.
@@ -243,9 +241,9 @@ def design_effect(happened: np.ndarray, replicates: int, confidence: float = CON
     variance = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
     ratio = variance * draws / (share * (1.0 - share))
     freedom = replicates - 1
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
-    ends = Replicated(replicates, "").interval(happened, confidence)
+    ends = Replicated(replicates, "").interval(happened, CONFIDENCE)
     return DesignEffect(ratio, (float(low), float(high)), draws_as_narrow(share, float(ends[1] - ends[0])))
 
 

@@ -76,9 +76,7 @@ def limit_distances(weights: np.ndarray, counts: np.ndarray, confidence: float) 
     return total - low, high - total
 
 
-def allocate_draws(
-    weights: np.ndarray, shares: np.ndarray, width: float, limit: int, confidence: float = CONFIDENCE
-) -> np.ndarray:
+def allocate_draws(weights: np.ndarray, shares: np.ndarray, width: float, limit: int) -> np.ndarray:
     """Fewest draws in each stratum for an expected width of the interval.
 
     A Lagrange multiplier trades draws against the squared distances of the limits; it is found by bisection.
@@ -88,13 +86,12 @@ def allocate_draws(
         shares: Expected share of failures in each stratum, in (0, 1), shape (strata,).
         width: Upper minus lower limit of the interval; if it is large, every stratum gets :data:`LEAST_DRAWS`.
         limit: Largest number of all draws together; the interval may then remain wider.
-        confidence: Coverage, in (0, 1).
 
     Returns:
         Integers, shape (strata,).
     """
     numbers = np.unique(np.geomspace(LEAST_DRAWS, MOST_DRAWS, 400).round())
-    limits = clopper_pearson(shares[:, None] * numbers, numbers, confidence)
+    limits = clopper_pearson(shares[:, None] * numbers, numbers)
     squares_below = np.square(weights[:, None] * (shares[:, None] - limits[..., 0]))
     squares_above = np.square(weights[:, None] * (limits[..., 1] - shares[:, None]))
     strata = np.arange(len(weights))

@@ -168,7 +168,7 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
     return "; ".join(filter(None, parts))
 
 
-def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
+def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None) -> str:
     """Describe each ``module:object`` that a study refers to and its file, in words; empty if there is none.
 
     A module that these import is told only if it has changed since the run.

@@ -298,7 +298,7 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
     }
 
 
-def stored_study(manifest: JsonObject, source: str, trust_code: bool = False) -> Study:
+def stored_study(manifest: JsonObject, source: str, trust_code: bool) -> Study:
     """The study of a results folder, which may come from anyone: its code is loaded only on request.
 
     Args:

@@ -130,7 +130,7 @@ def is_whole(content: float | Law | Expression) -> bool:
     return True
 
 
-def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
+def parse_numbers(value: object, quantity: Quantity, depth: int) -> Any:
     """Parse a number (depth 0), a list of numbers (1) or a list of rows (2), of which each may be a law.
 
     Returns:

@@ -117,20 +117,24 @@ def first_order(points):
     return matrices
 
 
+def no_point_limit():
+    return 2**62
+
+
 def test_a_first_order_loop_has_its_closed_form():
     ends = (-np.ones(1), np.ones(1))
     exact = np.array([1.0 + 1.0 / 0.05, 1.0 / 0.05, 0.5 + 1.0 / 0.05])  # at z = 1 and u = 1
     wanted = np.array([*1.01 * exact, 1e300])
-    covered = cover_box(first_order, ends, wanted, 20_000)
+    covered = cover_box(first_order, ends, wanted, 20_000, no_point_limit)
     assert covered.stable
     assert np.all(covered.gains[:3] >= exact)
     assert np.all(covered.gains[:3] <= 1.01 * exact)
-    assert nearest_instability(first_order, 1, 4.0).growth == pytest.approx(2.0, rel=1e-4)
+    assert nearest_instability(first_order, 1, 4.0, no_point_limit).growth == pytest.approx(2.0, rel=1e-4)
 
 
 def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():
     ends = (-2.5 * np.ones(1), 2.5 * np.ones(1))
-    covered = cover_box(first_order, ends, np.full(len(GAINS), 1e300), 3000)
+    covered = cover_box(first_order, ends, np.full(len(GAINS), 1e300), 3000, no_point_limit)
     assert not covered.stable
 
 

@@ -16,18 +16,12 @@ KEYS = 8  # draws whose random keys are compared
 SAME = 1e-9  # largest relative difference of matrices that count as equal
 PROBES = 4  # points from which each number is moved, to see whether it matters
 DIGITS = 12  # decimal digits of a coordinate; points that agree in them are one
-UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
 Case = TypeVar("Case")
 RemainingPoints = Callable[[], int]
 """() -> the number of points that may still be evaluated."""
-
-
-def no_point_limit() -> int:
-    """A number of remaining points that no search uses up."""
-    return UNLIMITED
 
 
 class LoopFamily:

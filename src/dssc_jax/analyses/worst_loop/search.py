@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS
-from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, no_point_limit
+from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints
 from dssc_jax.engine.linearisation.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 
 MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_peak", "complementary_peak")
@@ -95,7 +95,7 @@ def worst_margins(
     sides: int,
     common_angles: np.ndarray,
     sample_time: float,
-    remaining_points: RemainingPoints = no_point_limit,
+    remaining_points: RemainingPoints,
 ) -> list[WorstPoint]:
     """Search the box for the worst value of each of the :data:`MARGINS`; the loop is broken in one channel.
 
@@ -117,7 +117,7 @@ def worst_values(
     values_at: Callable[[np.ndarray], np.ndarray],
     badness: Callable[[np.ndarray], np.ndarray],
     sides: int,
-    remaining_points: RemainingPoints = no_point_limit,
+    remaining_points: RemainingPoints,
 ) -> list[WorstPoint]:
     """Search the box for the worst value of each quantity: the worst of many points, improved by coordinate steps.
 
@@ -152,9 +152,7 @@ def worst_values(
     return [WorstPoint(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
-def nearest_instability(
-    evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints = no_point_limit
-) -> Instability:
+def nearest_instability(evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints) -> Instability:
     """Search for the least growth of the box that reaches an unstable loop.
 
     The growth is found along many directions from the middle, and the best direction is improved by coordinate steps.

@@ -112,8 +112,8 @@ def sampled_signals(
     units: Sequence[ChannelUnits],
     reports: Sequence[Mapping[str, Quantity]],
     outputs: Mapping[str, Quantity],
-    measured: Sequence[NamedSignal] = (),
-    angles: Collection[str] = (),
+    measured: Sequence[NamedSignal],
+    angles: Collection[str],
 ) -> dict[str, SampledSignal]:
     """Every signal of a loop, by the name of its column in a trajectory.
 

@@ -132,7 +132,7 @@ def sample_corners(
 
 
 def sample_matrix(
-    problem: Problem, held_matrix: arb_mat, k_p: arb, gain: Sequence[arb], *, is_integrated: bool = False
+    problem: Problem, held_matrix: arb_mat, k_p: arb, gain: Sequence[arb], *, is_integrated: bool
 ) -> arb_mat:
     """A of one sample, (n, n).
 
