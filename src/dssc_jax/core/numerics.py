@@ -11,6 +11,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.lanes.functions.approximations import LOG_SERIES, polynomial
@@ -112,6 +113,11 @@ def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """
     x = jnp.where(low > x, low, x)
     return jnp.where(high < x, high, x)
+
+
+def as_vector(tree: Tree) -> tuple[jax.Array, Callable[[jax.Array], Tree]]:
+    """The numbers of a tree as one vector, and the function that makes such a tree from a vector."""
+    return ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree))
 
 
 def as_arrays(tree: Tree) -> Tree:

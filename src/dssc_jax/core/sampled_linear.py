@@ -81,6 +81,11 @@ class LinearSystem(NamedTuple):
     d: Scalar
 
 
+def one_entry(entry: Scalar, place: int, size: int) -> Column:
+    """A row or column of zeros with one other entry."""
+    return tuple(entry if i == place else 0.0 for i in range(size))
+
+
 def scale_column(column: Column, factor: Scalar) -> Column:
     """A column times a number; a product with a constant factor 0 is a plain 0.0."""
     return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)

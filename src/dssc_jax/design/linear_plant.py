@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from dssc_jax.core.chains import chain
 from dssc_jax.core.contracts import Controller, Unmodelled
 from dssc_jax.core.influences import closure
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.sampled_linear import LinearSystem
 from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.design.linearised_plant import LinearisedPlant
@@ -261,7 +261,7 @@ def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> Actua
     if model is None:
         return ActuatorsAtSample(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
     with arithmetic():
-        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.init(params)))
+        start, unravel = as_vector(model.init(params))
         key = jax.random.key(0)
 
         def sample(z: jax.Array, u: Scalar) -> jax.Array:
@@ -269,7 +269,8 @@ def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> Actua
 
         def driving(z: jax.Array, u: Scalar) -> Scalar:
             if model.advance is not None:
-                return jnp.asarray(model.advance(params, sample_time)(unravel(z), u)[1].mean, float)
+                _, moments = model.advance(params, sample_time)(unravel(z), u)
+                return jnp.asarray(moments.mean, float)
             return jnp.asarray(u if model.linear is not None else model.output(params, unravel(z), u), float)
 
         state, state_input = map(np.asarray, jax.jit(jax.jacfwd(sample, argnums=(0, 1)))(start, 0.0))

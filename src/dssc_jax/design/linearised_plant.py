@@ -12,7 +12,7 @@ from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import signals_in
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.setting import NominalPlant
 from dssc_jax.core.signals import PlantInput, Scalar
 from dssc_jax.study.fitting import COMMAND_DISTURBANCE, nominal_params
@@ -102,7 +102,7 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
         raise ConfigError(place, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
     params = nominal_params(study.template).plant
     with arithmetic():
-        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
+        start, unravel = as_vector(loop.plant.init(params))
         quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
 
         def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:

@@ -109,7 +109,8 @@ def limits(problem: DesignProblem) -> TomlTable:
 
 def command_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
     """The output of an actuator without a state at an end of the commands, if it saturates there; else that end."""
-    at_end, beyond = (float(model.output(params, state, factor * end)) for factor in (1.0, 2.0))
+    at_end = float(model.output(params, state, end))
+    beyond = float(model.output(params, state, 2.0 * end))
     return at_end if at_end == beyond else end
 
 

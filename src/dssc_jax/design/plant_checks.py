@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.signals import PlantInput
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
@@ -137,7 +137,7 @@ def start_and_examination(
     plant = study.loop.mimo_plant
     channel_count = len(study.loop.channels)
     params = nominal_params(study.template).plant
-    start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
+    start, unravel = as_vector(plant.init(params))
 
     def drive_of(signals: jax.Array) -> PlantInput:
         commands, matched, inputs = jnp.split(signals, [channel_count, 2 * channel_count])

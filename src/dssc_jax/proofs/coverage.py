@@ -260,7 +260,7 @@ def pi_content(member: Controller, gains: PiGains) -> JsonObject:
     functions = {"kind": "constant", "k_o": 1.0, "tau_av": 1.0 / gains.k_p, "tau_m": gains.k_p / gains.k_i}
     nominal = nominal_content(gains.nominal)
     if nominal is not None:  # PI has no predictor
-        nominal = (*nominal[:2], False)
+        nominal = nominal._replace(predictor_term=False)
     return {
         "l0": float(gains.l0),
         "nominal": nominal,

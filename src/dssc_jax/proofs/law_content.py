@@ -5,6 +5,7 @@ from typing import NamedTuple
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.nominal import NominalGains
+from dssc_jax.proofs.problem import NominalControl
 
 
 def functions_content(functions: NamedTuple) -> JsonObject:
@@ -14,8 +15,8 @@ def functions_content(functions: NamedTuple) -> JsonObject:
     return {"kind": kind, **constants}
 
 
-def nominal_content(nominal: NominalGains | None) -> tuple[float, float, bool] | None:
-    """a_n [1/s], k_n and whether the nominal control has its term 1/tau_m; None without a nominal control."""
+def nominal_content(nominal: NominalGains | None) -> NominalControl | None:
+    """The nominal control with gains; None without one."""
     if nominal is None:
         return None
-    return float(nominal.a), float(nominal.k), bool(nominal.predictor_term)
+    return NominalControl(float(nominal.a), float(nominal.k), bool(nominal.predictor_term))

@@ -2,12 +2,27 @@
 
 import math
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 from dssc_jax.core.json_types import JsonObject
 
 Interval = tuple[float, float]
 Box = dict[str, Interval]
 """Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
+
+
+class NominalControl(NamedTuple):
+    """The nominal control u_n of a loop.
+
+    Args:
+        a: a_n [1/s].
+        k: k_n.
+        predictor_term: Whether u_n has its term 1/tau_m.
+    """
+
+    a: float
+    k: float
+    predictor_term: bool
 
 
 @dataclass(frozen=True)
@@ -20,7 +35,7 @@ class ProofProblem:
         form: Sampled form of DSSC, ``implicit`` or ``conservative``.
         functions: Kind and constants of the state-dependent functions.
         rho: Bound of the switched control [m/s]; None: the command has no bound (PI).
-        nominal: a_n, k_n and whether u_n has its term 1/tau_m; None: no nominal control.
+        nominal: The nominal control; None: there is none.
         k_p: Interval of the high-frequency gain [1/s].
         a_p: Interval of the damping [1/s].
         zero_a: Characteristic coefficients of the zero dynamics, ascending; empty for order two.
@@ -44,7 +59,7 @@ class ProofProblem:
     form: str
     functions: JsonObject
     rho: float | None
-    nominal: tuple[float, float, bool] | None
+    nominal: NominalControl | None
     k_p: Interval
     a_p: Interval
     zero_a: tuple[float, ...]

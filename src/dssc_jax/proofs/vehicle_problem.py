@@ -4,7 +4,7 @@ import math
 from dataclasses import asdict, dataclass
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.problem import Interval, delay_weights
+from dssc_jax.proofs.problem import Interval, NominalControl, delay_weights
 
 CHANNELS = ("x", "z", "psi")
 """Channels with a controller of their own; that of y is that of x."""
@@ -20,7 +20,7 @@ class ChannelProblem:
         l0: Error pole [1/s].
         functions: Kind and constants of the state-dependent functions.
         rho: Bound of the switched control [m/s], of psi [rad/s].
-        nominal: a_n, k_n, and whether the nominal control has the term 1/tau_m; None: no nominal control.
+        nominal: The nominal control; None: there is none.
         start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
         initial: Bounds of |e| and |e'| at t = 0. Those of x and y bound the norms of the plane's vectors; those of psi
             bound |e| and |psi'|.
@@ -29,7 +29,7 @@ class ChannelProblem:
     l0: float
     functions: JsonObject
     rho: float
-    nominal: tuple[float, float, bool] | None
+    nominal: NominalControl | None
     start: str
     initial: tuple[float, float]
 

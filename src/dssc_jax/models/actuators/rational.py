@@ -10,7 +10,7 @@ from dssc_jax.core.adapters import linear_unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import is_zero
 from dssc_jax.core.quantities import Quantity, extent, nominal
-from dssc_jax.core.sampled_linear import FASTEST, LinearSystem
+from dssc_jax.core.sampled_linear import FASTEST, LinearSystem, one_entry
 from dssc_jax.core.signals import Scalar
 
 MOST_ORDER = 6
@@ -86,14 +86,14 @@ def system(params: RationalActuatorParams) -> LinearSystem:
     rate = 1.0 / params.unit
     rows: list[tuple[Scalar, ...]] = []
     for i in range(order - 1):
-        rows.append(tuple(rate if j == i + 1 else 0.0 for j in range(order)))
+        rows.append(one_entry(rate, i + 1, order))
     if order:
         rows.append(tuple(0.0 if is_zero(pole) else -rate * pole for pole in poles[:-1]))
     feedthrough = zeros[-1]
     output = []
     for zero, pole in zip(zeros[:-1], poles[:-1], strict=True):
         output.append(zero if is_zero(feedthrough) or is_zero(pole) else zero - feedthrough * pole)
-    column = (*(0.0,) * (order - 1), rate) if order else ()
+    column = one_entry(rate, order - 1, order)
     return LinearSystem(tuple(rows), column, tuple(output), feedthrough)
 
 

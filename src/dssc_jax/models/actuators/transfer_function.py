@@ -16,7 +16,7 @@ from dssc_jax.core.adapters import linear_unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import at_least
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.sampled_linear import FASTEST, LinearSystem
+from dssc_jax.core.sampled_linear import FASTEST, LinearSystem, one_entry
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.zero_dynamics import companion
 
@@ -135,7 +135,7 @@ def linear(params: TransferFunctionParams) -> LinearSystem:
     rows = []
     for row in g.a:
         rows.append(tuple(0.0 if entry == 0.0 else rate * entry for entry in row))
-    return LinearSystem(tuple(rows), (*(0.0,) * (len(g.c) - 1), rate), g.c, g.d)
+    return LinearSystem(tuple(rows), one_entry(rate, len(g.c) - 1, len(g.c)), g.c, g.d)
 
 
 TRANSFER_FUNCTION = linear_unmodelled(TransferFunctionParams, init, linear, prepare, time_constant="mu")

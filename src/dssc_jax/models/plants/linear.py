@@ -19,7 +19,7 @@ from dssc_jax.core.named import by_names
 from dssc_jax.core.normal_form import RealisedSystem, relative_degree
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.sampled_linear import Column
+from dssc_jax.core.sampled_linear import Column, one_entry
 from dssc_jax.core.signals import Info, Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.models.plants.named import Inputs, Outputs, named_signals, output_report, require_named
@@ -175,9 +175,9 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     order = len(lower)
     rows: list[tuple[Scalar, ...]] = []
     for i in range(1, order):
-        rows.append(tuple(1.0 if j == i else 0.0 for j in range(order)))
+        rows.append(one_entry(1.0, i, order))
     rows.append(tuple(-coefficient / leading for coefficient in reversed(lower)))
-    column = (*(0.0,) * (order - 1), 1.0)
+    column = one_entry(1.0, order - 1, order)
     return LinearDynamics(tuple(rows), (column,), (column,))
 
 

@@ -6,6 +6,7 @@ from dssc_jax.core.adapters import linear_derivative
 from dssc_jax.core.contracts import LinearDynamics, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.sampled_linear import one_entry
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import SMOOTH
 from dssc_jax.core.units import POSITION
@@ -46,7 +47,7 @@ def linear(params: NormalFormParams) -> LinearDynamics:
     coupling = () if zero_dynamics is None else tuple(-c for c in zero_dynamics.c)
     rows = [(0.0, 1.0, *(0.0,) * order), (0.0, -params.a_p, *coupling)]
     for i in range(order - 1):
-        rows.append((0.0, 0.0, *(1.0 if j == i + 1 else 0.0 for j in range(order))))
+        rows.append((0.0, 0.0, *one_entry(1.0, i + 1, order)))
     if zero_dynamics is not None:
         rows.append((0.0, 1.0, *(-a for a in zero_dynamics.a)))
     column = (0.0, params.k_p, *(0.0,) * order)

@@ -71,8 +71,8 @@ def gain_points(
     sigma_grid, error_grid = np.meshgrid(values, errors)
     s = sigma_grid.ravel()
     x = error_grid.ravel()
-    _, k_n, term = problem.nominal or (0.0, np.inf, False)
-    pole = 1.0 / k_n if term else 0.0
+    nominal = problem.nominal
+    pole = 1.0 / nominal.k if nominal is not None and nominal.predictor_term else 0.0
     with jax.enable_x64(True):
         numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(pole)
         gains = conservative_gains if problem.form == "conservative" else implicit_gains

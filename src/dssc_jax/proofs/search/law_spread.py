@@ -114,7 +114,7 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
         gains={name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
         integral=Deviation(change_ratio, t * half_width["k_i"], 0.0),
         command=Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
-        slide=Deviation(half_width["slide_p"] * implicit, half_width["mean"] + half_width["slide_i"], 0.0),
+        slide=Deviation(half_width["slide_p"] if implicit else 0.0, half_width["mean"] + half_width["slide_i"], 0.0),
         slide_e=0.0 if implicit else hull["slide_e"][1],
     )
     return [*by_gains, by_ratio, function_spread(points, by_ratio, half_width, t, errors)]

@@ -246,9 +246,7 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
 
 def bernstein_weight(degree: int, i: int, k: int) -> float:
     """Share of the k-th term of a polynomial on [-1, 1] in its i-th coefficient in Bernstein's basis."""
-    signed_sum = 0
-    for j in range(k + 1):
-        signed_sum += (-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j)
+    signed_sum = sum((-1) ** (k - j) * comb(i, j) * comb(degree - i, k - j) for j in range(k + 1))
     return signed_sum / comb(degree, k)
 
 

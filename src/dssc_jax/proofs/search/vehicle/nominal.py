@@ -244,7 +244,7 @@ def steady_response(
     integral_input = -t * k_2 * drive.speed
     command_input = (k_1 + k_3) * drive.speed - integral_input
     if channel.nominal:
-        command_input = command_input + (channel.l0 * drive.speed + drive.acceleration) / channel.nominal[1]
+        command_input = command_input + (channel.l0 * drive.speed + drive.acceleration) / channel.nominal.k
     generator = driven_generator(linear, drive, rate)
     exponential = expm(generator * t)
     sample_input = np.zeros(n, complex)
