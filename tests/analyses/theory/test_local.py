@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from benchmarks.gain_sets import CONSTANT, SQUARE_ROOT, random_gains
-from dssc_jax.analyses.theory import at_rest, spectrum
+from dssc_jax.analyses.theory import Time, at_rest, spectrum
 from dssc_jax.engine.batching import values_of_draws
 
 BOUNDS = (0.02, 10.0)
@@ -82,7 +82,7 @@ def test_sampled_eigenvalues_against_a_matrix_exponential(order, nominal):
         study = study.override({"controller.nominal": nominal})
     rest = at_rest(study).override({"sweep": {"unmodelled.mu": [0.05, 1.0]}})
     values = values_of_draws(rest, slice(0, 20)) | {"unmodelled.mu": np.geomspace(0.05, 1.0, 20)}
-    found = spectrum(rest)(values)
+    found = spectrum(rest, Time.SAMPLED).eigenvalues(values)
     for draw in range(20):
         expected = oracle({name: column[draw] for name, column in values.items()}, order, SAMPLE_TIME, nominal)
         assert np.abs(found[draw]).max() == pytest.approx(np.abs(expected).max(), rel=1e-7)

@@ -85,7 +85,9 @@ class Spectrum(NamedTuple):
     """The eigenvalues of a linearised loop, and notes on the substitutes of parts without a derivative.
 
     Args:
-        eigenvalues: (numbers of n lanes, shape (n,) each) -> eigenvalues, shape (n, states); see :func:`spectrum`.
+        eigenvalues: A function of the values of every law and every swept number, shape (n,) each. It returns
+            eigenvalues, shape (n, states): those of the step from sample to sample [1], or in continuous time [1/s]. It
+            raises ConfigError if the loop does not start at rest, or has no derivative there.
         notes: Sentences. The list grows as ``eigenvalues`` meets parts at their corners.
     """
 
@@ -93,26 +95,12 @@ class Spectrum(NamedTuple):
     notes: list[str]
 
 
-def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.ndarray]:
-    """The function that computes eigenvalues of the linearised loop for many draws.
+def spectrum(study: Study, kind: Time) -> Spectrum:
+    """The eigenvalues of the linearised loop for many draws, with smooth substitutes for parts without a derivative.
 
     Args:
         study: A study at rest, see :func:`at_rest`.
         kind: Sampled or continuous.
-
-    Returns:
-        A function of the values of every law and every swept number, shape (n,) each. It returns eigenvalues, shape
-        (n, states): those of the step from sample to sample [1], or in continuous time [1/s]. It raises ConfigError if
-        the loop does not start at rest, or has no derivative there.
-
-    Raises:
-        ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
-    """
-    return spectrum_with_notes(study, kind).eigenvalues
-
-
-def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
-    """As :func:`spectrum`, with notes on the smooth substitutes that replace parts without a derivative.
 
     Raises:
         ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
@@ -201,7 +189,7 @@ def local_margin(
     numbers_of = numbers_along(resting, over)
     require_in_criterion(resting, over, kind)
     laws = values_of_draws(swept, slice(0, draws))
-    eigenvalues_of, notes = spectrum_with_notes(swept, kind)
+    eigenvalues_of, notes = spectrum(swept, kind)
 
     def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
         batch = np.resize(lanes, draws)  # always as many as all draws: another size would be compiled again
