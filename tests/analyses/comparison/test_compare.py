@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.comparison import Tuning, best_gains
-from dssc_jax.analyses.comparison.tuning import RUNOFF, candidate_points, gain_ranges, untuned_reason
+from dssc_jax.analyses.comparison.tuning import (
+    RUNOFF,
+    Tuning,
+    best_gains,
+    candidate_points,
+    gain_ranges,
+    untuned_reason,
+)
 from dssc_jax.results.manifest import write_sealed
 from dssc_jax.statistics import compare_failures
 from tests.loops import LAGGED

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.margins import Censoring, Walk, search_critical
+from dssc_jax.analyses.margins.search import Censoring, Walk, search_critical
 
 
 def crossing(at):

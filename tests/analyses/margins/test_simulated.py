@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.margins import Censoring, Margins, Walk
-from dssc_jax.analyses.margins.search import Critical
+from dssc_jax.analyses.margins import Margins
+from dssc_jax.analyses.margins.search import Censoring, Critical, Walk
 from dssc_jax.engine import kernels
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.results import result as results

@@ -6,8 +6,13 @@ import control
 import numpy as np
 import pytest
 
-from dssc_jax.analyses.loop_margins import classical_margins, common_grid, grid_with_poles, response_of
-from dssc_jax.engine.linearisation.response import named_margins
+from dssc_jax.engine.linearisation.response import (
+    classical_margins,
+    common_grid,
+    grid_with_poles,
+    named_margins,
+    response_of,
+)
 
 SAMPLE_TIME, LOOPS = 0.05, 100
 

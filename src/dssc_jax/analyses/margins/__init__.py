@@ -7,14 +7,11 @@ passes everywhere, or fails at the start, is censored: statistics count it as be
 
 from dssc_jax.analyses.margins.joined import join_margins, margin_parts, split_margins
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import Censoring, Critical, Walk, search_critical
+from dssc_jax.analyses.margins.search import search_critical
 from dssc_jax.analyses.margins.simulated import margin
 
 __all__ = [
-    "Censoring",
-    "Critical",
     "Margins",
-    "Walk",
     "join_margins",
     "margin",
     "margin_parts",
