@@ -373,8 +373,7 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
         part = slice(start, start + engine.lanes)
         columns = {name: column[part] for name, column in values.items()}
         started.append(engine(columns, indices[part]))
-    batches = [finish() for finish in started]
-    return join_batches(batches)
+    return join_batches([finish() for finish in started])
 
 
 def join_batches(batches: Sequence[Arrays]) -> Arrays:

@@ -24,12 +24,12 @@ VEHICLE_BOUNDS = "bounds"
 """Entry that only the summary of a vehicle's proof has."""
 
 
-def claim_of(summary: Mapping[str, object]) -> Claim:
+def claim_of_proof(summary: Mapping[str, object]) -> Claim:
     """The words for a proof, from its summary."""
     return VEHICLE_CLAIM if VEHICLE_BOUNDS in summary else AXIS_CLAIM
 
 
-def claim_for(study: Study) -> Claim:
+def claim_of_study(study: Study) -> Claim:
     """The words for the proofs of a study: of loops with several channels they cover the vehicle only."""
     return VEHICLE_CLAIM if len(study.units) > 1 else AXIS_CLAIM
 

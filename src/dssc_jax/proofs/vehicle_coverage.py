@@ -186,9 +186,11 @@ def require_geometry(plant: Ends) -> None:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors
     angles = np.array(vehicle.rotor_angles, dtype=float)
-    angle_steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))
+    angle_steps = np.diff(np.append(angles, angles[0] + TURN))
     spins = np.array(vehicle.spins, dtype=float)
-    if n % 2 or np.max(np.abs(angle_steps - 2.0 * math.pi / n)) > EQUAL_ANGLES or np.any(spins[1:] != -spins[:-1]):
+    is_regular = np.max(np.abs(angle_steps - TURN / n)) <= EQUAL_ANGLES
+    alternates = n % 2 == 0 and np.all(spins[1:] == -spins[:-1])
+    if not (is_regular and alternates):
         raise NotCovered("the rotors are not equally spaced, counter-clockwise, with alternating spins")
     if vehicle.structure_drag[0] != vehicle.structure_drag[1]:
         raise NotCovered("plant.vehicle.structure_drag differs between body x and y")

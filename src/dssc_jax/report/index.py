@@ -136,7 +136,8 @@ def write_index(root: str | Path, made: Callable[[Path], None] = lambda page: No
 def index_html(root: Path, rows: list[IndexRow]) -> str:
     """The index as a page, sorted by study, then by date with the newest first, then by probability."""
     usable = sorted((row for row in rows if not row.trouble), key=lambda row: row.worst)
-    usable = sorted(sorted(usable, key=lambda row: row.started, reverse=True), key=lambda row: row.study)
+    usable.sort(key=lambda row: row.started, reverse=True)
+    usable.sort(key=lambda row: row.study)
     unusable = [row for row in rows if row.trouble]
     runs = [row for row in usable if not row.kind]
     analyses = [row for row in usable if row.kind]

@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.claims import AXIS_CLAIM, VEHICLE_BOUNDS, Claim, claim_of
+from dssc_jax.proofs.claims import AXIS_CLAIM, VEHICLE_BOUNDS, Claim, claim_of_proof
 from dssc_jax.study import Study
 
 PROOFS_FILE = "proofs.json"
@@ -79,7 +79,7 @@ class SweepProofs:
     @property
     def claim(self) -> Claim:
         """What the proofs cover and bound, in words."""
-        return claim_of(self.points[0]) if self.points else AXIS_CLAIM
+        return claim_of_proof(self.points[0]) if self.points else AXIS_CLAIM
 
     @property
     def statements(self) -> list[str]:

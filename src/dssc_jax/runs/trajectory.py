@@ -293,7 +293,8 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
     lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
     names = (name for name in variables(study) if name in run.attrs)
     trajectory_values = {name: np.array([run.attrs[name]]) for name in names}
-    return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), trajectory_values)
+    draw = np.array([run.attrs["draw"]])
+    return agreement(study, result.dataset, (*lanes, draw), trajectory_values)
 
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:

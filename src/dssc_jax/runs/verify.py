@@ -135,7 +135,8 @@ def single_precision(result: Result, lanes: Lanes, plain_results: Arrays) -> Sin
     study = result.study.override({"loop.precision": 64})
     exact = recompute(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}
-    gaps = deviations(study, sizes, exact, {name: plain_results[name].astype(exact[name].dtype) for name in exact})
+    single = {name: plain_results[name].astype(column.dtype) for name, column in exact.items()}
+    gaps = deviations(study, sizes, exact, single)
     largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)
     differs = int(np.count_nonzero(exact["outcome"] != plain_results["outcome"]))
     return SinglePrecision(differs, float(np.median(largest)), float(largest.max()))

@@ -111,9 +111,10 @@ def difference_interval(
     discordant_interval = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
     only_a_if_discordant = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
     only_a_if_discordant = np.where((a + b == 0)[..., None], [0.0, 1.0], only_a_if_discordant)
-    side = 2.0 * only_a_if_discordant - 1.0
-    low = np.where(side[..., 0] >= 0.0, discordant_interval[..., 0], discordant_interval[..., 1]) * side[..., 0]
-    high = np.where(side[..., 1] >= 0.0, discordant_interval[..., 1], discordant_interval[..., 0]) * side[..., 1]
+    least, most = np.moveaxis(discordant_interval, -1, 0)
+    side_low, side_high = np.moveaxis(2.0 * only_a_if_discordant - 1.0, -1, 0)
+    low = np.where(side_low >= 0.0, least, most) * side_low
+    high = np.where(side_high >= 0.0, most, least) * side_high
     return np.stack([low, high], axis=-1)
 
 

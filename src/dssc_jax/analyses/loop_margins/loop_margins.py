@@ -142,9 +142,8 @@ def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time
     status[has_closed_loop] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
     columns = {field: np.full(len(has_closed_loop), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        angles = grid_with_poles(
-            common_angles, np.concatenate([poles, open_loop_poles[has_closed_loop]], axis=1)[stable]
-        )
+        all_poles = np.concatenate([poles, open_loop_poles[has_closed_loop]], axis=1)
+        angles = grid_with_poles(common_angles, all_poles[stable])
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values

@@ -160,21 +160,17 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     metrics = list(problem.plan.measures)
     count = int(np.count_nonzero(is_complete))
     exact = []
-    value = []
-    forward = []
-    backward = []
-    step_slopes = []
     for name in metrics:
-        values_by_shift = results[name].reshape(len(shifts), points)[:, is_complete]
         rows = [derivatives[Derivative(name, number)][:, None] * number_slopes[number] for number in problem.names]
         exact.append(np.sum(rows, axis=0)[is_complete])
-        value.append(np.repeat(values_by_shift[0][:, None], tuned_count, axis=1))
-        higher, lower, step_higher, step_lower = values_by_shift[1:].reshape(4, tuned_count, count)
-        forward.append((higher - values_by_shift[0]).T / DIFFERENCE_STEP)
-        backward.append((values_by_shift[0] - lower).T / DIFFERENCE_STEP)
-        step_slopes.append((step_higher - step_lower).T / (2.0 * SEARCH_STEP))
-    comparison = compare_derivatives(np.stack(exact), np.stack(value), np.stack(forward), np.stack(backward))
-    predictive = is_predictive(comparison.exact, np.stack(value), np.stack(step_slopes))
+    values = np.stack([results[name].reshape(len(shifts), points)[:, is_complete] for name in metrics])
+    moved = values[:, 1:].reshape(len(metrics), 4, tuned_count, count)
+    higher, lower, step_higher, step_lower = np.moveaxis(moved, (1, 3), (0, 2))  # shape (metrics, count, numbers) each
+    value = np.broadcast_to(values[:, 0, :, None], higher.shape)
+    forward = (higher - value) / DIFFERENCE_STEP
+    backward = (value - lower) / DIFFERENCE_STEP
+    comparison = compare_derivatives(np.stack(exact), value, forward, backward)
+    predictive = is_predictive(comparison.exact, value, (step_higher - step_lower) / (2.0 * SEARCH_STEP))
     share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
     kink_shares = {}
     for metric, row in zip(metrics, share.tolist(), strict=True):

@@ -24,7 +24,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity, unit_and_meaning
 from dssc_jax.design import Free
 from dssc_jax.engine.sampling import Arrays
-from dssc_jax.proofs.claims import claim_for
+from dssc_jax.proofs.claims import claim_of_study
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED, STORED_APART
 from dssc_jax.results.manifest import write_json
@@ -270,7 +270,7 @@ def aim_quantity(study: Study) -> Quantity:
     """Unit and meaning of the proved number that is optimised."""
     table = tuned_table(study)
     if table.aim == PROVED_ERROR:
-        return Quantity(study.units[0].output, f"proved bound of {claim_for(study).error} once settled")
+        return Quantity(study.units[0].output, f"proved bound of {claim_of_study(study).error} once settled")
     name = next(iter(table.over))
     unit = study.quantities[name].unit if name in study.quantities else "1"
     return Quantity(unit, f"last proved {name}")

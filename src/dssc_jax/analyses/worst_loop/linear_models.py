@@ -46,7 +46,9 @@ def measurement_points(sides: int) -> np.ndarray:
         points.append(steps[np.count_nonzero(steps, axis=1) >= max(2, sides - 1)])
     else:
         for i, j in itertools.combinations(range(sides), 2):
-            points += [unit[[i]] + unit[[j]], unit[[i]] - unit[[j]], unit[[j]] - unit[[i]], -unit[[i]] - unit[[j]]]
+            first = unit[[i]]
+            second = unit[[j]]
+            points += [first + second, first - second, second - first, -first - second]
         points.append(np.random.default_rng(0).choice([-1.0, 1.0], (RANDOM_CORNERS, sides)))
     return np.concatenate(points)
 

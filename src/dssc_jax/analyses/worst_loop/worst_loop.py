@@ -385,5 +385,6 @@ def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
     upper_by_s = s / (s - 1.0) if s > 1.0 else np.inf
     upper = max(1.0 + 1.0 / t, upper_by_disk, upper_by_s)
     lower = max(0.0, min((2.0 - alpha) / (2.0 + alpha), s / (s + 1.0), 1.0 - 1.0 / t))
-    phase = max(2.0 * np.arctan(0.5 * alpha), 2.0 * np.arcsin(min(1.0, 0.5 / s)), 2.0 * np.arcsin(min(1.0, 0.5 / t)))
+    phase_by_disk = 2.0 * np.arctan(0.5 * alpha)
+    phase = max(phase_by_disk, 2.0 * np.arcsin(min(1.0, 0.5 / s)), 2.0 * np.arcsin(min(1.0, 0.5 / t)))
     return np.array([upper, lower, phase, sample_time / delay_gain, alpha, s, t])

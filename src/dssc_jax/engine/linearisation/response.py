@@ -259,7 +259,8 @@ def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> 
     top = np.argmax(values, axis=1)[:, None]
     low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
     high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
-    return np.maximum(np.max(values, axis=1), golden_section_peak(function, low, high)[1][:, 0])
+    _, refined = golden_section_peak(function, low, high)
+    return np.maximum(np.max(values, axis=1), refined[:, 0])
 
 
 def classical_margins(respond: Response, angles: np.ndarray, sample_time: float) -> ClassicalMargins:

@@ -230,8 +230,10 @@ def comment(text: str) -> list[str]:
     """The lines of a comment in C; characters beyond ASCII become ?."""
     plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
     lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
-    return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
-            f"{' *' if len(lines) > 1 else '/*'} {lines[-1]} */"]  # fmt: skip
+    lines = [f" * {line}" for line in lines]
+    lines[0] = f"/*{lines[0].removeprefix(' *')}"
+    lines[-1] += " */"
+    return lines
 
 
 def use_counts(program: Program) -> dict[int, int]:

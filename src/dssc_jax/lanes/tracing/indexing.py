@@ -57,7 +57,7 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
 def row(build: Builder, table: Any, at: Value) -> Any:
     """The row of an array at an index along its first axis."""
     inner = table.shape[1:]
-    count = int(np.prod(table.shape[1:]))
+    count = int(np.prod(inner))
     columns = table.reshape(table.shape[0], count)
     elements = np.empty(count, object)
     for column in range(count):
@@ -259,14 +259,17 @@ def scatter(operation: str) -> Callable[..., Tensor]:
         windows = np.transpose(new, [*batch, *numbers.update_window_dims])
         windows = windows.reshape(len(vectors), *(new.shape[axis] for axis in numbers.update_window_dims))
         clip = params["mode"].name == "CLIP"
+
+        def combined(old: Value, new: Value) -> Value:
+            return build.add(operation, old, new) if operation else new
+
         for i, vector in enumerate(vectors):
             update = np.expand_dims(windows[i], tuple(numbers.inserted_window_dims))
             starts = [build.constant(0, INDEX_TYPE)] * target.ndim
             for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
                 limit = target.shape[axis] - update.shape[axis]
                 starts[axis] = clip_index(build, start, limit) if clip else start
-            target = combine_window(build, target, starts, update, lambda old, new: (
-                build.add(operation, old, new) if operation else new))  # fmt: skip
+            target = combine_window(build, target, starts, update, combined)
         return target
 
     return rule

@@ -231,7 +231,9 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
     """
     low = np.stack([y[:-1], step * y_dot[:-1], 0.5 * step**2 * y_ddot[:-1]], axis=-1)
     slope = step * y_dot[1:] - low @ [0.0, 1.0, 2.0]
-    mismatch = np.stack([y[1:] - low.sum(axis=-1), slope, step**2 * y_ddot[1:] - 2.0 * low[..., 2]], axis=-1)
+    jump = y[1:] - low.sum(axis=-1)
+    bend = step**2 * y_ddot[1:] - 2.0 * low[..., 2]
+    mismatch = np.stack([jump, slope, bend], axis=-1)
     high = mismatch @ np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
     hold = np.pad(y[-1:, :, None], ((0, 0), (0, 0), (0, 5)))
     return np.concatenate([np.concatenate([low, high], axis=-1), hold])

@@ -4,6 +4,7 @@ F_di = -K_Fdi |thetadot_i| (v_i - v_w) with v_i = v + R (Omega x p_bi). Summed o
 speeds matter: sum w_i, sum w_i p_i and sum w_i p_i p_i^T, w_i = |thetadot_i|.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from dssc_jax.core.numerics import dot
@@ -40,10 +41,13 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
     pull = k * dot(ones, speeds)  # K_Fdi sum w_i, and so for the first and second moments
     lever = k * vehicle.arm
     first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
-    sxx, sxy, syy = (
-        lever * vehicle.arm * dot([a * b for a, b in zip(*pair, strict=True)], speeds)
-        for pair in ((x, x), (x, y), (y, y))
-    )
+
+    def second_moment(a: Sequence[float], b: Sequence[float]) -> Scalar:
+        return lever * vehicle.arm * dot([i * j for i, j in zip(a, b, strict=True)], speeds)
+
+    sxx = second_moment(x, x)
+    sxy = second_moment(x, y)
+    syy = second_moment(y, y)
     force = in_body.scale(structure + Vec3(pull, pull, pull)) + rate.cross(first)
     # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
     spin = Vec3(minor(syy, rate.x, sxy, rate.y), minor(sxx, rate.y, sxy, rate.x), (sxx + syy) * rate.z)

@@ -106,14 +106,14 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     is_upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
     distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
     arm = sum(distances) / len(distances)
-    size = sum(map(abs, moments)) / len(moments)
+    mean_moment = sum(map(abs, moments)) / len(moments)
     is_regular = are_similar(distances) and are_similar([abs(moment) for moment in moments])
     is_level = all(rotor.place[2] == 0.0 for rotor in rotors)
     signs = [-math.copysign(1.0, moment) for moment in moments]
     if is_upright and is_regular and is_level:
         return {
             "arm": arm,
-            "torque_coefficient": size,
+            "torque_coefficient": mean_moment,
             "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
             "spins": signs,
         }
@@ -121,7 +121,7 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     for rotor, sign in zip(rotors, signs, strict=True):
         entry: TomlTable = {"position": list(rotor.place), "direction": sign, "torque_coefficient": abs(rotor.moment)}
         rotor_entries.append(entry if is_upright else entry | {"axis": list(rotor.axis)})
-    return {"arm": arm, "torque_coefficient": size, "rotor": rotor_entries}
+    return {"arm": arm, "torque_coefficient": mean_moment, "rotor": rotor_entries}
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:

@@ -106,15 +106,8 @@ def drag_of(
         across=air_speed_z,
         by_rotors=by_rotors,
     )
-    region_z = DragRegion(
-        speed=bounds["z"]["e_dot"],
-        wind=wind_z,
-        damping=arb(dampings["z"]),
-        drag=k_z,
-        mass_low=ranges.mass_low,
-        mass_high=ranges.mass_high,
-        across=air_speed_h,
-        by_rotors=by_rotors,
+    region_z = region_h._replace(
+        speed=bounds["z"]["e_dot"], wind=wind_z, damping=arb(dampings["z"]), drag=k_z, across=air_speed_h
     )
     s = attitude.tilt
     tilt_drag = abs(k_h - k_z) * air_speed / ranges.mass_low
