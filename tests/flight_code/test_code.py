@@ -153,7 +153,7 @@ def test_numbers_as_inputs_change_no_bit_of_the_analysis(kind):
     recorded = [draw.rows for draw in recorded_draws(study, controllers, 8, samples)]
     with arithmetic():
         number, index = jax.ShapeDtypeStruct((), np.float64), jax.ShapeDtypeStruct((), np.uint32)
-        lane = recording_lane(study, controllers, samples)
+        lane = recording_lane(study, samples)
         lanes = CompiledLanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
         (columns,) = lanes.start((draw(study, np.arange(8)), np.arange(8)), 8, 1)()
     assert np.array_equal(np.stack(recorded), np.stack(columns, axis=2))

@@ -13,7 +13,7 @@ def require_laws(study: Study) -> None:
     """Require at least one uncertain number.
 
     Raises:
-        ConfigError: no number has a law.
+        ConfigError: No number has a law.
     """
     if not study.laws:
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
@@ -27,7 +27,7 @@ def require_share(name: str, value: float) -> None:
         value: The value of the setting.
 
     Raises:
-        ConfigError: it is 0, 1 or outside.
+        ConfigError: It is 0, 1 or outside.
     """
     if not 0.0 < value < 1.0:
         raise ConfigError(name, f"must lie in (0, 1), got {value:g}")

@@ -46,7 +46,7 @@ def kind_in(folder: Path) -> str | None:
     """The kind of analysis that a folder contains; None for a run or a sweep.
 
     Raises:
-        ConfigError: it contains none of these.
+        ConfigError: It contains none of these.
     """
     if not folder.is_dir():
         raise ConfigError(str(folder), "is no folder")
@@ -65,7 +65,7 @@ def description(folder: Path) -> JsonObject:
     """The description of a folder's content: the manifest of a result, or the description of an analysis.
 
     Raises:
-        ConfigError: it contains nothing that :func:`load` can read, or it is damaged.
+        ConfigError: It contains nothing that :func:`load` can read, or it is damaged.
     """
     kind = kind_in(folder)
     return read_manifest(folder) if kind is None else read_description(folder, kind)
@@ -83,7 +83,7 @@ def load(folder: str | Path, trust_code: bool = False) -> Loaded:
         A :class:`Result` for ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one saved.
 
     Raises:
-        ConfigError: it contains none of these, it is damaged, or its run did not finish.
+        ConfigError: It contains none of these, it is damaged, or its run did not finish.
     """
     path = Path(folder)
     kind = kind_in(path)

@@ -79,7 +79,7 @@ def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     numbers and how it ended, and for a vehicle the axes.
 
     Raises:
-        ConfigError: pyarrow is not installed.
+        ConfigError: Pyarrow is not installed.
     """
     try:
         import pyarrow as pa  # an optional extra

@@ -88,7 +88,7 @@ def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
     more exact than the difference of two determinants, whose leading digits cancel.
 
     Raises:
-        ValueError: the command does not reach the output.
+        ValueError: The command does not reach the output.
     """
     degree = relative_degree(system)
     if degree is None:

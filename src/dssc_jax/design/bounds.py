@@ -55,7 +55,7 @@ def require_plain(numbers: tuple[Numeric, ...]) -> None:
     """Require that every number is plain, in its quantity's interval, and of usable magnitude.
 
     Raises:
-        ConfigError: with the field, the rule and the value.
+        ConfigError: With the field, the rule and the value.
     """
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
@@ -100,7 +100,7 @@ class Bounds(NamedTuple):
         """The bounds, after a check of every field and of the rules that span several fields.
 
         Raises:
-            ConfigError: a number is out of its range, k_min > k_max, or A_eta is not Hurwitz.
+            ConfigError: A number is out of its range, k_min > k_max, or A_eta is not Hurwitz.
         """
         require_plain(self)
         if self.k_min > self.k_max:

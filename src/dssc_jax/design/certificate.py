@@ -102,7 +102,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         Each inequality with its slack, as derived and as printed, and the resulting guarantee.
 
     Raises:
-        ConfigError: a number is out of its range, or the bounds contradict themselves.
+        ConfigError: A number is out of its range, or the bounds contradict themselves.
 
     Example:
         >>> bounds = Bounds(k_min=0.9, k_max=1.1, a_max=1.0, alpha_d3=0.1)

@@ -27,7 +27,7 @@ def interval_of(value: object) -> tuple[float, float]:
     """Parse two finite numbers, [low, high].
 
     Raises:
-        ValueError: the value has another form.
+        ValueError: The value has another form.
     """
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
@@ -96,7 +96,7 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
     """Parse the content of a design file; ``name`` is the design's unless the content has one.
 
     Raises:
-        ConfigError: dotted path, rule and value of the first error.
+        ConfigError: Dotted path, rule and value of the first error.
     """
     for key in table:
         if key not in DESIGN_TABLES:
@@ -175,7 +175,7 @@ def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) 
     """Parse the table at a path into an instance of its parameter type.
 
     Raises:
-        ConfigError: the table is missing, or a number is not plain, out of its range or of unusable magnitude.
+        ConfigError: The table is missing, or a number is not plain, out of its range or of unusable magnitude.
     """
     if path not in table:
         raise ConfigError(path, "is required and missing")

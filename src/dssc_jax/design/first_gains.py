@@ -130,7 +130,7 @@ def first_gains(
         at: Output at which a nonlinear plant rests where it is linearised; None: its start.
 
     Raises:
-        ConfigError: the plant has several channels, or there are no such gains for it.
+        ConfigError: The plant has several channels, or there are no such gains for it.
     """
     if kind not in list(FirstController):
         raise ConfigError("`kind`", f"must be one of {', '.join(FirstController)}, got '{kind}'")
@@ -167,7 +167,7 @@ def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> 
     """The design of a kind at a bandwidth [rad/s] with the best integral action; its loop need not be stable.
 
     Raises:
-        ConfigError: the kind has no gains at this bandwidth.
+        ConfigError: The kind has no gains at this bandwidth.
     """
     best = design_with_ratio(problem, kind, bandwidth, INTEGRAL_RATIOS[0])
     for ratio in INTEGRAL_RATIOS[1:] if kind != FirstController.SSC else ():
@@ -193,7 +193,7 @@ def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio
     Its loop need not be stable.
 
     Raises:
-        ConfigError: the kind has no such gains.
+        ConfigError: The kind has no such gains.
     """
     rules = {
         FirstController.PID: pid,
@@ -235,7 +235,7 @@ def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGain
     The halving ends when several in a row are no better.
 
     Raises:
-        ConfigError: none is stable.
+        ConfigError: None is stable.
     """
     refusal: ConfigError | None = None
     best: FirstGains | None = None
@@ -297,7 +297,7 @@ def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         ratio: Not used: SSC has one integral action. The argument is that of the other kinds.
 
     Raises:
-        ConfigError: the plant has another relative degree than two or a negative gain, or the command has no limit.
+        ConfigError: The plant has another relative degree than two or a negative gain, or the command has no limit.
     """
     study, limit = problem.study, problem.limit
     a, b, c = problem.plant.a, problem.plant.b, problem.plant.c

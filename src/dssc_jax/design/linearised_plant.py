@@ -91,7 +91,7 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
             it there, or 0 where there is none.
 
     Raises:
-        ConfigError: the plant has several channels, or no derivative; or no equilibrium with this output is found.
+        ConfigError: The plant has several channels, or no derivative; or no equilibrium with this output is found.
     """
     loop = study.loop
     place = f"{study.source}: plant.kind"

@@ -97,7 +97,7 @@ def require_no_inputs(loop: Loop) -> None:
     """Require that no disturbance acts at an input that the plant names.
 
     Raises:
-        NotCovered: one does.
+        NotCovered: One does.
     """
     for name, model in zip(loop.input_names, loop.inputs, strict=True):
         if model is not NO_DISTURBANCE:

@@ -28,7 +28,7 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
         ratio: Corner frequency of the integral action, in bandwidths.
 
     Raises:
-        ConfigError: no weights give these crossovers, or a signal does not move with the disturbance.
+        ConfigError: No weights give these crossovers, or a signal does not move with the disturbance.
     """
     study, plant = problem.study, problem.bare_plant
     nominal = problem.plant.nominal
@@ -67,7 +67,7 @@ def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.nd
         state_response: Frequency response of the state, (n,).
 
     Raises:
-        ConfigError: a signal does not move, so that its noise has no scale.
+        ConfigError: A signal does not move, so that its noise has no scale.
     """
     study = problem.study
     names = [signal.name for signal in study.loop.measures] or ["y"]
@@ -95,7 +95,7 @@ def operating_point(problem: DesignProblem) -> TomlTable:
     """The entries of a controller for the operating point about which its law acts; empty for a linear plant.
 
     Raises:
-        ConfigError: the limit excludes the command that holds the plant there.
+        ConfigError: The limit excludes the command that holds the plant there.
     """
     resting = problem.plant.resting
     if resting is None:
@@ -124,7 +124,7 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
         sample_time: T_s [s].
 
     Raises:
-        ConfigError: no weight does.
+        ConfigError: No weight does.
     """
     q = np.outer(c, c)
     response = responses(a, b, omega, sample_time)
@@ -150,7 +150,7 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
         ratio: Corner frequency of the integral action, in bandwidths.
 
     Raises:
-        ConfigError: the signals do not show all states, or a gain would be negative.
+        ConfigError: The signals do not show all states, or a gain would be negative.
     """
     plant = problem.plant
     dt = problem.bare_plant.sample_time
@@ -190,7 +190,7 @@ def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray
         feedback: Gain of each state, (n,).
 
     Raises:
-        ConfigError: there are none, or a signal contains the last command.
+        ConfigError: There are none, or a signal contains the last command.
     """
     plant = problem.plant
     n = len(feedback)
@@ -217,7 +217,7 @@ def gains_of_output(problem: DesignProblem, signal_gains: np.ndarray, forward: f
         forward: Gain from the reference to the command with which y settles at the reference.
 
     Raises:
-        ConfigError: a gain is negative, which the controller does not allow.
+        ConfigError: A gain is negative, which the controller does not allow.
     """
     k_1 = float(signal_gains[0])
     k_2 = float(signal_gains[1]) if len(signal_gains) > 1 else 0.0
@@ -235,7 +235,7 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
         guess: A number from which the bracket grows by decades on either side.
 
     Raises:
-        ConfigError: the function does not cross 1 within ``PLACES`` decades.
+        ConfigError: The function does not cross 1 within ``PLACES`` decades.
     """
     low = high = guess
     # from the guess on, since a Riccati equation far from it may have no solution in floating point

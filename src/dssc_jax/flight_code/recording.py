@@ -40,9 +40,7 @@ class RecordedDraw(NamedTuple):
     rows: np.ndarray
 
 
-def recording_lane(
-    study: Study, controllers: Sequence[SampledController], samples: int
-) -> Callable[[dict[str, Scalar], jax.Array], Rows]:
+def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], jax.Array], Rows]:
     """The program that records a draw: (numbers by name, draw index) -> a row for each channel.
 
     Each member of a row is a column of shape (samples,).
@@ -79,7 +77,7 @@ def recorded_draws(
     study: Study, controllers: Sequence[SampledController], draws: int, samples: int
 ) -> Iterator[RecordedDraw]:
     """Record the first draws of a study in strict arithmetic, channel by channel; raises Unsupported."""
-    lane = recording_lane(study, controllers, samples)
+    lane = recording_lane(study, samples)
     for values, channels in recorded_columns(study, lane, draws, study_values(controllers)):
         for controller, columns in zip(controllers, channels, strict=True):
             parameters = [values[parameter.key] for parameter in controller.parameters]

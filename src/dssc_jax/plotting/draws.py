@@ -70,7 +70,7 @@ def require_one_point(result: Result) -> None:
     """Require a single point: all points of a sweep share their draws, so no interval holds for their draws together.
 
     Raises:
-        ValueError: the result has several points.
+        ValueError: The result has several points.
     """
     if result.failed.ndim > 1:
         raise ValueError(f"shows one point of a sweep, got all of {', '.join(result.study.axes)}; take Result.at")
@@ -91,8 +91,8 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
         metric: Name of the metric; None: the study's headline metric.
 
     Raises:
-        ValueError: the result has several points.
-        ConfigError: the result has no such metric.
+        ValueError: The result has several points.
+        ConfigError: The result has no such metric.
     """
     require_one_point(result)
     figure, ax = panel(ax)
@@ -128,8 +128,8 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
         ax: Axes to draw into; None: a new figure.
 
     Raises:
-        ValueError: the result has several points.
-        ConfigError: the number is not uncertain.
+        ValueError: The result has several points.
+        ConfigError: The number is not uncertain.
     """
     require_one_point(result)
     if name not in result.study.laws:

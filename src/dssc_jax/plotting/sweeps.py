@@ -58,7 +58,7 @@ def sweep(result: Result) -> Figure:
     """Plot a sweep over one axis as curves, over two as maps; further axes are held at their first value, and named.
 
     Raises:
-        ValueError: the result has no sweep.
+        ValueError: The result has no sweep.
     """
     result = over_two_axes(result)
     figure = sweep_curves(result) if len(free_axes(result)) == 1 else sweep_maps(result)
@@ -113,7 +113,7 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
         ax: Axes to draw into; None: a new figure.
 
     Raises:
-        ValueError: the result has no sweep.
+        ValueError: The result has no sweep.
     """
     result = over_two_axes(result)
     axes = free_axes(result)
@@ -135,7 +135,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
         ax: Axes to draw into; None: a new figure.
 
     Raises:
-        ValueError: the result has no sweep over two axes, or no proofs.
+        ValueError: The result has no sweep over two axes, or no proofs.
     """
     result = over_two_axes(result)
     axes = free_axes(result)
@@ -179,8 +179,8 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
         metric: Name of the metric; None: the study's headline metric.
 
     Raises:
-        ValueError: the result has no sweep.
-        ConfigError: the result has no such metric.
+        ValueError: The result has no sweep.
+        ConfigError: The result has no such metric.
     """
     result = over_two_axes(result)
     axes = free_axes(result)
@@ -198,7 +198,7 @@ def over_two_axes(result: Result) -> Result:
     """Reduce a result to its first two axes with several values; the others are fixed at their first value.
 
     Raises:
-        ValueError: the result has no sweep.
+        ValueError: The result has no sweep.
     """
     axes = free_axes(result)
     if not axes:

@@ -91,8 +91,8 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
         ax: Axes to draw into, for signals of one unit; None: a new figure.
 
     Raises:
-        KeyError: the trajectory has no such signal.
-        ValueError: there are more signals than distinguishable colours, or several units for the given axes.
+        KeyError: The trajectory has no such signal.
+        ValueError: There are more signals than distinguishable colours, or several units for the given axes.
     """
     if len(names) > len(SIGNAL_COLOURS):
         raise ValueError(f"shows at most {len(SIGNAL_COLOURS)} signals, got {len(names)}")

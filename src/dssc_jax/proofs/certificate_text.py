@@ -14,7 +14,7 @@ def certificate_content(text: str) -> Json:
     """The content of a text.
 
     Raises:
-        ValueError: it is no JSON, or holds something that a certificate does not: a repeated entry, NaN, an infinite
+        ValueError: It is no JSON, or holds something that a certificate does not: a repeated entry, NaN, an infinite
             number or one that is too large, or lists within lists beyond any use.
     """
     try:
@@ -33,7 +33,7 @@ def entries_of(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
     """A table of entries, each of which occurs once.
 
     Raises:
-        ValueError: one occurs twice.
+        ValueError: One occurs twice.
     """
     table = dict(pairs)
     if len(table) < len(pairs):
@@ -56,7 +56,7 @@ def finite_value(text: str) -> float:
     """A number of float64.
 
     Raises:
-        ValueError: it is too large.
+        ValueError: It is too large.
     """
     value = float(text)
     if not math.isfinite(value):
@@ -68,7 +68,7 @@ def whole_number(text: str) -> int:
     """An integer that float64 can hold.
 
     Raises:
-        ValueError: it is too large.
+        ValueError: It is too large.
     """
     if len(text) > MOST_DIGITS or math.isinf(float(text)):
         raise ValueError(f"{text[:12]}... is too large a number")

@@ -54,7 +54,7 @@ def problem_of(study: Study) -> AnyProblem:
     """The problem of a study at its own values; laws become the intervals of their support.
 
     Raises:
-        NotCovered: a part of the loop is outside of what a proof covers; the message gives the reason.
+        NotCovered: A part of the loop is outside of what a proof covers; the message gives the reason.
     """
     return vehicle_problem_of(study) if is_vehicle(study) else axis_problem_of(study)
 
@@ -63,7 +63,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
     """The problem of a loop of the class (5)-(8); the supports of the laws of k_p, a_p and mu become its intervals.
 
     Raises:
-        NotCovered: a part of the loop is outside of the class; the message gives the reason.
+        NotCovered: A part of the loop is outside of the class; the message gives the reason.
     """
     study = study.without_sweep()
     loop = study.loop
@@ -110,7 +110,7 @@ def require_squares(problem: ProofProblem) -> None:
     """Require that float64 holds the square of every number of a problem.
 
     Raises:
-        NotCovered: a number is too large.
+        NotCovered: A number is too large.
     """
     for name, value in asdict(problem).items():
         if not all(abs(number) <= LARGEST_NUMBER for number in numbers_in(value)):
@@ -155,7 +155,7 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     A step is refused, unless it is at t = 0: its slope has no bound.
 
     Raises:
-        NotCovered: a bound is not known.
+        NotCovered: A bound is not known.
     """
     require_no_inputs(study.loop)
     model = study.loop.disturbance[0]
@@ -178,7 +178,7 @@ def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> fl
     """Time constant of the sensor's lag [s]; 0 for an ideal sensor.
 
     Raises:
-        NotCovered: sigma is measured otherwise, or the time constant is uncertain.
+        NotCovered: Sigma is measured otherwise, or the time constant is uncertain.
     """
     if differentiator is not NO_DIFFERENTIATOR or sensor not in (IDEAL, SENSOR_LAG):
         raise NotCovered("sigma is measured neither exactly nor through a lag")
@@ -194,7 +194,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     """Intervals of e, e' and eta at t = 0: those of the plant's start, less the reference's start.
 
     Raises:
-        NotCovered: the reference's start is uncertain.
+        NotCovered: The reference's start is uncertain.
     """
     if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
@@ -212,7 +212,7 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
     """The fields of a problem for the unmodelled dynamics: numerator and denominator of G(mu s), mu, and the delay.
 
     Raises:
-        NotCovered: the unmodelled dynamics are neither a lag, a transfer function nor a known delay.
+        NotCovered: The unmodelled dynamics are neither a lag, a transfer function nor a known delay.
     """
     model = study.loop.unmodelled[0]
     low, high = (end.unmodelled[0] for end in ends)
@@ -236,7 +236,7 @@ def controller_of(study: Study) -> JsonObject:
     """The fields of a problem for the controller: l_0, form, functions, rho, nominal control and start.
 
     Raises:
-        NotCovered: the controller, or one of its options, is outside of the class.
+        NotCovered: The controller, or one of its options, is outside of the class.
     """
     member = study.loop.controller[0]
     gains = study.template.controller[0]
@@ -275,7 +275,7 @@ def dssc_content(member: Controller, gains: DsscGains) -> JsonObject:
     """The part of a problem that DSSC or SSC makes.
 
     Raises:
-        NotCovered: the sampled form or an option is outside of the class.
+        NotCovered: The sampled form or an option is outside of the class.
     """
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)

@@ -246,7 +246,7 @@ def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:
     """Verify the content of a certificate's file, from it alone.
 
     Raises:
-        ConfigError: it is no certificate of this version.
+        ConfigError: It is no certificate of this version.
     """
     is_vehicle = isinstance(content, dict) and content.get("kind") == VEHICLE_KIND
     version = content.get("version") if isinstance(content, dict) else None

@@ -140,7 +140,7 @@ def problem_at(study: Study, name: str, value: float) -> AnyProblem:
     """The problem of a study with one number at a value.
 
     Raises:
-        NotCovered: the loop is outside of what a proof covers.
+        NotCovered: The loop is outside of what a proof covers.
     """
     if name == SAMPLE_TIME:  # the duration need not be a multiple of it
         return replace(problem_of(study), sample_time=value)

@@ -54,7 +54,7 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     """The problem of a vehicle's study at its own values; laws become the intervals of their support.
 
     Raises:
-        NotCovered: a part of the loop is outside of the theorem; the message gives the reason.
+        NotCovered: A part of the loop is outside of the theorem; the message gives the reason.
     """
     if study.config.event:
         raise NotCovered("[[event]] changes the loop at a time")
@@ -105,7 +105,7 @@ def require_laws(study: Study) -> None:
     """Require that each law belongs to a number that a proof covers over an interval, and has bounded support.
 
     Raises:
-        NotCovered: a law is of another number, or has no bounds.
+        NotCovered: A law is of another number, or has no bounds.
     """
     for name, law in study.written_laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
@@ -123,7 +123,7 @@ def require_loop(study: Study) -> None:
     rotors have no lag.
 
     Raises:
-        NotCovered: a part of the loop differs; the message names the part.
+        NotCovered: A part of the loop differs; the message names the part.
     """
     loop = study.loop
     plant: UavParams = study.template.plant
@@ -148,7 +148,7 @@ def require_inner_loop(plant: Ends) -> InnerGains:
     """Gains of the inner loops, which must be those of the article in the variant that the theorem covers.
 
     Raises:
-        NotCovered: the inner loops are others, or an option or an uncertain gain is outside of the theorem.
+        NotCovered: The inner loops are others, or an option or an uncertain gain is outside of the theorem.
     """
     inner = plant.low.inner_loop
     if not getattr(inner, "has_proof", False):
@@ -170,7 +170,7 @@ def require_geometry(plant: Ends) -> None:
     """Require equally spaced rotors with alternating spins, equal drag along body x and y, and no ground or battery.
 
     Raises:
-        NotCovered: the vehicle differs; the message names the part.
+        NotCovered: The vehicle differs; the message names the part.
     """
     vehicle: Vehicle = plant.low.vehicle
     if vehicle.rotor:
@@ -229,7 +229,7 @@ def delay_of(study: Study, ends: Ends) -> float:
     """Delay of the commands [samples], the same in all channels; 0 without unmodelled dynamics.
 
     Raises:
-        NotCovered: the unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
+        NotCovered: The unmodelled dynamics are not a single delay, or it is uncertain or differs between channels.
     """
     models: tuple[Unmodelled, ...] = study.loop.unmodelled
     if all(model is NO_DYNAMICS for model in models):
@@ -246,7 +246,7 @@ def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
     """Bounds of the horizontal and of the vertical wind [m/s].
 
     Raises:
-        NotCovered: the kind of wind states no bounds.
+        NotCovered: The kind of wind states no bounds.
     """
     wind = study.loop.wind
     if wind.bounds is None:
@@ -259,7 +259,7 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
     """Controller and start of each channel of the problem; the channel x stands for y, too.
 
     Raises:
-        NotCovered: a controller is outside of the theorem, or x and y differ.
+        NotCovered: A controller is outside of the theorem, or x and y differ.
     """
     gains = ends.low.controller
     if gains[0] != gains[1] or study.loop.controller[0] is not study.loop.controller[1]:
@@ -278,7 +278,7 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
         initial: Bounds of |e| and |e'| at t = 0.
 
     Raises:
-        NotCovered: the controller is outside of the theorem.
+        NotCovered: The controller is outside of the theorem.
     """
     name = study.loop.channels[place]
     member = study.loop.controller[place]

@@ -83,7 +83,7 @@ class Analysis(ABC):
             folder: Created if absent; overwritten if it contains this analysis of the same study.
 
         Raises:
-            ConfigError: the folder contains something else.
+            ConfigError: The folder contains something else.
         """
         content = stored_fields(self) | {"integration": self.integration}
         self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), content)
@@ -98,7 +98,7 @@ class Analysis(ABC):
             trust_code: Import the models that its study names as ``module:object``.
 
         Raises:
-            ConfigError: it contains no such analysis, or it is damaged.
+            ConfigError: It contains no such analysis, or it is damaged.
         """
         folder_content = read_analysis(Path(folder), cls.kind, trust_code)
         integration = folder_content.settings.pop("integration", None)

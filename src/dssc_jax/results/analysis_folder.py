@@ -69,7 +69,7 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
         settings: Other data needed for reading.
 
     Raises:
-        ConfigError: the folder contains something else, or what is read back is not what was written.
+        ConfigError: The folder contains something else, or what is read back is not what was written.
     """
     require_free_folder(folder, kind, study)
     files.make_folder(folder)
@@ -158,7 +158,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
     """Read and check the description of an analysis.
 
     Raises:
-        ConfigError: it is missing, damaged, or has been altered.
+        ConfigError: It is missing, damaged, or has been altered.
     """
     path = folder / f"{kind}.json"
     try:
@@ -193,7 +193,7 @@ def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:
         trust_code: Import the models that its study names as ``module:object``.
 
     Raises:
-        ConfigError: it is missing, damaged, or has been altered.
+        ConfigError: It is missing, damaged, or has been altered.
     """
     description = read_description(folder, kind)
     try:

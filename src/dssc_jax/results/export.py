@@ -102,7 +102,7 @@ def require_package(package: str, form: Format) -> None:
     """Require an optional package.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: It is not installed.
     """
     try:
         importlib.import_module(package)
@@ -114,7 +114,7 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
     """Write a file completely or not at all.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: It cannot be written.
     """
     try:
         with files.replacing(path) as file:

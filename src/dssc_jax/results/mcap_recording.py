@@ -17,8 +17,8 @@ def write_mcap(trajectory: xr.Dataset, path: str | Path) -> None:
         path: The file; an existing one is replaced.
 
     Raises:
-        ConfigError: the extra ``mcap`` is not installed.
-        OSError: the file cannot be written.
+        ConfigError: The extra ``mcap`` is not installed.
+        OSError: The file cannot be written.
     """
     try:
         from dssc_jax.results.mcap_messages import write_messages  # needs an optional extra

@@ -325,7 +325,7 @@ def compare(
         progress: Called with the runs and tunings done, and their total.
 
     Raises:
-        ConfigError: a name is unknown or given twice, or a controller does not fit.
+        ConfigError: A name is unknown or given twice, or a controller does not fit.
 
     Example:
         >>> import dssc_jax as dj
@@ -368,7 +368,7 @@ def ranges_by_controller(studies: Mapping[str, Study]) -> dict[str, dict[str, tu
         studies: The study with each controller.
 
     Raises:
-        ConfigError: a range is not valid.
+        ConfigError: A range is not valid.
     """
     extents = {}
     for name, study in studies.items():

@@ -165,7 +165,7 @@ def require_no_foreign_code(source: str, study: TomlTable, tables: object) -> No
         tables: The stored tables of the controllers.
 
     Raises:
-        ConfigError: a table names other code.
+        ConfigError: A table names other code.
     """
     foreign = set(code_names({"tables": tables})) - set(code_names(study))
     if foreign:
@@ -196,7 +196,7 @@ def compare_margins(
         progress: Called with the lanes done.
 
     Raises:
-        ConfigError: a name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` raises it.
+        ConfigError: A name is unknown or given twice, a controller does not fit, or :func:`dssc_jax.margin` raises it.
     """
     began = time.perf_counter()
     study, tables, studies = Contestants.of(study, controllers)

@@ -112,7 +112,7 @@ def controller_table(study: Study, name: str) -> ControllerTable:
         name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
 
     Raises:
-        ConfigError: there is no such controller, or its gains do not follow from the study's own.
+        ConfigError: There is no such controller, or its gains do not follow from the study's own.
     """
     stated_table = study.config.compare.get(name)
     if stated_table is None:
@@ -130,7 +130,7 @@ def corresponding_table(study: Study, name: str) -> ControllerTable:
     For controllers of one's own see :func:`with_own_controllers`.
 
     Raises:
-        ConfigError: there is no such controller, or its gains do not follow from the study's own.
+        ConfigError: There is no such controller, or its gains do not follow from the study's own.
     """
     controller = study.config.controller
     study_kind = controller_kinds(study)
@@ -158,7 +158,7 @@ def table_with_changes(study: Study, name: str, changes: ControllerTable) -> Con
         changes: The table ``[compare.NAME]``, which states no kind.
 
     Raises:
-        ConfigError: the gains do not follow, and there are no changes, or a limited controller gets no limit.
+        ConfigError: The gains do not follow, and there are no changes, or a limited controller gets no limit.
     """
     rival = rival_names()[name]
     try:
@@ -187,7 +187,7 @@ def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
         kind: Kind of the controller.
 
     Raises:
-        ConfigError: the gains do not follow from the study's own.
+        ConfigError: The gains do not follow from the study's own.
     """
     controller = study.config.controller
     from_dssc = CONTROLLERS[kind].default_member.from_dssc
@@ -214,7 +214,7 @@ def require_numbers(gains: DsscGains) -> None:
     """Require that no parameter of DSSC's functions is uncertain, since a rival's gains are derived as numbers.
 
     Raises:
-        ConfigError: a parameter has a law.
+        ConfigError: A parameter has a law.
     """
     if any(isinstance(value, UncertainValue) for value in gains.functions):
         raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
@@ -229,7 +229,7 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
         table: The table without a limit.
 
     Raises:
-        ConfigError: the controller has no limit, or rho is not constant.
+        ConfigError: The controller has no limit, or rho is not constant.
     """
     limit = CONTROLLERS[table["kind"]].default_member.limit
     if not limit:
@@ -253,7 +253,7 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
         table: The ``[controller]`` table.
 
     Raises:
-        ConfigError: the controller does not fit the study.
+        ConfigError: The controller does not fit the study.
     """
     try:
         return study.override({"controller": table, "sweep": {}})
@@ -304,7 +304,7 @@ class Contestants(NamedTuple):
         """The controllers with these names, of which there have to be two different ones at least.
 
         Raises:
-            ConfigError: there are fewer, one is named twice or unknown, or a controller does not fit the study.
+            ConfigError: There are fewer, one is named twice or unknown, or a controller does not fit the study.
         """
         names = list(controllers)
         if len(set(names)) < max(2, len(names)):

@@ -45,7 +45,7 @@ class Tuning:
         """A budget whose draws differ from the study's.
 
         Raises:
-            ConfigError: a count is out of range.
+            ConfigError: A count is out of range.
         """
         for name, count in (("candidates", candidates), ("tuning draws", draws)):
             if not 1 <= count <= MOST_CANDIDATES:
@@ -76,7 +76,7 @@ def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[f
         Lowest and highest value of each gain; empty if none can be tuned.
 
     Raises:
-        ConfigError: a range is not valid.
+        ConfigError: A range is not valid.
     """
     extents = {}
     for name, extent in requested.items():
@@ -139,7 +139,7 @@ def best_gains(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, 
         extents: Range of each gain. Without any, the given gains stay.
 
     Raises:
-        ConfigError: a range is not admissible.
+        ConfigError: A range is not admissible.
     """
     if not extents:
         return {}

@@ -10,7 +10,7 @@ def require_falsifiable(study: Study, budget: int) -> None:
     """Require a study in which a search can find a failing draw, and an admissible number of simulations.
 
     Raises:
-        ConfigError: nothing is uncertain, nothing is required, or the budget is out of range.
+        ConfigError: Nothing is uncertain, nothing is required, or the budget is out of range.
     """
     if not study.without_sweep().laws:
         raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
@@ -24,7 +24,7 @@ def require_label(study: Study, requirement: str) -> None:
     """Require that a label is empty or names a requirement of the study.
 
     Raises:
-        ConfigError: the study has no requirement with this label.
+        ConfigError: The study has no requirement with this label.
     """
     if not counted_places(study.requirements, requirement):
         labels = [candidate.label for candidate in study.requirements]

@@ -345,7 +345,7 @@ def falsify(
         progress: Called with the simulations spent.
 
     Raises:
-        ConfigError: nothing is uncertain, nothing is required, the requirement is unknown, the budget or the set is
+        ConfigError: Nothing is uncertain, nothing is required, the requirement is unknown, the budget or the set is
             out of range, or both ``within_sigma`` and ``within_mass`` are given.
 
     Example:

@@ -201,7 +201,7 @@ def search_set(study: Study, sigma: float | None = None, mass: float | None = No
         mass: Probability of the draws within the distance, in (0, 1), instead of the distance.
 
     Raises:
-        ConfigError: both are given, or one is out of range.
+        ConfigError: Both are given, or one is out of range.
     """
     if sigma is not None and mass is not None:
         raise ConfigError("within", f"give either sigma or mass, got sigma = {sigma:g} and mass = {mass:g}")

@@ -308,7 +308,7 @@ def result_of(subject: Study | Result, progress: ProgressCallback | None) -> Res
     """The result itself, or that of a study, which is run without its sweep.
 
     Raises:
-        ConfigError: a result has a sweep, or draws are not independent.
+        ConfigError: A result has a sweep, or draws are not independent.
     """
     study = subject.study if isinstance(subject, Result) else subject
     require_independent(study, "a bound from the draws' weights")

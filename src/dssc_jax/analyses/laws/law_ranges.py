@@ -217,7 +217,7 @@ def require_even_weights(draws: RangedDraws, study: Study) -> None:
     """Require weights that are even enough to give the failure probability under every law of the box.
 
     Raises:
-        ConfigError: the weights are too uneven; the message has the number of draws that would do.
+        ConfigError: The weights are too uneven; the message has the number of draws that would do.
     """
     if draws.trusted:
         return

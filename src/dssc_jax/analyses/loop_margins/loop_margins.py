@@ -43,7 +43,7 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
         progress: Called with the linearised draws, and their total.
 
     Raises:
-        ConfigError: a part does not declare where it is smooth, or has no derivative there: the controller switches, or
+        ConfigError: A part does not declare where it is smooth, or has no derivative there: the controller switches, or
             the sensor has its own sampling period; draws are not independent; no draw has an equilibrium; no break
             point has an effect; or a time is outside the flight.
 

@@ -45,7 +45,7 @@ def operating_points(study: Study, times: tuple[float, ...]) -> OperatingPoints:
         times: Times of the flight [s]; empty: the equilibrium.
 
     Raises:
-        ConfigError: a part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
+        ConfigError: A part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
             or a time is outside the flight.
     """
     parts = declared_places(study, moving=bool(times))
@@ -70,7 +70,7 @@ def equilibria(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]
         each draw's equilibrium, shape (draws, parts).
 
     Raises:
-        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
+        ConfigError: No draw has an equilibrium, or the loop is not smooth there.
     """
     study = resting.study
     parts = resting.places
@@ -111,7 +111,7 @@ def operating_points_in_flight(
         The matrices of all draws, by the name of the operating point, ``t = 1.5 s``.
 
     Raises:
-        ConfigError: a time is outside the flight, or the times do not ascend.
+        ConfigError: A time is outside the flight, or the times do not ascend.
     """
     samples = tuple(round(t / study.config.loop.sample_time) for t in times)
     if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:

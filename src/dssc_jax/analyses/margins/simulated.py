@@ -62,7 +62,7 @@ def margin(
         progress: Called with the lanes done.
 
     Raises:
-        ConfigError: the number, or a bound, is not admissible, or the draws are not independent.
+        ConfigError: The number, or a bound, is not admissible, or the draws are not independent.
 
     Example:
         >>> import dssc_jax as dj
@@ -117,7 +117,7 @@ def admissible_walk(
         parted: See :class:`Walk`.
 
     Raises:
-        ConfigError: the bounds are equal, not finite, or not positive where they must be, or a count is out of range.
+        ConfigError: The bounds are equal, not finite, or not positive where they must be, or a count is out of range.
     """
     start, end = bounds
     if not (math.isfinite(start) and math.isfinite(end)) or start == end:
@@ -152,7 +152,7 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
     """Require laws that can be widened by every factor within the bounds.
 
     Raises:
-        ConfigError: there is no law, or widened draws leave the admissible range of a number; the message has the
+        ConfigError: There is no law, or widened draws leave the admissible range of a number; the message has the
             largest factor at which all stay inside.
     """
     if not any(law.movable for law in study.laws.values()):
@@ -250,7 +250,7 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
     The sample time is fixed before tracing, so each value needs a program of its own, and there is no bisection.
 
     Raises:
-        ConfigError: two values of the grid fall on the same number of samples, or it follows from parameters.
+        ConfigError: Two values of the grid fall on the same number of samples, or it follows from parameters.
     """
     study.require_free(CLOCK)
     if len(set(walk.grid)) < walk.points:

@@ -31,7 +31,7 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
         of the noise [1].
 
     Raises:
-        ConfigError: there is no such channel, the measurement is exact, or fewer than 4,096 samples remain.
+        ConfigError: There is no such channel, the measurement is exact, or fewer than 4,096 samples remain.
     """
     prefix = f"{channel}_" if channel else ""
     if f"{prefix}sigma_measured" not in run:

@@ -67,7 +67,7 @@ class ImportanceSampling:
         plain: Number of plain draws, which bound the failures that the method may miss.
 
     Raises:
-        ConfigError: a number is out of range.
+        ConfigError: A number is out of range.
     """
 
     variation: float = VARIATION

@@ -309,7 +309,7 @@ def rare(
         progress: Called with the simulations done; the total is not known beforehand.
 
     Raises:
-        ConfigError: the study has no requirements, nothing is uncertain, or importance sampling alone has no answer.
+        ConfigError: The study has no requirements, nothing is uncertain, or importance sampling alone has no answer.
     """
     study = study.without_sweep()
     if not study.requirements:

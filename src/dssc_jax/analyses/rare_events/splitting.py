@@ -45,7 +45,7 @@ class Splitting:
         plain: Number of additional plain draws.
 
     Raises:
-        ConfigError: a number is out of range.
+        ConfigError: A number is out of range.
     """
 
     particles: int = PARTICLES

@@ -196,7 +196,7 @@ def region(
         progress: Called with the simulations done.
 
     Raises:
-        ConfigError: a number or range is not admissible, draws are not independent, or too few to decide anything.
+        ConfigError: A number or range is not admissible, draws are not independent, or too few to decide anything.
 
     Example:
         >>> import dssc_jax as dj
@@ -228,7 +228,7 @@ def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: in
     """Number of values of each number on the finest lattice, if all settings are admissible.
 
     Raises:
-        ConfigError: a range or the number of halvings is not admissible, the numbers are the same, or there are too
+        ConfigError: A range or the number of halvings is not admissible, the numbers are the same, or there are too
             few draws to decide any point.
     """
     for axis in over:

@@ -147,7 +147,7 @@ def select(
         progress: Called with the simulations done, and with those at the next look; there may be further looks.
 
     Raises:
-        ConfigError: a number or range is not admissible, nothing can be chosen, or draws are not independent.
+        ConfigError: A number or range is not admissible, nothing can be chosen, or draws are not independent.
 
     Example:
         >>> import dssc_jax as dj
@@ -208,7 +208,7 @@ def selection_ranges(study: Study, over: Mapping[str, tuple[float, float]] | Non
     """The range of each number whose values are candidates; by default the tunable gains of the controller.
 
     Raises:
-        ConfigError: a range is not admissible, or the controller has no gain that can be tuned.
+        ConfigError: A range is not admissible, or the controller has no gain that can be tuned.
     """
     if over is None:
         extents = gain_ranges(study, {}) if len(study.loop.controller) == 1 else {}

@@ -59,7 +59,7 @@ def sensitivity(
         them.
 
     Raises:
-        ConfigError: the method is unknown or cannot treat correlated numbers, nothing is uncertain, or there are too
+        ConfigError: The method is unknown or cannot treat correlated numbers, nothing is uncertain, or there are too
             few draws.
     """
     study = study.without_sweep()

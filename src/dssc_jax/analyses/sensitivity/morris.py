@@ -105,7 +105,7 @@ def trajectory_count(study: Study, noisy: bool = False) -> int:
         noisy: Whether in-loop noise is a factor.
 
     Raises:
-        ConfigError: inputs are correlated, or there are too few draws.
+        ConfigError: Inputs are correlated, or there are too few draws.
     """
     require_uncorrelated(study, claim="the moves of Morris screening are those of")
     factors = len(study.laws) + noisy
@@ -125,7 +125,7 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         confidence: Confidence of the intervals.
 
     Raises:
-        ConfigError: inputs are correlated, or there are too few draws.
+        ConfigError: Inputs are correlated, or there are too few draws.
     """
     count = trajectory_count(study, noisy)
     laws = len(study.laws)

@@ -94,7 +94,7 @@ def row_count(study: Study) -> int:
     """The number of rows of a design: the study's number of draws, rounded down to a power of two.
 
     Raises:
-        ConfigError: there are too few draws.
+        ConfigError: There are too few draws.
     """
     rows = 2 ** int(math.log2(study.config.draws))
     if rows < SMALLEST:
@@ -110,7 +110,7 @@ def require_uncorrelated(study: Study, claim: str) -> None:
         claim: Beginning of the refusal, which goes on with "independent inputs, but".
 
     Raises:
-        ConfigError: some numbers are correlated.
+        ConfigError: Some numbers are correlated.
     """
     if study.correlated:
         raise ConfigError(

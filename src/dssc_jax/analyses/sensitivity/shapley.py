@@ -109,7 +109,7 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         confidence: Confidence of the intervals.
 
     Raises:
-        ConfigError: there are too few draws.
+        ConfigError: There are too few draws.
     """
     rows = row_count(study)
     laws = len(study.laws)

@@ -151,7 +151,7 @@ def sobol_rows(study: Study) -> int:
     """The number of rows of sample A, if Sobol indices of the study can be computed.
 
     Raises:
-        ConfigError: inputs are correlated, or there are too few draws.
+        ConfigError: Inputs are correlated, or there are too few draws.
     """
     require_uncorrelated(study, claim="Sobol indices divide up the variance of")
     return row_count(study)
@@ -166,7 +166,7 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         confidence: Confidence of the intervals.
 
     Raises:
-        ConfigError: inputs are correlated, or there are too few draws.
+        ConfigError: Inputs are correlated, or there are too few draws.
     """
     rows = sobol_rows(study)
     factors = len(study.laws)

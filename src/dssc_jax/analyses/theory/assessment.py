@@ -251,7 +251,7 @@ def assess(
         progress: Called with the lanes done for the simulated margin.
 
     Raises:
-        ConfigError: the number, or a bound, is not admissible, or the draws are not independent.
+        ConfigError: The number, or a bound, is not admissible, or the draws are not independent.
     """
     began = time.perf_counter()
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
@@ -297,7 +297,7 @@ def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list
         bounds: Both ends of the walk.
 
     Raises:
-        ConfigError: there are none, or the walk is not over the time constant of the unmodelled dynamics.
+        ConfigError: There are none, or the walk is not over the time constant of the unmodelled dynamics.
     """
     if len(study.loop.channels) > 1 or over != time_constant_of(study):
         rule = "oscillations are predicted over the time constant of the unmodelled dynamics, on a plant of one channel"

@@ -21,7 +21,7 @@ def time_constant_of(study: Study) -> str:
     """Dotted name of the time constant that the unmodelled dynamics declare, such as ``unmodelled.mu``.
 
     Raises:
-        ConfigError: they declare none.
+        ConfigError: They declare none.
     """
     path = f"unmodelled.0.{study.loop.unmodelled[0].time_constant}"
     for name, number in study.numbers.items():
@@ -47,7 +47,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         time, and ``predicted`` and ``frequency`` by describing function, NaN if there is none.
 
     Raises:
-        ConfigError: the unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
+        ConfigError: The unmodelled dynamics have no time constant, or T_s exceeds a 20th of the smallest mu.
     """
     mu = time_constant_of(study)
     longest = min(values) / SAMPLES_IN_MU

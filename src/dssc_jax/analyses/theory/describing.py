@@ -52,7 +52,7 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
         point: Values of some numbers; the others have their own values, and laws their medians.
 
     Raises:
-        ConfigError: the law's describing function is not known, or the unmodelled dynamics have no form in continuous
+        ConfigError: The law's describing function is not known, or the unmodelled dynamics have no form in continuous
             time.
     """
     return limit_cycles(study, [point or {}])[0]

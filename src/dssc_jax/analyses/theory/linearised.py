@@ -44,7 +44,7 @@ def at_rest(study: Study) -> Study:
     """The study without inputs: no reference, no disturbance, and the plant's state at zero.
 
     Raises:
-        ConfigError: the plant has several channels.
+        ConfigError: The plant has several channels.
     """
     if len(study.loop.channels) > 1:
         raise ConfigError(f"{study.source}: plant.kind", "the origin is that of a plant of one channel")
@@ -58,7 +58,7 @@ def require_continuous(study: Study) -> None:
     """Require a loop with a form in continuous time: a controller with a law (22), and continuous unmodelled dynamics.
 
     Raises:
-        ConfigError: the controller synthesises no such law, or the unmodelled dynamics have no continuous-time form.
+        ConfigError: The controller synthesises no such law, or the unmodelled dynamics have no continuous-time form.
     """
     if study.loop.controller[0].synthesised is None:
         kind = kind_in(study.config, "controller")
@@ -79,7 +79,7 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
         dynamics: The unmodelled dynamics.
 
     Raises:
-        ConfigError: the dynamics have no continuous-time form.
+        ConfigError: The dynamics have no continuous-time form.
     """
     if not dynamics.continuous:
         continuous_kinds = ", ".join(kinds_with(UNMODELLED, "continuous"))

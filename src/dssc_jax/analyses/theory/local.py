@@ -72,7 +72,7 @@ def require_in_criterion(study: Study, over: str, kind: Time) -> None:
     """Require that the criterion of a kind of linearisation does not leave out the part of a number.
 
     Raises:
-        ConfigError: the criterion leaves it out.
+        ConfigError: The criterion leaves it out.
     """
     section = over.partition(".")[0]
     if kind == Time.CONTINUOUS and section in opaque_parts(study):
@@ -103,7 +103,7 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
         kind: Sampled or continuous.
 
     Raises:
-        ConfigError: a part does not declare where it is smooth, or is smooth nowhere.
+        ConfigError: A part does not declare where it is smooth, or is smooth nowhere.
     """
     parts = declared_places(study, moving=False)
     is_continuous = kind == Time.CONTINUOUS
@@ -174,7 +174,7 @@ def local_margin(
         Margins whose slack is the rate [1/s] at which the slowest deviation decays.
 
     Raises:
-        ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
+        ConfigError: The loop has no linearisation, or the number or a bound is not admissible.
     """
     kind = Time(kind)
     resting = at_rest(study)

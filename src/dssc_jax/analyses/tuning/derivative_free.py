@@ -168,7 +168,7 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
         best: The loop's numbers in the result.
 
     Raises:
-        AssertionError: a point without a proof was accepted.
+        AssertionError: A point without a proof was accepted.
     """
     start_value = plan.aim_at(start).value
     result_value = plan.aim_at(best).value

@@ -62,7 +62,7 @@ class Plan:
         """Create the plan of a study.
 
         Raises:
-            ConfigError: dotted path, rule and value of the first error.
+            ConfigError: Dotted path, rule and value of the first error.
         """
         try:
             return cls._of(study.without_sweep())

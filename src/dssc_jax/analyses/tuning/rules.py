@@ -26,7 +26,7 @@ def tune_table(study: Study) -> TuneTable:
     """The ``[tune]`` of a study, after all its rules are checked.
 
     Raises:
-        ConfigError: the table is missing, or breaks a rule.
+        ConfigError: The table is missing, or breaks a rule.
     """
     table = study.config.tune
     if table is None:
@@ -53,7 +53,7 @@ def require_optimiser(table: TuneTable) -> None:
     """Require an optimiser that exists, and a batch of draws that it can take.
 
     Raises:
-        ConfigError: there is no such optimiser, it takes no batches, or the batch is larger than the training draws.
+        ConfigError: There is no such optimiser, it takes no batches, or the batch is larger than the training draws.
     """
     if table.optimiser not in OPTIMISERS:
         rule = f"unknown name '{table.optimiser}'; {nearest(table.optimiser, OPTIMISERS)}"
@@ -68,7 +68,7 @@ def require_theorem_settings(table: TuneTable) -> None:
     """Require settings of Theorem 1 that agree: a slack without, free parameters with ``certified = true``.
 
     Raises:
-        ConfigError: two settings contradict each other.
+        ConfigError: Two settings contradict each other.
     """
     if table.certified and table.slack is not None:
         rule = "belongs to certified = false; a certified design meets the inequalities by construction"
@@ -97,7 +97,7 @@ def require_aim(study: Study, table: TuneTable) -> None:
     """Require settings with which ``aim`` can be optimised: for a proved number, a loop that a proof covers.
 
     Raises:
-        ConfigError: no proof covers the loop, or settings contradict each other.
+        ConfigError: No proof covers the loop, or settings contradict each other.
     """
     if table.aim == OBJECTIVE:
         if table.over:
@@ -129,7 +129,7 @@ def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, fl
         at: Name and value of a number, if the loop is to be proved with that value; else None.
 
     Raises:
-        ConfigError: no proof covers the loop, or a package is missing.
+        ConfigError: No proof covers the loop, or a package is missing.
     """
     try:
         import dssc_jax.proofs.prove  # noqa: F401  (the verifier's package, too)
@@ -155,7 +155,7 @@ def require_metrics(study: Study, table: TuneTable) -> None:
     """Require an objective, and metrics of objective and limits that the study computes.
 
     Raises:
-        ConfigError: the study does not compute a metric, or all weights of the objective are 0.
+        ConfigError: The study does not compute a metric, or all weights of the objective are 0.
     """
     names = [measure.name for measure in study.measures]
     for place, metrics in (("objective", table.objective), ("limits", table.limits)):
@@ -171,7 +171,7 @@ def require_room(study: Study, table: TuneTable) -> None:
     """Require that some value of every metric meets all its requirements and limits.
 
     Raises:
-        ConfigError: a metric must be above one number and below a smaller one.
+        ConfigError: A metric must be above one number and below a smaller one.
     """
     required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
     limits = [("requirement", name, high) for name, _, high in required if high is not None]
@@ -186,7 +186,7 @@ def require_sign(study: Study) -> None:
     """Require controllers with a sign function that ``smoothing`` can smooth, and that the study does not smooth.
 
     Raises:
-        ConfigError: a controller has no such function, or the study states ``sign_width``.
+        ConfigError: A controller has no such function, or the study states ``sign_width``.
     """
     if any(not isinstance(gains, DsscGains) for gains in study.template.controller):
         raise ConfigError("tune.smoothing", "is the width of DSSC's and SSC's sign; this controller has none")
@@ -203,7 +203,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         table: The study's ``[tune]``.
 
     Raises:
-        ConfigError: the name is not that of a number; or the number is uncertain, follows from others, is fixed before
+        ConfigError: The name is not that of a number; or the number is uncertain, follows from others, is fixed before
             tracing or by the theorem, or moves a bound that a required slack or a certified design keeps.
     """
     place = f"tune.parameters.{name}"
@@ -226,7 +226,7 @@ def require_fixed_bounds(study: Study, name: str) -> None:
     """Require that Theorem 1's bounds do not depend on a number that is tuned.
 
     Raises:
-        ConfigError: the bounds follow from the number, or a gain of Table 1 does.
+        ConfigError: The bounds follow from the number, or a gain of Table 1 does.
     """
     place = f"tune.parameters.{name}"
     for follower in study.followers(name):
@@ -263,7 +263,7 @@ def start_value(study: Study, name: str, extent: tuple[float, float]) -> float:
         extent: Lowest and highest value of the search.
 
     Raises:
-        ConfigError: the value is outside this interval, or an end of the interval is not admissible.
+        ConfigError: The value is outside this interval, or an end of the interval is not admissible.
     """
     low, high = extent
     value = study.leaves()[name]

@@ -128,7 +128,7 @@ class Theorem:
         option: The setting that requires the theorem, for messages.
 
     Raises:
-        ConfigError: the theorem does not apply to this loop, or its bounds are not known beforehand.
+        ConfigError: The theorem does not apply to this loop, or its bounds are not known beforehand.
     """
 
     study: Study
@@ -216,7 +216,7 @@ def split_parameters(
         The interval of each varied one, by its name with :data:`FREE_PREFIX`, and the value of each fixed one.
 
     Raises:
-        ConfigError: one is missing or unknown, or none is varied.
+        ConfigError: One is missing or unknown, or none is varied.
     """
     for name in free:
         if name not in Free._fields:

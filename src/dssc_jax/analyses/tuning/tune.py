@@ -49,7 +49,7 @@ def tune(
         progress: Called with the steps done.
 
     Raises:
-        ConfigError: the settings are not admissible, or the start is not feasible.
+        ConfigError: The settings are not admissible, or the start is not feasible.
 
     Example:
         >>> import dssc_jax as dj
@@ -165,7 +165,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRe
         The search, and the comparison of derivatives with differences; None if the method needs no derivatives.
 
     Raises:
-        ConfigError: draws end early at the start, so that there is no objective to descend on.
+        ConfigError: Draws end early at the start, so that there is no objective to descend on.
     """
     first = problem.begin()
     for point, name in zip(first, ("training", "validation"), strict=True):
@@ -227,7 +227,7 @@ def verify_certificate(certificate: JsonObject) -> JsonObject:
     """Verify a certificate once more, from its content as the file will have it; return that content.
 
     Raises:
-        RuntimeError: the verifier refuses it.
+        RuntimeError: The verifier refuses it.
     """
     from dssc_jax.proofs.prove import check_certificate
 
@@ -242,7 +242,7 @@ def require_certified(plan: Plan) -> None:
     """Require that Theorem 1 certifies the start, with the required slack.
 
     Raises:
-        ConfigError: it does not.
+        ConfigError: It does not.
     """
     assert plan.theorem is not None
     numbers = plan.numbers_at(plan.coordinates.origin)
@@ -261,7 +261,7 @@ def require_proved(plan: Plan) -> None:
     """Require a proof of the start, if the settings require proofs or optimise a proved number.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: It is not.
     """
     numbers = plan.numbers_at(plan.coordinates.origin)
     if plan.table.proved:

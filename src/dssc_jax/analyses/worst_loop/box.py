@@ -66,7 +66,7 @@ def box_of(study: Study, sigma: float) -> Box:
     at both ends. That a lognormal number is above 0 is no end: no deviation reaches it.
 
     Raises:
-        ConfigError: the study has no uncertain number, or ``sigma`` is not admissible.
+        ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
     """
     if not sigma > 0.0 or not np.isfinite(sigma):
         raise ConfigError("sigma", f"must be positive and finite, got {sigma:g}")

@@ -115,7 +115,7 @@ class LoopFamily:
         """Require that the uncertain numbers alone determine the linearised loop.
 
         Raises:
-            ConfigError: the loop depends on the random key of a draw, too.
+            ConfigError: The loop depends on the random key of a draw, too.
         """
         centre = np.zeros((BATCH_POINTS, len(self.box.sides)))
         matrices = self.linearise(centre, np.arange(BATCH_POINTS) % KEYS)

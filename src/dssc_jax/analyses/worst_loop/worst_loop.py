@@ -73,7 +73,7 @@ def worst_loop(
         progress: Called with the number of points linearised, and the largest number.
 
     Raises:
-        ConfigError: the study has no uncertain number, its loop cannot be linearised or differs between draws of the
+        ConfigError: The study has no uncertain number, its loop cannot be linearised or differs between draws of the
             same numbers, or an option is not admissible.
 
     Example:
@@ -138,7 +138,7 @@ def require_sizes(cells: int, points: int | None) -> None:
     """Require admissible numbers of cells and of points.
 
     Raises:
-        ConfigError: a number is too large or not positive.
+        ConfigError: A number is too large or not positive.
     """
     if not 0 < cells <= MOST_CELLS:
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
@@ -150,7 +150,7 @@ def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, 
     """The break points of the given names; without names, the command of each channel.
 
     Raises:
-        ConfigError: the loop has no break point of a name.
+        ConfigError: The loop has no break point of a name.
     """
     names = place_names(study.loop.channels)
     for name in broken_at:
@@ -170,7 +170,7 @@ def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: 
             an equilibrium, shape (draws, parts).
 
     Raises:
-        ConfigError: a part rests at or beyond a boundary of its smooth range in some of the draws.
+        ConfigError: A part rests at or beyond a boundary of its smooth range in some of the draws.
     """
     differing_parts = np.flatnonzero(np.any(findings != findings[0], axis=0))
     if not differing_parts.size:
@@ -197,7 +197,7 @@ def loops_broken_at(
         drawn: The loops of the draws that have an operating point.
 
     Raises:
-        ConfigError: none has an effect, or no uncertain number changes one of the loops.
+        ConfigError: None has an effect, or no uncertain number changes one of the loops.
     """
     all_names = place_names(study.loop.channels)
     broken_loops = {}
@@ -291,7 +291,7 @@ def defined_instability(
         The growth that was searched, and the unstable loop.
 
     Raises:
-        ConfigError: a number is undefined within the box itself.
+        ConfigError: A number is undefined within the box itself.
     """
     for growth in admissible_growths(study, broken.family.box):
         instability = nearest_instability(broken.at, len(broken.sides), growth, allowance())

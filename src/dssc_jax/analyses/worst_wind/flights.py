@@ -107,7 +107,7 @@ class WindFlights:
         flying: The study that is compiled, whose wind is a table of free numbers.
 
     Raises:
-        ConfigError: the plant does not fly, or a number of the wind is uncertain.
+        ConfigError: The plant does not fly, or a number of the wind is uncertain.
     """
 
     study: Study
@@ -178,7 +178,7 @@ def require_certain_wind(study: Study) -> None:
     """Require a wind without uncertain numbers, since a search varies the wind itself.
 
     Raises:
-        ConfigError: a number of the wind has a law.
+        ConfigError: A number of the wind has a law.
     """
     uncertain = [name for name in study.laws if name.startswith("wind.")]
     if uncertain:
@@ -189,7 +189,7 @@ def flying_study(study: Study, grid: WindGrid) -> Study:
     """The study with a table of free numbers as its wind, and with the signals as its metrics.
 
     Raises:
-        ConfigError: the plant does not fly, or a number of its wind is uncertain.
+        ConfigError: The plant does not fly, or a number of its wind is uncertain.
     """
     require_certain_wind(study)
     table = {name: value for name, value in study.table.items() if name not in REPLACED}
@@ -224,7 +224,7 @@ def fly_winds(
         the flight ended early, whose values are then infinite.
 
     Raises:
-        ConfigError: the winds do not have this shape, a number is unknown, or the plant does not fly.
+        ConfigError: The winds do not have this shape, a number is unknown, or the plant does not fly.
 
     Example:
         >>> import numpy as np

@@ -123,7 +123,7 @@ class WorstWind(Analysis):
         """The row of the dataset for one signal.
 
         Raises:
-            ConfigError: the signal was not searched for.
+            ConfigError: The signal was not searched for.
         """
         if signal not in self.signals:
             raise ConfigError("signal", f"'{signal}' was not searched for; {nearest(signal, self.signals)}")
@@ -285,7 +285,7 @@ def limits_of(study: Study) -> Limits:
     """The bounds of a study's wind in plain numbers.
 
     Raises:
-        ConfigError: the bounds are not known, or uncertain, or the wind never blows.
+        ConfigError: The bounds are not known, or uncertain, or the wind never blows.
     """
     require_certain_wind(study)
     bounds = study.loop.wind.bounds

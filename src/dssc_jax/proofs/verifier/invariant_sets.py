@@ -60,7 +60,7 @@ def invariant_bounds(
         label: Place of the stage, for messages.
 
     Raises:
-        Rejected: a premise cannot be shown.
+        Rejected: A premise cannot be shown.
     """
     p = symmetric_matrix(stage["p"])
     is_integrated = stage["coordinate"] == "phi_1"

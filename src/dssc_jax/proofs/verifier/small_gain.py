@@ -161,7 +161,7 @@ def implied_bounds(
         label: Place of the stage, for messages.
 
     Raises:
-        Rejected: a premise cannot be shown.
+        Rejected: A premise cannot be shown.
     """
     t = arb(problem["sample_time"])
     rate = arb(stage["rate"])

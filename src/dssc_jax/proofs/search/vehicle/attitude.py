@@ -65,7 +65,7 @@ def attitude_of(problem: VehicleProblem, bounds: Signals) -> Attitude:
     """Bounds of the attitude under bounds of the signals.
 
     Raises:
-        OutOfRange: the lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
+        OutOfRange: The lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
     """
     x, z, psi = bounds["x"], bounds["z"], bounds["psi"]
     tilt = x["alpha"] / GRAVITY

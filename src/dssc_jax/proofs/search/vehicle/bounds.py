@@ -166,7 +166,7 @@ def apply_map(
     """The map F: the bounds that follow from bounds ``y`` of the signals, the remainders, and the rotors.
 
     Raises:
-        OutOfRange: the vehicle may leave the range of the theorem.
+        OutOfRange: The vehicle may leave the range of the theorem.
     """
     problem = vehicle.problem
     totals, couplings = vehicle_totals(vehicle.nominal, y)

@@ -50,7 +50,7 @@ def remainders_of(
         couplings: Bounds of the couplings; None: the problem has no moving reference.
 
     Raises:
-        OutOfRange: the vehicle may leave the range of the theorem.
+        OutOfRange: The vehicle may leave the range of the theorem.
     """
     attitude = attitude_of(problem, bounds)
     moments = moments_of(problem, attitude)

@@ -105,7 +105,7 @@ def rotors_of(
         earlier: The rotors in the time cells before; None in the first one.
 
     Raises:
-        OutOfRange: a rotor may reach a limit, or may be too far behind its command.
+        OutOfRange: A rotor may reach a limit, or may be too far behind its command.
     """
     j_h, j_z = believed_ratios(problem)
     n, k = problem.rotors, problem.thrust_coefficient
@@ -151,7 +151,7 @@ def largest_shortfall(
         smallest: Smallest thrust [N].
 
     Raises:
-        OutOfRange: the equation has no root.
+        OutOfRange: The equation has no root.
     """
     n = problem.rotors
     behind_plane = (bounds["x"]["behind"] + moments.plane) / GRAVITY

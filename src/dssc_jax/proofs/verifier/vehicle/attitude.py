@@ -54,7 +54,7 @@ def attitude_of(problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls) ->
     """(V3) Bounds of the attitude under bounds of the signals.
 
     Raises:
-        Rejected: the lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
+        Rejected: The lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
     """
     x = bounds["x"]
     z = bounds["z"]

@@ -57,7 +57,7 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
     """(V2, V3) Bounds of the inputs in each time cell, under the bounds of the signals there.
 
     Raises:
-        Rejected: the vehicle may leave the range of the theorem in a cell, which the message names.
+        Rejected: The vehicle may leave the range of the theorem in a cell, which the message names.
     """
     sigmas = [sigmas_under(vehicle, y) for y in bounds]
     deviations = {
@@ -174,7 +174,7 @@ def with_slopes(
         phase_bounds: Bounds of the signals at the phases, (rows,).
 
     Raises:
-        Rejected: a bound is not finite.
+        Rejected: A bound is not finite.
     """
     t = arb(vehicle.problem["sample_time"])
     slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)

@@ -68,7 +68,7 @@ def cell_responses(
         count: Number J of cells before the last one, at least 1.
 
     Raises:
-        Rejected: the responses decay too slowly.
+        Rejected: The responses decay too slowly.
     """
     t = arb(problem["sample_time"])
     initial = np.array([float(value) for value in problem["channels"][name]["initial"]])

@@ -105,7 +105,7 @@ def deviations_of(
         sigma_from: Smallest |sigma|.
 
     Raises:
-        Rejected: the functions cannot be enclosed.
+        Rejected: The functions cannot be enclosed.
     """
     controller = problem["channels"][name]
     slopes = Balls(zip(("mean", "k_i", "k_n"), map(arb, proof["slopes"]), strict=True))

@@ -81,7 +81,7 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
         middles: Slopes, damping, lambda and P of each channel.
 
     Raises:
-        Rejected: a channel is not shown to be stable, or its responses decay too slowly.
+        Rejected: A channel is not shown to be stable, or its responses decay too slowly.
     """
     observations = {name: observe_channel(problem, name, middles[name]) for name in CHANNELS}
     return Vehicle(
@@ -135,7 +135,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, fro
         from_start: Whether the bounds hold from the start on; otherwise they are those of the upper limits.
 
     Raises:
-        Rejected: a bound is not finite.
+        Rejected: A bound is not finite.
     """
     t = arb(vehicle.problem["sample_time"])
     result = {}

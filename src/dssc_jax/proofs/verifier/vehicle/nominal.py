@@ -219,7 +219,7 @@ def steady_response(
         phases: The times within a sample at which signals are seen [s].
 
     Raises:
-        Rejected: the response cannot be enclosed.
+        Rejected: The response cannot be enclosed.
     """
     controller = problem["channels"][name]
     t = arb(problem["sample_time"])
@@ -257,7 +257,7 @@ def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> 
     """Z_f with (rotation - A) Z_f = drive, (m, 1): the state of the channel ``name`` at t = 0 in its steady response.
 
     Raises:
-        Rejected: the equation's solution cannot be enclosed.
+        Rejected: The equation's solution cannot be enclosed.
     """
     m = a.nrows()
     matrix = acb_mat([[(rotation if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
@@ -284,7 +284,7 @@ def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
         axes: Phasors at the phases, for each axis.
 
     Raises:
-        Rejected: a phasor is not finite.
+        Rejected: A phasor is not finite.
     """
     largest_size = arb(0)
     for phasors in zip(*axes, strict=True):

@@ -55,7 +55,7 @@ def remainders_of(
         coupling: Bounds of the signals that couple the channels, with a moving reference; then there is no rotor lag.
 
     Raises:
-        Rejected: the vehicle may leave the range of the theorem.
+        Rejected: The vehicle may leave the range of the theorem.
     """
     attitude = attitude_of(problem, ranges, bounds)
     earlier_rotors = None if earlier is None else earlier.rotors

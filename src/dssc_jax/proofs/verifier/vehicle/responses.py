@@ -188,7 +188,7 @@ def channel_responses(
         observation: Its signals and inputs at the samples.
 
     Raises:
-        Rejected: the responses decay too slowly.
+        Rejected: The responses decay too slowly.
     """
     t = arb(problem["sample_time"])
     bounds = response_bounds(
@@ -297,7 +297,7 @@ def start_columns(
         phase_signals: The signals at their phases.
 
     Raises:
-        Rejected: the equilibrium cannot be enclosed.
+        Rejected: The equilibrium cannot be enclosed.
     """
     m = sampled.a.nrows()
     ratio = start_ratio(proof, start, t)

@@ -61,7 +61,7 @@ def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earli
         earlier: Those in the time cell before, whose thrusts still count with a rotor lag; None in the first cell.
 
     Raises:
-        Rejected: the command of a thrust may reach 0 or its limit.
+        Rejected: The command of a thrust may reach 0 or its limit.
     """
     n = arb(problem["rotors"])
     believed_mass = arb(problem["believed_mass"])
@@ -120,7 +120,7 @@ def rotor_lag_of(
         earlier_shortfall: The shortfall d in the time cell before [N]; None in the first cell.
 
     Raises:
-        Rejected: the rotors may be too far behind their commands.
+        Rejected: The rotors may be too far behind their commands.
     """
     if problem["rotor_lag"] == 0:
         return RotorLag(arb(0), arb(0), arb(0), arb(0), arb(0))
@@ -167,7 +167,7 @@ def largest_shortfall(n: arb, d_4: arb, f_min: arb) -> arb:
         f_min: Smallest thrust [N].
 
     Raises:
-        Rejected: the equation for d has no root.
+        Rejected: The equation for d has no root.
     """
     discriminant_deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
     require_premise(bool(discriminant_deficit < 1), "V3: the rotors may be too far behind their commands")

@@ -109,7 +109,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     """The verdict on a well-formed certificate, by (V1) to (V5).
 
     Raises:
-        Rejected: a premise cannot be shown.
+        Rejected: A premise cannot be shown.
     """
     vehicle = vehicle_of(problem, proof["channels"])
     cells_proof = proof["cells"]
