@@ -56,13 +56,13 @@ def usual_folder(study: Study, command: str, *options: object) -> Path:
     """
     folder = Path("results") / f"{study.name}-{command}"
     option_texts = [str(option) for option in options if option not in (None, [])]
-    if not option_texts and not is_foreign(folder, study):
+    if not option_texts and not holds_another_study(folder, study):
         return folder
     digest = hash_of({"study": study.hash, "options": option_texts}) if option_texts else study.hash
     return folder.with_name(f"{folder.name}-{digest[:8]}")
 
 
-def is_foreign(folder: Path, study: Study) -> bool:
+def holds_another_study(folder: Path, study: Study) -> bool:
     """Whether a folder holds results, but none of the study."""
     contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)

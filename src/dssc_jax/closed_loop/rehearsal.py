@@ -117,7 +117,7 @@ def check_starts(loop: Loop, params: LoopParams) -> None:
 
     check("plant", loop.plant.init, params.plant)
     check("wind", loop.wind.init, params.wind, key)
-    measurements, references = first_signals(loop, params)
+    measurements, references = signals_at_start(loop, params)
     for i, name in enumerate(loop.channels):
         seen = measurements[i]._replace(signals=(0.0,) * len(loop.measures))
         check(place_of("controller", name), loop.controller[i].init, params.controller[i], seen, references[i])
@@ -163,7 +163,7 @@ def is_finite_or_traced(leaf: object) -> bool:
         return True
 
 
-def first_signals(loop: Loop, params: LoopParams) -> tuple[Measurements, ReferencePoints]:
+def signals_at_start(loop: Loop, params: LoopParams) -> tuple[Measurements, ReferencePoints]:
     """Measurement and reference of each channel at t = 0, without inputs."""
     plant = as_arrays(loop.plant.init(params.plant))
     measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
@@ -176,7 +176,7 @@ def check_results(loop: Loop, params: LoopParams) -> None:
     Raises:
         ConfigError: A part returns something else.
     """
-    measurements, references = first_signals(loop, params)
+    measurements, references = signals_at_start(loop, params)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
         sensor, sensor_params = loop.sensor[channel], params.sensor[channel]

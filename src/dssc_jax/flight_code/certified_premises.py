@@ -9,6 +9,7 @@ from dssc_jax.design.certification import NotCovered
 from dssc_jax.flight_code.controller import channel_labels
 from dssc_jax.flight_code.premises import ChannelPremises, DisturbancePremises, Premises
 from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import delay_weights
 from dssc_jax.proofs.prove import check_certificate
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict
 from dssc_jax.proofs.verifier.verdict import ProofVerdict
@@ -42,7 +43,7 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
     except NotCovered as error:
         raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
     if problem != content["problem"]:
-        entry = first_difference(problem, content["problem"])
+        entry = differing_entry(problem, content["problem"])
         raise ConfigError(
             source, f"is the certificate of another loop than the study's: `{entry}` differs; prove the study as it is"
         )
@@ -53,7 +54,7 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
     return axis_premises(study, content, verdict)
 
 
-def first_difference(problem: JsonObject, certified_problem: JsonObject) -> str:
+def differing_entry(problem: JsonObject, certified_problem: JsonObject) -> str:
     """The name of the first entry in which two different problems differ."""
     for name in (*problem, *certified_problem):
         if problem.get(name) != certified_problem.get(name):
@@ -160,17 +161,3 @@ def hidden_disturbance_reason(problem: JsonObject, lag_order: int) -> str:
     if problem["denominator"] and (not lag_order or tuple(problem["numerator"]) != (1.0,)):
         return "the output of a general transfer function is not enclosed"
     return ""
-
-
-def delay_weights(delay: float) -> tuple[float, ...]:
-    """Weights of the commands of ages 0, 1, ... samples in the mean command behind a delay.
-
-    Args:
-        delay: The delay, in samples.
-    """
-    samples = int(delay)
-    fraction = delay - samples
-    weights = [0.0] * samples + [1.0 - fraction]
-    if fraction > 0.0:
-        weights.append(fraction)
-    return tuple(weights)

@@ -105,7 +105,7 @@ FREE_PREFIX = "free."
 REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
-def dotted_name(name: str) -> str:
+def name_in_study(name: str) -> str:
     """The dotted name in a study of a parameter of Table 1: ``eps`` is ``controller.functions.epsilon``."""
     if name == "l0":
         return "controller.l0"
@@ -114,7 +114,7 @@ def dotted_name(name: str) -> str:
 
 SMALL_GAIN = "small gain"
 SLACK = "slack of "
-PARAMETER_OF_NUMBER = {dotted_name(name): name for name in Parameters._fields}
+PARAMETER_OF_NUMBER = {name_in_study(name): name for name in Parameters._fields}
 """The parameter of Table 1 by the dotted name of the loop's number; the free parameters determine all of them."""
 
 
@@ -164,10 +164,10 @@ class Theorem:
         """The loop's numbers: the design that follows from the free parameters, and the other tuned numbers."""
         free = self.free_parameters(tuned)
         # bounds of the nominal control depend on l0
-        _, bounds = self.parameters_and_bounds({dotted_name("l0"): free.l0})
+        _, bounds = self.parameters_and_bounds({name_in_study("l0"): free.l0})
         parameters = design(bounds, free)
         numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
-        return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}
+        return numbers | {name_in_study(name): value for name, value in parameters._asdict().items()}
 
     def parameters_and_bounds(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
         """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers in place of the study's.

@@ -67,7 +67,7 @@ def verify_certificate(content: object, path: Path, as_json: bool) -> int:
     verdict = check_certificate(content)
     words = {}
     if isinstance(content, dict) and not verdict.reason.startswith(MALFORMED):
-        if verdict.proved and is_foreign(content["problem"], path):
+        if verdict.proved and is_of_another_loop(content["problem"], path):
             verdict = verdict._replace(proved=False, reason=FOREIGN)
         elif content.get("kind") == VEHICLE_KIND:
             words = vehicle_in_words(content["problem"])
@@ -92,7 +92,7 @@ def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
     return verdict._asdict()
 
 
-def is_foreign(problem: JsonObject, path: Path) -> bool:
+def is_of_another_loop(problem: JsonObject, path: Path) -> bool:
     """Whether a certificate's file is that of a tuning's folder, but its problem is not the tuned loop."""
     if path.name != PROOF_FILE or not (path.parent / f"{Tuned.kind}.json").exists():
         return False
