@@ -258,8 +258,12 @@ def test_a_residual_of_many_times_the_noise_is_doubted(flight):
     (time,) = re.findall(r"largest at (\d\.?\d*) s of the study", doubt.text)
     assert abs(np.sin(2.0 * np.pi * float(time) / 3.0)) > 0.5  # near a crest
     assert "Compare the log's columns, units, signs and start" in doubt.text
-    assert fitted.summary()["warnings"] == [doubt._asdict()]
-    assert fit_log(linear(), log_of(y, u)).doubts == ()
+    summary = fitted.summary()
+    assert summary["warned"]
+    assert summary["warnings"] == [doubt._asdict()]
+    sound = fit_log(linear(), log_of(y, u))
+    assert sound.doubts == sound.warnings == ()
+    assert not sound.summary()["warned"]
     noise = {"kind": "noisy", "position_std": 0.04, "velocity_std": 0.0}
     assert fit_log(linear(sensor=noise), log_of(y + wave, u)).doubts == ()  # the study's sensor explains it
 

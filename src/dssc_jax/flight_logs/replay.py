@@ -37,6 +37,7 @@ from dssc_jax.flight_logs.reading.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
@@ -223,6 +224,11 @@ class LogReplay(NamedTuple):
                     differences[name] = difference
         return differences
 
+    @property
+    def warnings(self) -> tuple[SignalWarning, ...]:
+        """The hints as warnings."""
+        return signal_warnings(self.hints.all())
+
     def summary(self, study: Study) -> dict[str, object]:
         """For JSON."""
         differences = self.differences(study.loop.sample_time)
@@ -236,7 +242,8 @@ class LogReplay(NamedTuple):
             "not_replayed": self.not_replayed,
             "reference_differences": self.references,
             "reference_rate_differences": self.rates,
-            "hints": self.hints.all(),
+            "warned": bool(self.warnings),
+            "warnings": [asdict(warning) for warning in self.warnings],
         }
 
 
