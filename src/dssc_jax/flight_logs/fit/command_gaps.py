@@ -180,8 +180,8 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
     for name, interval in log.interpolated.items():
         text = (
             f"{name} is a straight line from one reading to the next, {interval:.3g} s apart: the log was "
-            "interpolated, and one value for each reading is taken. Log the readings alone, with the time of each measurement, and "
-            "leave other cells empty"
+            "interpolated, and one value for each reading is taken. Log the readings alone, with the time of each "
+            "measurement, and leave other cells empty"
         )
         doubts.append(Doubt(name, text))
     for name, jump in log.jumps.items():

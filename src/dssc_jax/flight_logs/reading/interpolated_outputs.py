@@ -11,7 +11,8 @@ from dssc_jax.core.flag_runs import longest_run
 
 LONGEST_PERIOD = 50  # samples
 LEAST_BENDS = 20  # at each place of the period: fewer second differences may be alike by chance
-STRAIGHT = 0.2  # share of the bends' usual size: on a line, second differences are smaller, as rounding makes them
+STRAIGHT = 0.2  # share of the smallest bend: on a line, second differences are smaller, as rounding makes them
+TINY = 1e-300
 LARGE = 0.98  # quantile of all second differences, which are those of bends from here on
 LEAST_BEND = 0.1  # share of that quantile
 LEAST_STRAIGHT = 0.3  # share of the places of a period that lie on lines
@@ -55,12 +56,14 @@ def bent_places(sizes: np.ndarray, least_bend: float) -> np.ndarray:
         sizes: The usual size of the second differences at each place, shape (period,).
         least_bend: The least size of a bend: smaller ones are rounding.
     """
-    none = np.zeros(len(sizes), bool)
-    is_bend = sizes > max(STRAIGHT * float(sizes.max()), least_bend)
-    if not is_bend.any() or np.mean(~is_bend) < LEAST_STRAIGHT:
-        return none
+    ordered = np.sort(np.maximum(sizes, STRAIGHT * least_bend))
+    smallest_bend = float(ordered[1 + int(np.argmax(ordered[1:] / np.maximum(ordered[:-1], TINY)))])
+    is_bend = sizes >= max(smallest_bend, least_bend)
+    if least_bend == 0.0 or not is_bend.any() or np.mean(~is_bend) < LEAST_STRAIGHT:
+        return np.zeros(len(sizes), bool)
     is_straight = sizes[~is_bend].max() <= STRAIGHT * sizes[is_bend].min()
-    return is_bend if is_straight and longest_run(np.tile(is_bend, 2)) <= LONGEST_BEND else none
+    is_short = longest_run(np.tile(is_bend, 2)) <= LONGEST_BEND
+    return is_bend & (is_straight and is_short)
 
 
 def are_readings(changes: np.ndarray) -> bool:
