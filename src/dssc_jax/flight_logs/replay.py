@@ -22,8 +22,9 @@ from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.hints.angle_units import angle_hints
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
 from dssc_jax.flight_logs.hints.command_hints import command_hint, rate_hint
-from dssc_jax.flight_logs.hints.conversions import LogHints, conversion_text, followed_conversion, rms
+from dssc_jax.flight_logs.hints.conversions import conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.hints.integrals import integral_hints
+from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, median_values, study_references
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
