@@ -27,22 +27,25 @@ class Conversion(NamedTuple):
         words: What to call it, such as "with the opposite sign".
         unit: What the expected signal's unit must begin with for ``meaning`` to apply; empty: any unit.
         meaning: The multiple in terms of units, such as "degrees in place of radians".
+        restricted: Whether it is considered for signals of this unit alone: 57.3 means something for angles only.
     """
 
     factor: float
     words: str
     unit: str = ""
     meaning: str = ""
+    restricted: bool = False
 
     def text(self, unit: str) -> str:
         """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
     def is_possible(self, unit: str) -> bool:
-        """Whether the multiple means something for a signal of this unit: 57.3 does for angles only."""
-        return self.unit not in ONLY_WITH_UNIT or is_unit_of(unit, self.unit)
+        """Whether the multiple means something for a signal of this unit."""
+        return not self.restricted or is_unit_of(unit, self.unit)
 
 
+GRAVITY = 9.80665  # m/s^2, the standard one, by which a kilogram-force is defined
 OPPOSITE = "with the opposite sign"
 CONVERSIONS = (
     Conversion(-1.0, OPPOSITE),
@@ -50,16 +53,22 @@ CONVERSIONS = (
     Conversion(1000.0, "times 1000", "m", "millimetres in place of metres"),
     Conversion(0.01, "times 0.01"),
     Conversion(0.001, "times 0.001"),
-    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians"),
-    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
-    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
+    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians", True),
+    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees", True),
+    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres", True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "N", "kilograms-force in place of newtons", True),
+    Conversion(1000.0 / GRAVITY, "times 102", "N", "grams-force in place of newtons", True),
+    Conversion(GRAVITY, "times 9.807", "N", restricted=True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "m/s^2", "multiples of g in place of m/s^2", True),
+    Conversion(GRAVITY, "times 9.807", "m/s^2", restricted=True),
+    Conversion(GRAVITY, "times 9.807", "1", "newtons in place of kilograms-force, or m/s^2 in place of g", True),
 )
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
+SAME_MULTIPLE = 1.05  # factor between two multiples: closer, they are one, as 100 and 102
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # share of a reference's root mean square: the least mean that says something
 FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
-ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
 def is_unit_of(unit: str, begin: str) -> bool:
@@ -240,8 +249,10 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     for conversion in CONVERSIONS:
         is_inside = conversion.factor > 0.0 and low <= conversion.factor <= high
         if is_inside and any(conversion.is_possible(unit) for unit in units):
-            candidates.append(conversion.words)
-    return candidates[0] if len(candidates) == 1 else ""
+            candidates.append(conversion)
+    factors = [conversion.factor for conversion in candidates]
+    is_one = bool(candidates) and max(factors) <= SAME_MULTIPLE * min(factors)
+    return candidates[0].words if is_one else ""
 
 
 def reference_conversion(
