@@ -50,13 +50,26 @@ def switching(period):
 
 
 def test_outputs_that_are_not_interpolated(flight):
-    """Noisy, smooth, resting, coarse and switching ones, and responses to the same step again and again."""
+    """Noisy, stepping, smooth, resting, coarse and switching ones, and responses to the same step again and again."""
     u, y = flight
     smooth = output(1.1, 0.8, u)
     steps = np.repeat(np.tile([0.0, 1.0], 10), 20)
     responses = np.convolve(steps, 0.4 * 0.6 ** np.arange(60))[:400]
     resting = np.where(SAMPLES < 60, y, y[60])
-    shapes = [y, smooth, resting, np.round(y, 1), np.sin(0.1 * SAMPLES), 2.0 * SAMPLES, responses, np.zeros(400)]
+    held = np.repeat(np.random.default_rng(9).normal(size=40), 10)
+    shapes = [
+        y,
+        y + held,
+        y + 0.1 * held,
+        smooth + 0.1 * held,
+        smooth,
+        resting,
+        np.round(y, 1),
+        np.sin(0.1 * SAMPLES),
+        2.0 * SAMPLES,
+        responses,
+        np.zeros(400),
+    ]
     for values in [*shapes, switching(2), switching(4), np.full(400, np.nan), y[:3], np.where(SAMPLES % 5, np.nan, y)]:
         assert bends(values).size == 0
 

@@ -11,7 +11,7 @@ from dssc_jax.core.flag_runs import longest_run
 
 LONGEST_PERIOD = 50  # samples
 LEAST_BENDS = 20  # at each place of the period: fewer second differences may be alike by chance
-STRAIGHT = 0.2  # share of the smallest bend: on a line, second differences are smaller, as rounding makes them
+STRAIGHT = 0.1  # share of the smallest bend: on a line, second differences are smaller, as rounding makes them
 TINY = 1e-300
 LARGE = 0.98  # quantile of all second differences, which are those of bends from here on
 LEAST_BEND = 0.1  # share of that quantile
@@ -44,7 +44,8 @@ def bends(values: np.ndarray) -> np.ndarray:
         if np.count_nonzero(np.isfinite(by_place), axis=0).min() < LEAST_BENDS - 1:
             break
         is_bend = bent_places(np.nanmedian(np.abs(by_place), axis=0), least_bend)
-        if is_bend.any() and are_readings(by_place[:, is_bend].ravel()):
+        is_found = is_bend.any() and are_readings(by_place[:, is_bend].ravel())
+        if is_found and not are_steps(second_differences, np.resize(is_bend, len(values))):
             return is_bend & ~np.roll(is_bend, 1)
     return np.zeros(0, bool)
 
@@ -73,3 +74,14 @@ def are_readings(changes: np.ndarray) -> bool:
     size_count = len(np.unique(np.round(sizes / (SAME_SIZE * sizes.max()))))
     switching_share = np.mean(np.diff(np.sign(changes)) != 0.0)
     return size_count >= LEAST_SIZES and bool(switching_share < SWITCHING)
+
+
+def are_steps(changes: np.ndarray, is_bend: np.ndarray) -> bool:
+    """Whether neighbouring bends have opposite signs, as those of a step have; one bend between samples gives equal ones.
+
+    Args:
+        changes: Second differences, NaN where missing, shape (samples,).
+        is_bend: Whether a sample is at a bend, shape (samples,).
+    """
+    products = (changes[:-1] * changes[1:])[is_bend[:-1] & is_bend[1:]]
+    return bool(np.median(products[np.isfinite(products)]) < 0.0) if np.isfinite(products).any() else False
