@@ -77,7 +77,7 @@ def are_readings(changes: np.ndarray) -> bool:
 
 
 def are_steps(changes: np.ndarray, is_bend: np.ndarray) -> bool:
-    """Whether neighbouring bends have opposite signs, as those of a step have; one bend between samples gives equal ones.
+    """Whether neighbouring bends have opposite signs, as those of a step do; one bend between samples gives equal ones.
 
     Args:
         changes: Second differences, NaN where missing, shape (samples,).
