@@ -1,4 +1,4 @@
-"""``python -m benchmarks.flight_fit``: whether intervals of fitted flights cover the truth, for docs/flight.md.
+"""``python -m benchmarks.flight_fit``: whether intervals of fitted flights cover the truth, for docs/log_fits.md.
 
 Simulation-based calibration: the truth of each flight is drawn from the laws of the study, the flight is simulated, its
 outputs are logged with noise at regular or irregular times, and the intervals are counted that cover the truth.
@@ -22,7 +22,7 @@ from dssc_jax.flight_logs.fit.refusals import FitRefused
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import curves_of_draws
 
-PAGE = Path(__file__).parents[1] / "docs" / "flight.md"
+PAGE = Path(__file__).parents[1] / "docs" / "log_fits.md"
 STD = 0.005  # of white noise, and of correlated noise [m]
 LEVEL = 0.95  # of the intervals
 HOVER = 4.0  # s of hover before the log of a vehicle begins

@@ -42,6 +42,8 @@ COMMANDS = """# Commands
 Every command and option, generated from the command line (`make pages`). `dssc-jax COMMAND --help` prints one of them.
 Exit codes: 0 success; 1 a check, proof, verification or replay fails, a tuning misses a limit, `falsify` finds a draw
 that fails, a log does not support a fit, or a stopping rule is not met; 2 bad input; 129, 130 or 143 ended by a signal.
+A warning changes no exit code: an answer was found, and the text tells why to doubt it. A script reads `warned` in the
+JSON of `compare-log`.
 """
 
 

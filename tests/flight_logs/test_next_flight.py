@@ -97,7 +97,11 @@ def test_a_log_that_disagrees_with_the_study_is_named(study, logs):
     opposite = Column(logs[3].columns["y"].time, -reference)
     wrong = logs[3]._replace(name="flipped", columns=logs[3].columns | {"y_ref": opposite})
     answer = dj.next_flight(study, [*logs[:3], wrong]).answer
-    assert answer.hints == {"flipped": {"y_ref": "is the study's with the opposite sign"}}
+    (warning,) = answer.warnings
+    assert (warning.log, warning.signal) == ("flipped", "y_ref")
+    assert warning.text == "y_ref is the study's with the opposite sign"
+    assert answer.warned
+    assert not dj.next_flight(study, logs[:3]).answer.warned
     assert len(answer.study_test.logs_beyond) == answer.study_test.beyond
 
 

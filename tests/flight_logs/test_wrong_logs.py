@@ -188,6 +188,32 @@ def test_what_an_output_looks_like(x, y, words):
     assert found == words
 
 
+def hover(height, seed):
+    """An output that hovers, with a slow drift of 5 cm."""
+    return height + np.cumsum(0.0025 * np.random.default_rng(seed).normal(size=400))
+
+
+@pytest.mark.parametrize(
+    ("logged", "expected"),
+    [
+        (SINE, [0.5 * np.sin(np.pi * (TIME + 0.3)), SINE]),  # 0.3 s late, and the other channel flies as much later
+        (hover(5.3, 1), [hover(5.0, 2), hover(5.25, 3)]),  # beside its height, and near that of the other
+        (1.2 * SINE + 0.2, [SINE, 1.1 * SINE + 0.2]),  # a gain and an offset explain more
+        (SINE + 0.15 * np.cos(2.3 * np.pi * TIME), [0.0 * SINE, SINE]),  # 30 % of it is something else
+        (np.sin(8.0 * TIME - 2.7), [np.sin(8.0 * TIME), 0.0 * SINE]),  # 0.34 s late, and no sign is wrong
+    ],
+)
+def test_a_weak_likeness_is_not_told(logged, expected):
+    """Each of these logs has another fault, and no column or sign is wrong."""
+    noisy = logged + 0.01 * np.random.default_rng(0).normal(size=400)
+    assert "looks like" not in likeness_text(0, noisy, expected, ("x_y", "y_y"), "m")
+
+
+def test_a_clear_likeness_is_told_beside_noise():
+    noise = 0.05 * np.random.default_rng(0).normal(size=400)
+    assert likeness_text(0, SINE + noise, [0.0 * SINE, SINE], ("x_y", "y_y"), "m") == "looks like the study's y_y"
+
+
 @pytest.mark.parametrize(
     ("ends", "value", "words"),
     [
@@ -258,8 +284,12 @@ def test_a_residual_of_many_times_the_noise_is_doubted(flight):
     (time,) = re.findall(r"largest at (\d\.?\d*) s of the study", doubt.text)
     assert abs(np.sin(2.0 * np.pi * float(time) / 3.0)) > 0.5  # near a crest
     assert "Compare the log's columns, units, signs and start" in doubt.text
-    assert fitted.summary()["warnings"] == [doubt._asdict()]
-    assert fit_log(linear(), log_of(y, u)).doubts == ()
+    summary = fitted.summary()
+    assert summary["warned"]
+    assert summary["warnings"] == [doubt._asdict()]
+    sound = fit_log(linear(), log_of(y, u))
+    assert sound.doubts == sound.warnings == ()
+    assert not sound.summary()["warned"]
     noise = {"kind": "noisy", "position_std": 0.04, "velocity_std": 0.0}
     assert fit_log(linear(sensor=noise), log_of(y + wave, u)).doubts == ()  # the study's sensor explains it
 

@@ -1,6 +1,6 @@
 """Print generated flight code, and what logged flights tell: comparison with the draws, next flight, fit of laws."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -9,6 +9,7 @@ from dssc_jax.console.terminal import show_files, show_line, show_table, values_
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.fit.command_gaps import HELD
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
+from dssc_jax.flight_logs.signal_warnings import FlightWarning, SignalWarning
 from dssc_jax.study import Study
 
 SIGNIFICANCE = 0.05
@@ -61,6 +62,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
         if signal.replay is not None:
             replays[name] = asdict(signal.replay) | {"unit": signal.unit}
     show_replay(asdict(answer) | {"replay": replays}, comparison.study)
+    show_warnings(answer.warnings)
     show_files(files)
 
 
@@ -81,7 +83,7 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
 
     Args:
         summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
-            ``reference_differences`` and ``reference_rate_differences`` by channel, and ``hints`` by signal.
+            ``reference_differences`` and ``reference_rate_differences`` by channel.
         study: The study, whose channels have the references' units.
     """
     for name, replay in summary["replay"].items():
@@ -108,8 +110,13 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
         if channel in rates:
             text += f", its rate by at most {rates[channel]:.4g} {units.of('y/s')}"
         show_line(text)
-    for name, text in summary["hints"].items():
-        show_line(f"warning: {name} {text}")
+
+
+def show_warnings(warnings: Sequence[SignalWarning]) -> None:
+    """Print warnings, with the name of the log where there are several."""
+    for warning in warnings:
+        log = f"{warning.log}: " if isinstance(warning, FlightWarning) else ""
+        show_line(f"warning: {log}{warning.text}")
 
 
 def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
@@ -159,9 +166,7 @@ def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
     for name in answer.without_spread:
         show_line(f"{name} is the same in all draws, and is left out")
     show_line(beyond_text(answer))
-    for log, texts in answer.hints.items():
-        for name, text in texts.items():
-            show_line(f"warning: {log}: {name} {text}")
+    show_warnings(answer.warnings)
     show_table(*counts_table(answer.study_test))
     show_files(files)
 
@@ -225,8 +230,8 @@ def outside_text(answer: LogAnswer) -> str:
     return f", but it leaves the range of all draws: {', '.join(shares)}" if shares else ""
 
 
-def show_fit(summary: Mapping[str, Any]) -> None:
-    """Print the estimates with their intervals, the residual, doubts, and the proposed laws as TOML or their file."""
+def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> None:
+    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or their file."""
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     show_line(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     if summary["simulated_samples"] < summary["study_samples"]:
@@ -242,8 +247,9 @@ def show_fit(summary: Mapping[str, Any]) -> None:
         show_line(
             residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel])
         )
-    for line in (*search_lines(summary), *doubt_lines(summary)):
+    for line in (*search_lines(summary), *kept_lines(summary["kept"])):
         show_line(line)
+    show_warnings(warnings)
     if summary["file"]:
         show_line(f"wrote {summary['file']}")
     else:
@@ -267,9 +273,6 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
     refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
     lines = [f"{starts}; {summary['simulations']} simulations{refined}"]
-    if summary["search_cut"]:
-        remark = "these are the best numbers so far, others may be better; repeat it with more --simulations"
-        lines.append(f"the search ended early, {summary['search_cut']}: {remark}")
     minima = summary["other_minima"]
     for minimum in minima[:MOST_MINIMA]:
         values = values_text(minimum["values"], ".4g")
@@ -279,14 +282,10 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def doubt_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Lines on doubts: warnings, estimates outside of their laws, and numbers that the flight does not identify."""
-    lines = [f"warning: {doubt['text']}" for doubt in summary["warnings"]]
-    for name, factor in summary["outside_laws"].items():
-        hint = f"; {factor} it lies within, as if an output or a command were logged in another unit" if factor else ""
-        compare = f"compare units, columns and start of the log{hint}"
-        lines.append(f"the estimate of {name} lies outside its law in the study: {compare}")
-    for name, width in summary["kept"].items():
+def kept_lines(widths: Mapping[str, float | None]) -> list[str]:
+    """Lines on numbers that the flight does not identify, by the deviation that it leaves, in those of the laws."""
+    lines = []
+    for name, width in widths.items():
         remark = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
         lines.append(f"not told by this flight, keeps its law: {name}; {remark}")
     return lines

@@ -76,6 +76,9 @@ class LoggedFlights:
             limits = table("Limits of the next flight", *limit_table(answer))
             counts = table("Flights that refute or confirm the study", *counts_table(answer.study_test))
             numbers = [limits, h.p[f"{beyond_text(answer)}."], counts]
+            if answer.warnings:
+                rows = [(warning.log, warning.signal, warning.text) for warning in answer.warnings]
+                numbers.append(table("Warnings", ("log", "signal", "warning"), rows, words=3))
         else:
             numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
         headline = f"{analysis.headline}."

@@ -32,6 +32,7 @@ from dssc_jax.flight_logs.replay import (
     replayed_command,
     signal_unit,
 )
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import departure_ranks, rank_p_value
@@ -100,10 +101,8 @@ class LogAnswer:
             "largest difference of the logged reference's rate from the study's",
         ),
     ]
-    hints: Annotated[
-        dict[str, str],
-        Quantity("", "signals that are the study's otherwise or rough, and numbers at which the flight did not start"),
-    ]
+    warned: Annotated[bool, Quantity("", "whether there is any warning")]
+    warnings: tuple[SignalWarning, ...]
 
 
 @dataclass(eq=False)
@@ -124,8 +123,8 @@ class LogComparison(Analysis):
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
         rates: Largest difference between their derivatives, by channel; empty if not logged.
-        hints: Signals that are the study's in another unit, sign or column or at another time, rates that are not the
-            slope of its reference, and numbers at which the study starts while the flight cannot have, with the words.
+        warnings: Signals that are the study's in another unit, sign or column or at another time, rates that are not
+            the slope of its reference, and numbers at which the study starts while the flight cannot have.
         steps: Samples of the study.
         cut: Whether the log ends before the study, because its file ends within a message.
         dropped: Rows that are left out because their times fall, by signal.
@@ -143,7 +142,7 @@ class LogComparison(Analysis):
     not_replayed: dict[str, str]
     references: dict[str, float]
     rates: dict[str, float]
-    hints: dict[str, str]
+    warnings: tuple[SignalWarning, ...]
     steps: int
     cut: bool
     dropped: dict[str, int]
@@ -247,7 +246,8 @@ class LogComparison(Analysis):
             not_replayed=self.not_replayed,
             reference_differences=self.references,
             reference_rate_differences=self.rates,
-            hints=self.hints,
+            warned=bool(self.warnings),
+            warnings=self.warnings,
         )
 
     def signal_answer(self, name: str) -> SignalAnswer:
@@ -341,7 +341,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
         not_replayed=replay.not_replayed,
         references=replay.references,
         rates=replay.rates,
-        hints=output_hints(study, dataset) | replay.hints.all(),
+        warnings=signal_warnings(output_hints(study, dataset) | replay.hints.all()),
         steps=loop.steps,
         cut=samples < loop.steps and log.is_cut(),
         dropped=dict(log.dropped),

@@ -24,6 +24,7 @@ from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.flight_logs.reading.coverage import require_samples
 from dssc_jax.flight_logs.reading.reader import FlightLog, channel_signals, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves, replay_log
+from dssc_jax.flight_logs.signal_warnings import FlightWarning
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.conformal import (
@@ -91,9 +92,8 @@ class NextFlightAnswer:
     without_spread: Annotated[tuple[str, ...], Quantity("", "signals that are the same in all draws, and left out")]
     metrics: dict[str, MetricLimit]
     study_test: StudyTest
-    hints: Annotated[
-        dict[str, dict[str, str]], Quantity("", "where a log disagrees with the study, by log and signal or number")
-    ]
+    warned: Annotated[bool, Quantity("", "whether there is any warning")]
+    warnings: tuple[FlightWarning, ...]
 
 
 @dataclass(eq=False)
@@ -108,7 +108,7 @@ class NextFlight(Analysis):
     Args:
         logs: Names of the logs.
         probability: Least probability that the next flight lies in the set.
-        hints: Where a log disagrees with the study, in words, by the name of the log and by signal or number.
+        warnings: Where a log disagrees with the study.
     """
 
     kind = "next-flight"
@@ -117,7 +117,7 @@ class NextFlight(Analysis):
 
     logs: tuple[str, ...]
     probability: float
-    hints: dict[str, dict[str, str]]
+    warnings: tuple[FlightWarning, ...]
 
     @property
     def rank(self) -> int | None:
@@ -180,7 +180,8 @@ class NextFlight(Analysis):
             without_spread=tuple(str(name) for name in signals[np.isnan(spread).all(axis=1)]),
             metrics=metrics,
             study_test=self.study_test(),
-            hints=self.hints,
+            warned=bool(self.warnings),
+            warnings=self.warnings,
         )
 
     def study_test(self) -> StudyTest:
@@ -264,9 +265,11 @@ def next_flight(
         "t": ("t", times, {"long_name": "time", "units": "s"}),
     }
     dataset = xr.Dataset(data, coords=coords, attrs={"title": study.name})
-    hints = {log.name: replay_log(study, log).hints.all() for log in logs}
-    hints = {name: texts for name, texts in hints.items() if texts}
-    analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability, hints)
+    warnings = []
+    for log in logs:
+        for warning in replay_log(study, log).warnings:
+            warnings.append(FlightWarning(warning.signal, warning.text, log.name))
+    analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability, tuple(warnings))
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)
 

@@ -21,9 +21,10 @@ from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.hints.angle_units import angle_hints
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
-from dssc_jax.flight_logs.hints.command_hints import command_hint, rate_hint
-from dssc_jax.flight_logs.hints.conversions import LogHints, conversion_text, followed_conversion, rms
+from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
+from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.integrals import integral_hints
+from dssc_jax.flight_logs.hints.log_hints import LogHints
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, median_values, study_references
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
@@ -37,6 +38,7 @@ from dssc_jax.flight_logs.reading.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
@@ -44,7 +46,6 @@ REPLAY_SHARE = 0.95
 REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
 LONGER = 2.0  # factor on a study's duration: times of a longer log that count by one may be the numbers of its rows
-SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
 REMEDY = (
@@ -223,6 +224,11 @@ class LogReplay(NamedTuple):
                     differences[name] = difference
         return differences
 
+    @property
+    def warnings(self) -> tuple[SignalWarning, ...]:
+        """The hints as warnings."""
+        return signal_warnings(self.hints.all())
+
     def summary(self, study: Study) -> dict[str, object]:
         """For JSON."""
         differences = self.differences(study.loop.sample_time)
@@ -236,7 +242,8 @@ class LogReplay(NamedTuple):
             "not_replayed": self.not_replayed,
             "reference_differences": self.references,
             "reference_rate_differences": self.rates,
-            "hints": self.hints.all(),
+            "warned": bool(self.warnings),
+            "warnings": [asdict(warning) for warning in self.warnings],
         }
 
 
@@ -285,11 +292,11 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         if "u_total" not in signals:
             not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
         else:
-            text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
+            unit_text = command_unit(signals["u_total"], replay, units.of("u"))
             hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
             rate_text = rate_hint(log.columns[name], loop.sample_time)
-            if text:
-                conversions[name] = f"is the analysed controller's {text}"
+            if unit_text:
+                conversions[name] = unit_text
             elif rate_text or hint:
                 factors[name] = rate_text or hint
     conversions |= angle_hints(study, log, references)

@@ -1,6 +1,6 @@
 """Sections on an analysis of any kind: its answer, numbers, dataset and provenance."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import htpy as h
@@ -58,7 +58,7 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
             cells = []
             for row_name, row in rows.items():
                 cells.append((row_name, *(cell(row.get(column)) or "" for column in columns)))
-            yield table(label, ("name", *head), cells)
+            yield table(label, ("name", *head), cells, words=1 + leading_words(columns, rows.values()))
         elif isinstance(value, Mapping):
             yield from tables(label, value, meanings, key)
 
@@ -104,6 +104,16 @@ def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
         for name, value in row.items():
             fits[name] = fits.get(name, False) or cell(value) is not None
     return [name for name, fits_in_a_row in fits.items() if fits_in_a_row]
+
+
+def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]) -> int:
+    """The number of leading columns that hold words in every row."""
+    count = 0
+    for column in columns:
+        if not all(isinstance(row.get(column), str) for row in rows):
+            break
+        count += 1
+    return count
 
 
 def cell(value: object) -> str | None:

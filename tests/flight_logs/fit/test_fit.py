@@ -210,7 +210,9 @@ def test_an_estimate_outside_its_law_is_told(noisy):
     u, _ = noisy
     y = output(1.1, 0.8, u) + 0.01 * np.random.default_rng(11).normal(size=400)
     study = linear(plant={**linear().table["plant"], "k_p": {"uniform": [0.5, 0.9]}})
-    assert fit_log(study, log_of(y, u)).outside_laws().keys() == {"plant.k_p"}
+    fitted = fit_log(study, log_of(y, u))
+    assert fitted.outside_laws().keys() == {"plant.k_p"}
+    assert "the estimate of plant.k_p lies outside its law" in str(fitted.summary()["warnings"])
     assert fit_log(linear(), log_of(y, u)).outside_laws() == {}
 
 

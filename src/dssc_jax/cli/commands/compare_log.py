@@ -1,6 +1,7 @@
 """dssc-jax compare-log: a logged flight beside the study's draws, or the laws that it supports."""
 
 import json
+from dataclasses import asdict
 
 from dssc_jax.cli.analysing import finish, free_folder, save_text
 from dssc_jax.cli.declarations.flight import CompareLog
@@ -9,7 +10,7 @@ from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
 from dssc_jax.cli.parsing import require_unset
-from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
+from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay, show_warnings
 from dssc_jax.console.terminal import progress_bar, show_line
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
@@ -98,20 +99,20 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
             print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replay_summary}))
         else:
             show_replay(replay_summary, study)
+            show_warnings(replay.warnings)
             show_line(str(refusal))
         return FAILS
     replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
     replay_summary = replay.summary(study)
-    summary = (
-        log_fit.summary()
-        | {"identifiable": True, "explained": True, "file": str(out) if out else None}
-        | replay_summary
-    )
+    summary = log_fit.summary()
+    warnings = replay.warnings + log_fit.warnings
+    summary |= {"identifiable": True, "explained": True, "file": str(out) if out else None}
+    summary |= replay_summary | {"warned": bool(warnings), "warnings": [asdict(warning) for warning in warnings]}
     if out is not None:
         save_text(out, log_fit.toml())
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
-        show_replay(replay_summary, study)
-        show_fit(summary)
+        show_replay(summary, study)
+        show_fit(summary, warnings)
     return DONE

@@ -139,6 +139,9 @@ class CompareLog(OutputOptions, LogOptions, DrawsOptions):
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
     the reason, if the flight does not identify them, or if the study does not describe the flight, and 2 if a reference
     or command of the log is that of the study with another sign, in another unit or column.
+
+    The exit code is 0 for an answer with warnings, too. With --json they are one list, `warnings`, each with the
+    signal that it concerns and its text, and `warned` tells whether there is any.
     """
 
     log: Annotated[

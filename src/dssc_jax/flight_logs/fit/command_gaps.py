@@ -169,12 +169,19 @@ def largest_jump(command: np.ndarray) -> float:
 
 
 def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
-    """The doubts about outputs that are held, about commands with large changes, and about gaps in the log."""
+    """The doubts about outputs that are held or interpolated, commands with large changes, and gaps in the log."""
     doubts = []
     for name, interval in log.slow.items():
         text = (
             f"{name} is held for {interval:.3g} s at a time, and is taken where it changes. Leave repeated cells "
             "empty, or log the time of each measurement"
+        )
+        doubts.append(Doubt(name, text))
+    for name, interval in log.interpolated.items():
+        text = (
+            f"{name} is a straight line from one reading to the next, {interval:.3g} s apart: the log was "
+            "interpolated, and one value for each reading is taken. Log the readings alone, with the time of each "
+            "measurement, and leave other cells empty"
         )
         doubts.append(Doubt(name, text))
     for name, jump in log.jumps.items():

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.flight_logs.fit.least_squares import fit_scale, from_fit_scale
 from dssc_jax.flight_logs.fit.refusals import Doubt, Explained
 from dssc_jax.flight_logs.hints.conversions import factor_text
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import NoisePosterior
 from dssc_jax.study import Law, Study
@@ -142,6 +143,20 @@ class Fitted:
                 outside[name] = factor_text(ends / value, units) if has_scale else ""
         return outside if len(set(outside.values())) == 1 else dict.fromkeys(outside, "")
 
+    @property
+    def warnings(self) -> tuple[SignalWarning, ...]:
+        """The reasons to doubt the estimates: all doubts, estimates outside their laws, and a search that was cut."""
+        warnings = [SignalWarning(doubt.signal, doubt.text) for doubt in self.doubts]
+        for name, factor in self.outside_laws().items():
+            text = f"the estimate of {name} lies outside its law: compare units, columns and start of the log"
+            if factor:
+                text += f"; {factor} it lies within, as if an output or a command were logged in another unit"
+            warnings.append(SignalWarning(name, text))
+        if self.cut:
+            remark = "these are the best numbers so far, others may be better. Repeat it with more simulations"
+            warnings.append(SignalWarning("", f"the search ended early, {self.cut}: {remark}"))
+        return tuple(warnings)
+
     def toml(self) -> str:
         """The proposal as TOML, one line for each entry; a number in a list comes with the whole list."""
         table: dict[str, Json] = {}
@@ -191,8 +206,8 @@ class Fitted:
             "simulations": self.simulations,
             "search_cut": self.cut,
             "other_minima": [rival._asdict() for rival in self.rivals],
-            "warnings": [doubt._asdict() for doubt in self.doubts],
-            "outside_laws": self.outside_laws(),
+            "warned": bool(self.warnings),
+            "warnings": [asdict(warning) for warning in self.warnings],
             "kept": {name: width if math.isfinite(width) else None for name, width in self.unidentified.items()},
             "toml": self.toml(),
         }

@@ -29,10 +29,11 @@ from dssc_jax.flight_logs.fit.declared_noise import declared_covariance, larger_
 from dssc_jax.flight_logs.fit.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.fit.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
-from dssc_jax.flight_logs.fit.least_squares import FAR_OUTSIDE, LAW_ENDS, TINY, FitProblem, averaged_covariance
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
+from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
     Explained,
@@ -50,7 +51,6 @@ from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, Se
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
-from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -62,9 +62,6 @@ from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
-ABSURD = 20.0  # standard deviations of a law beyond its ends
-ABSURD_RATIO = 2.5  # to the median of a law; a value beyond both is no number of this vehicle
-EXPLAINS_NOTHING = 0.9  # least share of an output's standard deviation that is left as residual
 
 
 def fit_log(
@@ -268,47 +265,6 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
             *delay_doubts(problem, best),
         )
         raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
-
-
-def require_plausible(problem: FitProblem, x: np.ndarray, results: list[Explained]) -> None:
-    """Require that no number is far outside its law where the simulated output explains nothing of the logged one.
-
-    A controller that holds a place in a gust gives commands against it, and the best gain for them is 0.
-
-    Raises:
-        NotIdentifiable: One is; the message has the farthest.
-    """
-    beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
-    farthest = int(np.argmax(beyond))
-    explains_nothing = all(result.residual > EXPLAINS_NOTHING * result.output for result in results)
-    if beyond[farthest] > FAR_OUTSIDE and explains_nothing:
-        name = problem.names[farthest]
-        raise NotIdentifiable(
-            f"the flight does not identify {name}: its best value, {problem.values(x)[farthest]:.4g}, is far outside "
-            "its law, and the simulated output explains nothing of the logged one. Fly steps that show the number",
-            name,
-        )
-
-
-def require_possible(problem: FitProblem, x: np.ndarray) -> None:
-    """Require that no number is absurdly far outside its law, as where an output is logged in another unit.
-
-    Raises:
-        Unexplained: One is; the message has the value, and the multiple of a unit that would bring it into the law.
-    """
-    units = [unit for channel in problem.study.units for unit in (channel.output, channel.of("u"))]
-    beyond = np.where(problem.is_kept, 0.0, problem.beyond_laws(x))
-    for name, law, value, distance in zip(problem.names, problem.laws, problem.values(x), beyond, strict=True):
-        ratio = value / law.median if law.median != 0.0 else math.nan
-        if distance <= ABSURD or not (ratio > ABSURD_RATIO or ratio < 1.0 / ABSURD_RATIO):
-            continue
-        factor = factor_text(law.quantile(LAW_ENDS) / value, units)
-        hint = f"; {factor} it lies within its law" if factor else ""
-        raise Unexplained(
-            f"the study does not describe this flight: its best value of {name} is {value:.4g}, {ratio:.3g} times the "
-            f"median of the law {law}{hint}. Compare the units and columns of outputs and commands with the study, or "
-            "give the number a law that holds such a value"
-        )
 
 
 def fitted_minimum(

@@ -11,6 +11,7 @@ from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.flight_logs.reading.coverage import time_unit_text
 from dssc_jax.flight_logs.reading.gaps import log_gaps
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reading.interpolated_outputs import bends
 from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
     channel_signals,
@@ -63,6 +64,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         sensor_noise=reading_noise(study, sampling.outputs),
         alternatives=tuple(alternatives),
         slow=sampling.slow,
+        interpolated=sampling.interpolated,
     )
 
 
@@ -83,6 +85,7 @@ class LogSampling:
         self.offsets = np.zeros(shape)
         self.commands = np.zeros(shape)
         self.slow: dict[str, float] = {}
+        self.interpolated: dict[str, float] = {}
         self.replayed: list[str] = []
         self.rare: list[str] = []
         self.needed_signals: list[str] = []  # their gaps falsify a command
@@ -90,7 +93,7 @@ class LogSampling:
         self.jumps: dict[str, float] = {}
 
     def add_output(self, row: int, output: np.ndarray) -> None:
-        """Add a channel's output; of one that is held between rarer readings, the readings."""
+        """Add a channel's output; of one that is held or interpolated between rarer readings, the readings."""
         loop = self._study.loop
         name = signal_name(loop.channels[row], "y")
         samples = self.outputs.shape[1]
@@ -100,6 +103,11 @@ class LogSampling:
         if hold > 1:
             self.outputs[row] = drop_repeats(self.outputs[row])
             self.slow[name] = hold * loop.sample_time
+            return
+        is_bend = bends(self.outputs[row])
+        if is_bend.size:
+            self.outputs[row] = np.where(np.resize(is_bend, samples), self.outputs[row], np.nan)
+            self.interpolated[name] = len(is_bend) / np.count_nonzero(is_bend) * loop.sample_time
 
     def add_command(self, row: int, command: np.ndarray) -> None:
         """Add a channel's logged command."""

@@ -31,3 +31,4 @@ class SampledLog(NamedTuple):
     sensor_noise: tuple[float, ...] = ()  # standard deviation of what the study's sensor adds to a reading, by channel
     alternatives: tuple[Reconstruction, ...] = ()  # commands that may have flown instead
     slow: Mapping[str, float] = MappingProxyType({})  # outputs that are held, with the time between readings
+    interpolated: Mapping[str, float] = MappingProxyType({})  # outputs that are straight lines between readings

@@ -8,10 +8,12 @@ controller.
 import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
-from dssc_jax.flight_logs.hints.conversions import FEWER, multiple_of, rms
+from dssc_jax.flight_logs.hints.conversions import FEWER, conversion_text, multiple_of, rms
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.reader import Column, forward_filled
 
+SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
+LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one controller give it throughout a flight
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
@@ -41,6 +43,29 @@ def rate_hint(command: Column, sample_time: float) -> str:
     return (
         f"changes every {interval:.3g} s, and the study's controller gives a command every {sample_time:g} s: set "
         "loop.sample_time to that of the flight's controller. A fit takes one of its commands for each sample"
+    )
+
+
+def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
+    """The unit or sign of a logged command that is certainly not the study's, in words; empty if none is certain.
+
+    It is the analysed controller's command, to noise, in another unit that is known, or at all times a multiple of it
+    that no other gains give: a negative or a large one.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+        unit: Unit of the command.
+    """
+    text = conversion_text(logged, replayed, SAME_COMMAND, unit)
+    if text:
+        return f"is the analysed controller's {text}"
+    factor = multiple_of(logged, replayed)
+    if 1.0 / LARGE_FACTOR < factor < LARGE_FACTOR:
+        return ""
+    return (
+        f"is {factor:.4g} times what the analysed controller gives for the logged measurements, at all times: it is in "
+        f"another unit than the study's, {unit}, and a scale of {1.0 / factor:.4g} in the table of columns mends it"
     )
 
 

@@ -1,7 +1,6 @@
 """Hints that a logged signal is the study's with another sign, unit or start."""
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,10 @@ from dssc_jax.core.flag_runs import longest_run
 MOST_PRODUCTS = 20_000_000  # number of samples times number of shifts
 SAME_REFERENCE = 0.01  # share of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # share of a predicted output's root mean square: closer, a converted output looks like that one
+ALIKE = 0.2  # share of an output's deviation from its straight line that may be left of another channel's output
+LONGEST_DELAY = 25  # samples by which a channel may be late itself
+DELAY_SHARE = 0.05  # of the samples, likewise
+SHIFTED = 0.1  # largest deviation of an output from the shifted one, as a share of the shift
 FOLLOWED = 0.7  # share of a reference's root mean square: closer, a converted output follows it
 IN_PHASE = 0.2  # relative difference of the part in phase with a reference from a multiple of it
 FEWER = 1.0 / 3.0  # share of the present distance: a conversion that leaves more says nothing
@@ -24,22 +27,25 @@ class Conversion(NamedTuple):
         words: What to call it, such as "with the opposite sign".
         unit: What the expected signal's unit must begin with for ``meaning`` to apply; empty: any unit.
         meaning: The multiple in terms of units, such as "degrees in place of radians".
+        restricted: Whether it is considered for signals of this unit alone: 57.3 means something for angles only.
     """
 
     factor: float
     words: str
     unit: str = ""
     meaning: str = ""
+    restricted: bool = False
 
     def text(self, unit: str) -> str:
         """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
     def is_possible(self, unit: str) -> bool:
-        """Whether the multiple means something for a signal of this unit: 57.3 does for angles only."""
-        return self.unit not in ONLY_WITH_UNIT or is_unit_of(unit, self.unit)
+        """Whether the multiple means something for a signal of this unit."""
+        return not self.restricted or is_unit_of(unit, self.unit)
 
 
+GRAVITY = 9.80665  # m/s^2, the standard one, by which a kilogram-force is defined
 OPPOSITE = "with the opposite sign"
 CONVERSIONS = (
     Conversion(-1.0, OPPOSITE),
@@ -47,17 +53,22 @@ CONVERSIONS = (
     Conversion(1000.0, "times 1000", "m", "millimetres in place of metres"),
     Conversion(0.01, "times 0.01"),
     Conversion(0.001, "times 0.001"),
-    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians"),
-    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
-    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
+    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians", True),
+    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees", True),
+    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres", True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "N", "kilograms-force in place of newtons", True),
+    Conversion(1000.0 / GRAVITY, "times 102", "N", "grams-force in place of newtons", True),
+    Conversion(GRAVITY, "times 9.807", "N", restricted=True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "m/s^2", "multiples of g in place of m/s^2", True),
+    Conversion(GRAVITY, "times 9.807", "m/s^2", restricted=True),
+    Conversion(GRAVITY, "times 9.807", "1", "newtons in place of kilograms-force, or m/s^2 in place of g", True),
 )
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
+SAME_MULTIPLE = 1.05  # factor between two multiples: closer, they are one, as 100 and 102
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # share of a reference's root mean square: the least mean that says something
 FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
-SHIFTED = 0.1  # largest deviation of an output from the shifted one, as a share of the shift
-ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
 def is_unit_of(unit: str, begin: str) -> bool:
@@ -74,7 +85,9 @@ def rms(values: np.ndarray) -> float:
     return size * float(np.sqrt(np.mean((finite / size) ** 2))) if size > 0.0 else 0.0
 
 
-def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> str:
+def conversion_text(
+    logged: np.ndarray, expected: np.ndarray, tolerance: float, unit: str, distance_without: float = np.inf
+) -> str:
     """The multiple by which the logged signal differs from the expected one, in words; empty if none fits better.
 
     Args:
@@ -82,12 +95,13 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
         expected: Values at the same times.
         tolerance: Largest root mean square of the difference, as a share of the expected signal's.
         unit: Unit of the expected signal.
+        distance_without: Root mean square of the difference that another cause than a multiple leaves.
     """
     expected_rms = rms(expected[np.isfinite(logged)])
     if expected_rms == 0.0 or not np.isfinite(expected_rms):
         return ""
     best_text = ""
-    smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
+    smallest_distance = min(tolerance * expected_rms, FEWER * min(rms(logged - expected), distance_without))
     for conversion in CONVERSIONS:
         if not conversion.is_possible(unit):
             continue
@@ -155,6 +169,10 @@ def likeness_text(
 ) -> str:
     """What a logged output looks like if it differs from its channel's expected output, in words; else empty.
 
+    A hint names a cause, and a wrong one costs more than none. So the likeness has to be far closer than what a delay,
+    an offset or a gain of the channel itself leaves: two channels that hover at one height, or that fly one manoeuvre a
+    little apart, are alike by themselves.
+
     Args:
         index: Position of its channel.
         logged: Values, NaN where missing, shape (samples,).
@@ -162,17 +180,48 @@ def likeness_text(
         names: Names of the outputs.
         unit: Unit of the output.
     """
-    multiple = conversion_text(logged, expected[index], PREDICTED, unit)
+    pairs = delayed_pairs(logged, expected[index])
+    multiple = conversion_text(logged, expected[index], PREDICTED, unit, min(rms(late - own) for late, own in pairs))
     if multiple:
         return f"looks like the study's {multiple}"
-    smallest_distance = FEWER * rms(logged - expected[index])
+    itself = min(rms(late - line_through(own, late)) for late, own in pairs)
+    deviation = rms(logged - line_through(np.arange(len(logged), dtype=float), logged))
+    smallest_distance = min(ALIKE * deviation, FEWER * itself)
     text = ""
     for channel, output in enumerate(expected):
         distance = rms(logged - output)
-        if channel != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest_distance):
+        if channel != index and distance <= smallest_distance:
             smallest_distance = distance
             text = f"looks like the study's {names[channel]}"
     return text or shift_text(logged, expected[index], unit)
+
+
+def delayed_pairs(logged: np.ndarray, expected: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A logged output beside the expected one, for all delays and leads that a channel may have itself.
+
+    Args:
+        logged: Values, shape (samples,).
+        expected: Values at the same times.
+
+    Returns:
+        Pairs of equal length: the logged values, and the expected ones that they are compared with.
+    """
+    pairs = [(logged, expected)]
+    for delay in range(1, min(LONGEST_DELAY, int(DELAY_SHARE * len(logged))) + 1):
+        pairs += [(logged[delay:], expected[:-delay]), (logged[:-delay], expected[delay:])]
+    return pairs
+
+
+def line_through(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The values a + b x that are nearest to y in the mean square, shape (n,); y may lack some, which are NaN."""
+    is_finite = np.isfinite(x) & np.isfinite(y)
+    if not is_finite.any():
+        return np.full(len(y), np.nan)
+    x_mean = float(x[is_finite].mean())
+    y_mean = float(y[is_finite].mean())
+    square = float(np.sum((x[is_finite] - x_mean) ** 2))
+    slope = float((x[is_finite] - x_mean) @ (y[is_finite] - y_mean)) / square if square > 0.0 else 0.0
+    return y_mean + slope * (x - x_mean)
 
 
 def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
@@ -200,8 +249,10 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     for conversion in CONVERSIONS:
         is_inside = conversion.factor > 0.0 and low <= conversion.factor <= high
         if is_inside and any(conversion.is_possible(unit) for unit in units):
-            candidates.append(conversion.words)
-    return candidates[0] if len(candidates) == 1 else ""
+            candidates.append(conversion)
+    factors = [conversion.factor for conversion in candidates]
+    is_one = bool(candidates) and max(factors) <= SAME_MULTIPLE * min(factors)
+    return candidates[0].words if is_one else ""
 
 
 def reference_conversion(
@@ -277,37 +328,3 @@ def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
     delay, lead = max(shift, 0), max(-shift, 0)
     samples = len(reference) - abs(shift)
     return rms(logged[delay : delay + samples] - reference[lead : lead + samples]) <= SAME_REFERENCE * variation
-
-
-class LogHints(NamedTuple):
-    """Why a log may contradict its study, in words for each signal or number.
-
-    Args:
-        conversions: Signals that are the study's in another unit, sign or column.
-        shifts: References that are the study's at another time, or by another clock.
-        slopes: Rates that are not the slope of the study's reference.
-        starts: Numbers at which the study starts while the flight cannot have.
-        attitudes: Numbers of the attitude at which the study starts while the log has another.
-        estimator: Counters of resets of the estimator, and flags that call its values invalid.
-        factors: Outputs that stick, or are not the integrals of their derivatives by a factor that names no unit;
-            commands that are not the analysed controller's; times ``t`` that repeat.
-        jumps: Outputs that jump while their derivatives do not.
-        others: References that are not the study's, for no reason that is known.
-    """
-
-    conversions: Mapping[str, str]
-    shifts: Mapping[str, str]
-    slopes: Mapping[str, str] = MappingProxyType({})
-    starts: Mapping[str, str] = MappingProxyType({})
-    attitudes: Mapping[str, str] = MappingProxyType({})
-    estimator: Mapping[str, str] = MappingProxyType({})
-    factors: Mapping[str, str] = MappingProxyType({})
-    jumps: Mapping[str, str] = MappingProxyType({})
-    others: Mapping[str, str] = MappingProxyType({})
-
-    def all(self) -> dict[str, str]:
-        """All of them, by signal or number."""
-        numbers = (self.starts, self.attitudes)
-        references = (self.shifts, self.others, self.slopes)
-        parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)
-        return {name: text for part in parts for name, text in part.items()}

@@ -1,0 +1,39 @@
+"""All hints about a log, by what they concern."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+
+class LogHints(NamedTuple):
+    """Why a log may contradict its study, in words for each signal or number.
+
+    Args:
+        conversions: Signals that are the study's in another unit, sign or column.
+        shifts: References that are the study's at another time, or by another clock.
+        slopes: Rates that are not the slope of the study's reference.
+        starts: Numbers at which the study starts while the flight cannot have.
+        attitudes: Numbers of the attitude at which the study starts while the log has another.
+        estimator: Counters of resets of the estimator, and flags that call its values invalid.
+        factors: Outputs that stick, or are not the integrals of their derivatives by a factor that names no unit;
+            commands that are not the analysed controller's; times ``t`` that repeat.
+        jumps: Outputs that jump while their derivatives do not.
+        others: References that are not the study's, for no reason that is known.
+    """
+
+    conversions: Mapping[str, str]
+    shifts: Mapping[str, str]
+    slopes: Mapping[str, str] = MappingProxyType({})
+    starts: Mapping[str, str] = MappingProxyType({})
+    attitudes: Mapping[str, str] = MappingProxyType({})
+    estimator: Mapping[str, str] = MappingProxyType({})
+    factors: Mapping[str, str] = MappingProxyType({})
+    jumps: Mapping[str, str] = MappingProxyType({})
+    others: Mapping[str, str] = MappingProxyType({})
+
+    def all(self) -> dict[str, str]:
+        """All of them, by signal or number."""
+        numbers = (self.starts, self.attitudes)
+        references = (self.shifts, self.others, self.slopes)
+        parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)
+        return {name: text for part in parts for name, text in part.items()}

@@ -1,0 +1,91 @@
+"""The table of messages of docs/log_fits.md: a row for every message, and no row for one that is gone."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+LOGS = ROOT / "src" / "dssc_jax" / "flight_logs"
+PAGE = ROOT / "docs" / "log_fits.md"
+LEAST_LENGTH = 40  # characters of a message; shorter texts are parts of one
+PARTS = (
+    "Compare the log's columns",  # remedies, at the end of a message
+    "Begin at the take-off",
+    "Log the time",
+    "the slope of a record whose time stamps jitter",
+    "shift the study's reference, or let its record begin",
+    "Compare the log's times with those of another clock",
+    "If it is the clock, scale the times",
+    "the part after with a start",
+    "give a number a wider law",
+    "it follows straight lines",  # what is known besides, within or after a message
+    "the jump is taken out",
+    "the flight followed a wrong velocity",
+    "the log does not state the jump",
+    "Another course describes it",
+    "Log every command, or set loop.sample_time",
+    "it lies within, as if",
+    "these are the best numbers so far",
+    "steps in the sum of squares",
+    "fly longer, or steps",
+    "fly gently enough",
+    "commands between the logged ones",
+    "jumps at moments that the log lacks",
+    "the vehicle has been airborne",
+    "one of both has the opposite sign",
+    "is the study's with times x",
+    "allow_damaged` fits it all the same",
+    "What it leaves open comes from",
+    "newtons in place of kilograms-force",
+    "each in standard deviations of its law",
+)
+
+
+def texts(path: Path) -> Iterator[str]:
+    """The texts of a module with ``{}`` for what is filled in; no docstrings."""
+    tree = ast.parse(path.read_text())
+    skipped = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr):
+            skipped.add(node.value)
+        if isinstance(node, ast.JoinedStr):
+            skipped |= set(node.values)
+    for node in ast.walk(tree):
+        if node in skipped:
+            continue
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def fragments() -> list[str]:
+    """The parts of messages in the first column of the page's tables of messages."""
+    section = PAGE.read_text().partition("\n## Messages")[2].partition("\n## ")[0]
+    rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
+    return [fragment for row in rows for fragment in re.findall(r"`([^`]+)`", row)]
+
+
+def messages() -> list[str]:
+    """What hints, fits and replays may say."""
+    files = [*(LOGS / "hints").glob("*.py"), *(LOGS / "fit").glob("*.py"), LOGS / "replay.py"]
+    return [text for file in files for text in texts(file) if len(text) >= LEAST_LENGTH and " " in text]
+
+
+def test_every_message_has_a_row():
+    known = (*fragments(), *PARTS)
+    assert [text for text in messages() if not any(fragment in text for fragment in known)] == []
+    assert len(messages()) > 60
+
+
+def test_every_row_is_that_of_a_message():
+    said = [text for file in LOGS.rglob("*.py") for text in texts(file)]
+    assert [fragment for fragment in fragments() if not any(fragment in text for text in said)] == []
+    assert [part for part in PARTS if not any(part in text for text in said)] == []
+    assert len(fragments()) > 60
+
+
+def test_a_message_without_a_row_is_found():
+    planted = "y is wrong in a way that no row of the table describes yet"
+    assert not any(fragment in planted for fragment in (*fragments(), *PARTS))

@@ -1,0 +1,63 @@
+"""The warnings of compare-log: one list for comparisons, fits and refusals, which console and JSON share."""
+
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+
+from dssc_jax.cli.main import guarded
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
+from tests.cli.conftest import last_json
+from tests.flight_logs.fit.test_fit import DT, linear, output
+
+TIME = DT * np.arange(400)
+
+
+@pytest.fixture
+def late_reference(tmp_path, monkeypatch):
+    """Arguments of a comparison with a sound flight whose logged reference is 1 s late."""
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(8)
+    u = np.repeat(random.normal(size=40), 10)
+    y = output(1.1, 0.8, u) + 0.01 * random.normal(size=400)
+    reference = (TIME >= 3.0 - 1e-9).astype(float)
+    rows = [f"{t},{a},{b},{c}" for t, a, b, c in zip(TIME, y, u, reference, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,y,u_total,y_ref", *rows]))
+    study = linear(reference={"kind": "step", "size": 1.0, "at": 2.0}, draws=19)
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(study.table))
+    return ["compare-log", "s.toml", "log.csv"]
+
+
+def test_a_hint_becomes_a_sentence():
+    assert signal_warnings({"y": "is late"}) == (SignalWarning("y", "y is late"),)
+
+
+@pytest.mark.parametrize("options", [[], ["--fit"]])
+def test_comparison_and_fit_warn_in_one_list(late_reference, capsys, options):
+    """The exit code is 0, and one entry of the JSON tells whether there are warnings."""
+    assert guarded([*late_reference, *options, "--json"]) == 0
+    found = last_json(capsys)
+    assert "hints" not in found
+    assert found["warned"] is True
+    (warning,) = [entry for entry in found["warnings"] if entry["signal"] == "y_ref"]
+    assert warning.keys() == {"signal", "text"}
+    assert warning["text"].startswith("y_ref is the study's, 1 s later")
+    assert guarded([*late_reference, *options, "--out", "again"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for entry in found["warnings"]:
+        assert printed.count("warning: " + " ".join(entry["text"].split())) == 1
+
+
+def test_a_refused_fit_keeps_its_warnings(late_reference, capsys):
+    """Two numbers of the same gain are not identified."""
+    table = linear().table
+    plant = table["plant"] | {"k_p": {"uniform": [1.0999, 1.1001]}, "a_p": {"uniform": [0.7999, 0.8001]}}
+    changed = linear(plant=plant, reference={"kind": "step", "size": 1.0, "at": 2.0})
+    with open("s.toml", "w") as file:
+        file.write(tomli_w.dumps(changed.table))
+    assert guarded([*late_reference, "--fit", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["identifiable"] is False
+    assert found["warned"]
+    assert [entry["signal"] for entry in found["warnings"]] == ["y_ref"]
