@@ -25,14 +25,16 @@ class NoiseShape(NamedTuple):
     Args:
         times: Times of the readings, rising [s], shape (n,).
         simulated: Simulations of the correlated part, scaled to a mean square of 1, shape (m, n).
-        products: Mean products of a reading and the p before it, the latest first, shape (1 + p, 1 + p).
-        first_products: The same for each of the first p readings and all before it, shapes (1, 1) to (p, p).
+        first_products: Mean products of each of the first p readings and those before it, the latest first, and 0 for
+            those before the first one, shape (p, 1 + p, 1 + p).
+        later_products: Mean products of a later reading and the 0 to p before it, filled with 0, shape
+            (1 + p, 1 + p, 1 + p).
     """
 
     times: np.ndarray
     simulated: np.ndarray
-    products: np.ndarray
-    first_products: tuple[np.ndarray, ...]
+    first_products: np.ndarray
+    later_products: np.ndarray
 
     @classmethod
     def of(cls, times: np.ndarray, simulated: np.ndarray) -> "NoiseShape | None":
@@ -42,8 +44,14 @@ class NoiseShape(NamedTuple):
             return None
         scaled = simulated / math.sqrt(mean_square)
         lags = min(MOST_LAGS, len(times) // READINGS_PER_LAG)
-        first_products = tuple(mean_products(scaled[:, : 2 * order + 1], order) for order in range(lags))
-        return cls(times, scaled, mean_products(scaled, lags), first_products)
+        first_products = np.zeros((lags, lags + 1, lags + 1))
+        for order in range(lags):
+            first_products[order, : order + 1, : order + 1] = mean_products(scaled[:, : 2 * order + 1], order)
+        products = mean_products(scaled, lags)
+        later_products = np.zeros((lags + 1, lags + 1, lags + 1))
+        for order in range(lags + 1):
+            later_products[order, : order + 1, : order + 1] = products[: order + 1, : order + 1]
+        return cls(times, scaled, first_products, later_products)
 
     @property
     def covariance(self) -> np.ndarray:
@@ -58,30 +66,6 @@ class NoiseShape(NamedTuple):
         has_decayed = last @ self.simulated <= math.exp(-1.0) * sizes
         has_decayed[0] = True
         return float(self.times[-1] - self.times[np.flatnonzero(has_decayed)[-1]])
-
-
-class Prediction(NamedTuple):
-    """The prediction of a reading from those before it.
-
-    Args:
-        weights: Weights of the q readings before it, the latest first, shape (q,).
-        variance: Variance of the error.
-    """
-
-    weights: np.ndarray
-    variance: float
-
-    def errors(self, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Errors of some rows of columns, in standard deviations; shape (r, m).
-
-        Args:
-            columns: The columns, shape (n, m).
-            rows: Positions of the rows, shape (r,).
-        """
-        errors = columns[rows]
-        for lag, weight in enumerate(self.weights, start=1):
-            errors -= weight * columns[rows - lag]
-        return errors / math.sqrt(self.variance)
 
 
 class SimulatedNoise(NamedTuple):
@@ -102,32 +86,40 @@ class SimulatedNoise(NamedTuple):
             times: Times of observation [s], shape (n,): those of the simulations, or a part of them.
             columns: Matrix C, shape (n, m).
         """
+        lags = len(self.shape.first_products)
+        orders = prediction_orders(times, lags)
         whitened = np.empty_like(columns)
         log_det = 0.0
-        lags = len(self.shape.first_products)
+        weights, variances = self.predictions(self.shape.first_products)
         for row in range(lags):
-            prediction = self.prediction(self.shape.first_products[row])
-            whitened[row] = prediction.errors(columns, np.array([row]))[0]
-            log_det += math.log(prediction.variance)
-        orders = prediction_orders(times, lags)
-        orders[:lags] = -1
-        for order in range(lags + 1):
-            rows = np.flatnonzero(orders == order)
-            if len(rows) > 0:
-                prediction = self.prediction(self.shape.products[: order + 1, : order + 1])
-                whitened[rows] = prediction.errors(columns, rows)
-                log_det += len(rows) * math.log(prediction.variance)
+            whitened[row] = weights[row, : row + 1] @ columns[row::-1]
+        log_det += float(np.sum(np.log(variances)))
+        later_orders = np.unique(orders[lags:])
+        weights, variances = self.predictions(self.shape.later_products[later_orders])
+        for order, weight, variance in zip(later_orders, weights, variances, strict=True):
+            rows = lags + np.flatnonzero(orders[lags:] == order)
+            windows = np.lib.stride_tricks.sliding_window_view(columns, order + 1, axis=0)[rows - order]
+            whitened[rows] = windows @ weight[order::-1]
+            log_det += len(rows) * math.log(variance)
         return whitened.T @ whitened, log_det
 
-    def prediction(self, products: np.ndarray) -> Prediction:
-        """The prediction of a reading of this noise from the q before it.
+    def predictions(self, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions of readings from those before them.
 
         Args:
-            products: Mean products of the correlated part, shape (1 + q, 1 + q).
+            products: Mean products of the correlated part, one matrix for each prediction, shape (k, 1 + p, 1 + p).
+
+        Returns:
+            - Weights of a reading and those before it, the latest first, in the error of its prediction, which they
+              scale to a variance of 1; shape (k, 1 + p).
+            - Variances of the errors, shape (k,).
         """
-        whole = self.share * products + (1.0 - self.share + REGULAR) * np.eye(len(products))
-        weights = np.linalg.solve(whole[1:, 1:], whole[1:, 0])
-        return Prediction(weights, float(whole[0, 0] - whole[0, 1:] @ weights))
+        covariance = self.share * products + (1.0 - self.share + REGULAR) * np.eye(products.shape[-1])
+        coupling = covariance[:, 1:, 0]
+        predicting = np.linalg.solve(covariance[:, 1:, 1:], coupling[:, :, None])[:, :, 0]
+        variances = covariance[:, 0, 0] - np.sum(coupling * predicting, axis=1)
+        weights = np.concatenate([np.ones((len(products), 1)), -predicting], axis=1)
+        return weights / np.sqrt(variances)[:, None], variances
 
     @property
     def independent_samples(self) -> float:

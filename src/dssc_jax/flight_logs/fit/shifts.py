@@ -51,7 +51,7 @@ class Delay(NamedTuple):
         channels: Positions of the channels that are shifted.
         time: How much later they are than predicted [s].
         deviation: Standard deviation of the time [s].
-        p_value: Probability of as large a gain of the likelihood by any of the compared shifts without a delay, at most.
+        p_value: Largest probability, without a delay, of as large a gain of the likelihood by one of the shifts.
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
         values: The numbers with the shift.
         unshifted: Root mean squares of the residuals of the shifted channels without the shift.
