@@ -8,8 +8,8 @@ correlation over a lag tau, or its equation, is
     exp(-zeta w) (cos(nu w) + zeta sin(nu w)/nu), w = tau/T, nu^2 = 1 - zeta^2         second order
     p' = v/T, T v' = -v + white noise, p = v = 0 before the first reading              drift
 
-All are Markov in their states, whose joint precision matrix over n times is banded. Likelihood and normal equations
-therefore take O(n) operations.
+These are Markov in their states, whose joint precision matrix over n times is banded. Likelihood and normal equations
+therefore take O(n) operations. The correlated part may also have a shape that simulations show.
 
 References:
     B. C. Kelly and others, "Flexible and scalable methods for quantifying stochastic variability", Astrophysical J. 788
@@ -23,6 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from dssc_jax.statistics.simulated_noise import SimulatedNoise
 
 SHORT = 0.3  # gap in time constants below which the closed forms cancel; a quadrature or a series replaces them
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -151,16 +153,18 @@ def drift_variance(w: np.ndarray) -> np.ndarray:
 
 
 WHITE = FirstOrder(0.0, 1.0)
-Noise = FirstOrder | SecondOrder | Drift
+Noise = FirstOrder | SecondOrder | Drift | SimulatedNoise
 
 
 def correlation_time(noise: Noise) -> float:
     """Smallest lag at which the autocorrelation of the correlated part falls to 1/e [s]; 0 for white noise.
 
-    A drift is not stationary: its lag counts back from the last reading.
+    A drift and a simulated noise are not stationary: their lags count back from the last reading.
     """
     if noise.share == 0.0:
         return 0.0
+    if isinstance(noise, SimulatedNoise):
+        return noise.shape.correlation_time
     if isinstance(noise, Drift):
         lags = np.linspace(0.0, noise.span, 2001)[:-1]
         times = noise.span - lags
@@ -182,6 +186,8 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     """
     if noise.share == 0.0 or len(times) < 2:
         return float(len(times))
+    if isinstance(noise, SimulatedNoise):
+        return noise.independent_samples
     stride = -(-len(times) // limit)
     white = 1.0 - noise.share
     if isinstance(noise, Drift):
@@ -196,7 +202,7 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     return float((variance + white).sum() * (sampled_variance + white).sum() / squares)
 
 
-def precision_matrix(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
+def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Precision matrix of the states of the correlated part at all times together, for a variance of 1.
 
     A drift starts at 0 one median gap before the first time.
@@ -257,6 +263,8 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
     Returns:
         The products, shape (m, m), and log det S.
     """
+    if isinstance(noise, SimulatedNoise):
+        return noise.weighted_products(times, columns)
     plain = columns.T @ columns
     if noise.share == 0.0:
         return plain, 0.0

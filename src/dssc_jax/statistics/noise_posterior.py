@@ -28,6 +28,7 @@ from dssc_jax.statistics.correlated_noise import (
     fit_noise,
     weighted_products,
 )
+from dssc_jax.statistics.simulated_noise import NoiseShape, SimulatedNoise
 
 WHITE_PRIOR = 0.1  # prior probability of white noise; the kinds of correlated noise share the rest
 SHARE_WIDTH = 2.0  # prior standard deviation of logit c: one deviation either side is 12 to 88 %
@@ -101,6 +102,11 @@ def sigmoid(x: float) -> float:
     return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
 
 
+def logit(share: float) -> float:
+    """Logit of a share, limited to +-:data:`LARGEST_LOGIT`."""
+    return float(np.clip(special.logit(share), -LARGEST_LOGIT, LARGEST_LOGIT))
+
+
 class TimeScale(NamedTuple):
     """Gap and span of the times of observation, which set the prior law of a time constant.
 
@@ -145,6 +151,40 @@ NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = 
     (drift_noise, 2),
 )
 """Kinds of correlated noise: the noise at a point of scores, and the number of scores."""
+
+
+def simulated_noise(declared: SimulatedNoise, point: np.ndarray, scale: TimeScale) -> Noise:
+    """The declared noise with another share: at a score of the law of logit c, whose mean is the declared one.
+
+    Args:
+        declared: The declared noise.
+        point: The score, shape (1,).
+        scale: The time scale, on which a simulated shape does not depend.
+    """
+    return declared._replace(share=sigmoid(logit(declared.share) + SHARE_WIDTH * point[0]))
+
+
+class DeclaredNoise(NamedTuple):
+    """The noise of simulations, and its variance."""
+
+    noise: SimulatedNoise
+    variance: float
+
+
+def declared_noise(times: np.ndarray, simulated: np.ndarray, white: float) -> DeclaredNoise | None:
+    """The noise of simulated disturbances beside white noise; None if they are 0 or not finite.
+
+    Args:
+        times: Times of the readings [s], shape (n,).
+        simulated: Simulations of what disturbs the readings, shape (m, n).
+        white: Variance of the white noise.
+    """
+    shape = NoiseShape.of(separate_times(times), simulated)
+    if shape is None:
+        return None
+    disturbance = float(np.mean(np.square(simulated)))
+    share = sigmoid(logit(disturbance / (disturbance + white)))
+    return DeclaredNoise(SimulatedNoise(share, shape), disturbance + white)
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
@@ -212,16 +252,33 @@ class NoiseSearch:
         floor: Lower limit of the variance.
         least_white: Lower limit of the variance of the white part, such as that of a sensor. It applies after the noise
             has been estimated. Without it a smooth model error would count as readings of high precision.
+        simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is another kind of noise; None:
+            nothing is known to disturb them.
+        only_simulated: Whether that is the only kind.
     """
 
-    def __init__(self, times: np.ndarray, columns: np.ndarray, floor: float, least_white: float = 0.0) -> None:
+    def __init__(
+        self,
+        times: np.ndarray,
+        columns: np.ndarray,
+        floor: float,
+        least_white: float = 0.0,
+        simulated: np.ndarray | None = None,
+        only_simulated: bool = False,
+    ) -> None:
         self.times = separate_times(times)
         self.columns = columns
         self.floor = floor
         self.least_white = least_white
         self.white = fit_noise(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
-        self.kinds = NOISE_KINDS if self.white.variance > ROUNDING_VARIANCE * floor else ()
+        self.kinds = NOISE_KINDS
+        declared = None if simulated is None else declared_noise(self.times, simulated, least_white)
+        if declared is not None:
+            simulated_kind = (partial(simulated_noise, declared.noise), 1)
+            self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
+        if self.white.variance <= ROUNDING_VARIANCE * floor:
+            self.kinds = ()
         self.modes = [find_mode(partial(self.log_density, kind), size) for kind, size in self.kinds]
 
     def log_density(self, kind: Callable[..., Noise], point: np.ndarray) -> float:
@@ -239,9 +296,11 @@ class NoiseSearch:
 
     def likeliest(self) -> tuple[Noise, NoiseFit]:
         """Noise at the mode of the likeliest kind, and the least squares of the residual under it."""
-        share = (1.0 - WHITE_PRIOR) / len(NOISE_KINDS)
+        if not self.kinds:
+            return self.with_least_white(WHITE, self.white)
+        share = (1.0 - WHITE_PRIOR) / len(self.kinds)
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
-        if not evidence or max(evidence) <= 0.0:
+        if max(evidence) <= 0.0:
             return self.with_least_white(WHITE, self.white)
         best = int(np.argmax(evidence))
         kind, _ = self.kinds[best]
@@ -261,7 +320,7 @@ class NoiseSearch:
     def posterior(self) -> NoisePosterior:
         """Posterior law of the noise, by importance sampling around the mode of each kind."""
         log_weights = [math.log(WHITE_PRIOR)]
-        log_prior = math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / NOISE_SAMPLES)
+        log_prior = math.log((1.0 - WHITE_PRIOR) / max(len(self.kinds), 1) / NOISE_SAMPLES)
         fits = [self.with_least_white(WHITE, self.white)]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, log_proposals = draw_points(mode)

@@ -8,19 +8,11 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.prediction import quiet_values, study_noise
+from dssc_jax.flight_logs.fit.prediction import REPLICATES, NoiseProgram, declares_noise
 from dssc_jax.flight_logs.fit.refusals import NotIdentifiable
-from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.statistics.correlated_noise import weighted_products
-from dssc_jax.study import Study
 
-REPLICATES = 64
 ROUNDING = 1e-12  # least eigenvalue of a correlation matrix, as a share of the largest one
-
-
-def declares_noise(study: Study) -> bool:
-    """Whether a study has random disturbances or winds."""
-    return quiet_values(study) != median_values(study)
 
 
 def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
@@ -38,7 +30,8 @@ def declared_covariance(problem: FitProblem, minimum: Minimum) -> np.ndarray:
     count = len(problem.names)
     if not declares_noise(problem.study):
         return np.zeros((count, count))
-    replicates = study_noise(problem.study, problem.names, problem.values(minimum.x), problem.log.commands, REPLICATES)
+    program = NoiseProgram(problem.study, problem.names, problem.log.commands, sensors=True)
+    replicates = program.simulate(problem.values(minimum.x), REPLICATES)
     products = np.zeros((REPLICATES + count,) * 2)
     rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
     for readings, noise, variance, columns in rows:

@@ -39,7 +39,7 @@ class ShiftedCommands:
         for channel in channels:
             commands[channel] = commands[channel, sources]
         log = self.problem.log._replace(commands=commands)
-        shifted = replace(self.problem, log=log, count=SearchCount())
+        shifted = replace(self.problem, is_shifted=True, log=log, count=SearchCount())
         shifted.noises = list(self.noises)
         shifted.variances = list(self.variances)
         return shifted

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.flight_logs.fit.declared_noise import declares_noise
 from dssc_jax.flight_logs.fit.late_commands import command_delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
+from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, linear_cost, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
@@ -65,7 +65,9 @@ class ShiftedOutputs:
         """The problem with some channels' outputs earlier by a number of samples, with the same noise."""
         offsets = self.problem.log.offsets.copy()
         offsets[list(channels)] -= shift
-        shifted = replace(self.problem, log=self.problem.log._replace(outputs=self.outputs, offsets=offsets))
+        shifted = replace(
+            self.problem, is_shifted=True, log=self.problem.log._replace(outputs=self.outputs, offsets=offsets)
+        )
         shifted.noises = list(self.noises)
         shifted.variances = list(self.variances)
         return shifted

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from dssc_jax.flight_logs.fit.prediction import Prediction
+from dssc_jax.flight_logs.fit.prediction import DisturbanceNoise, Prediction
 from dssc_jax.flight_logs.fit.sampled_log import SampledLog
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
-from dssc_jax.statistics.noise_posterior import NoisePosterior, NoiseSearch
+from dssc_jax.statistics.noise_posterior import NoisePosterior, NoiseSearch, declared_noise
+from dssc_jax.statistics.simulated_noise import SimulatedNoise
 from dssc_jax.study import Law, Study
 
 NORMAL_90 = float(special.ndtri(0.95))
@@ -107,6 +108,9 @@ class FitProblem:
         log: The log.
         count: Counts the simulations.
         kept: Those of the numbers that keep their laws.
+        disturbances: The noise by the study's random disturbances, which problems of the same log share.
+        is_shifted: Whether signals are at other times than logged. Noise by the study's random disturbances then stays
+            that: commands answer the disturbances, so with later commands less of another noise may be left.
     """
 
     study: Study
@@ -115,6 +119,8 @@ class FitProblem:
     log: SampledLog
     count: SearchCount = field(default_factory=SearchCount)
     kept: frozenset[str] = frozenset()
+    disturbances: DisturbanceNoise = field(default_factory=DisturbanceNoise)
+    is_shifted: bool = False
 
     def __post_init__(self) -> None:
         self.is_kept = np.array([name in self.kept for name in self.names])
@@ -208,8 +214,34 @@ class FitProblem:
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
         """The search for the noise of each channel's residual at coordinates."""
-        pairs = zip(self.readings, self.columns(x), strict=True)
-        return [NoiseSearch(readings.times, columns, readings.floor, readings.sensor) for readings, columns in pairs]
+        simulated = self.disturbances.simulate(self.study, self.names, self.values(x), self.log.commands)
+        searches = []
+        for readings, noise, columns in zip(self.readings, self.noises, self.columns(x), strict=True):
+            disturbed = None if simulated is None else readings.interpolate(simulated[:, readings.channel])
+            search = NoiseSearch(
+                readings.times,
+                columns,
+                readings.floor,
+                readings.sensor,
+                disturbed,
+                only_simulated=self.is_shifted and isinstance(noise, SimulatedNoise),
+            )
+            searches.append(search)
+        return searches
+
+    def weight_as_declared(self) -> None:
+        """Replace the noises by those that the study declares, at the medians of the laws; white ones stay without any.
+
+        Commands answer disturbances. With white noise the search would begin near numbers that tell the controller.
+        """
+        medians = np.zeros(len(self.names))
+        simulated = self.disturbances.simulate(self.study, self.names, self.values(medians), self.log.commands)
+        for row, readings in enumerate(self.readings if simulated is not None else ()):
+            declared = declared_noise(
+                readings.times, readings.interpolate(simulated[:, readings.channel]), readings.sensor
+            )
+            if declared is not None:
+                self.noises[row], self.variances[row] = declared
 
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""

@@ -204,6 +204,7 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
 
 def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) -> MinimumSearch | None:
     """Find the minima from several starts, or from given minima; None if no start has a finite output."""
+    problem.weight_as_declared()
     ends = [minimise(problem, minimum.x, minimum.starts) for minimum in starting_minima] or searched_minima(problem)
     minima = distinct_minima(problem, ends)
     for turn in range(MINIMUM_ROUNDS if minima else 0):

@@ -26,6 +26,7 @@ from dssc_jax.study import Study
 
 RANDOM = ("std", "turbulence")
 """Fields of disturbances and winds that scale what is random."""
+REPLICATES = 64  # simulations of random disturbances
 NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
 Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[Scalar, ...]]
@@ -62,20 +63,27 @@ def quiet_values(study: Study) -> dict[str, float]:
     return values
 
 
-def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: bool) -> Outputs:
+def simulated_outputs(
+    study: Study, names: Sequence[str], samples: int, fixed: Mapping[str, float], sensors: bool
+) -> Outputs:
     """The program that simulates the plant with logged commands: readings of each channel, angles near the reference.
 
-    The plant starts as in the study. Numbers without a name here have the medians of their laws. ``quiet`` leaves out
-    sensors, random disturbances and random winds.
+    The plant starts as in the study.
+
+    Args:
+        study: The study.
+        names: The numbers that are inputs of the program.
+        samples: Number of samples.
+        fixed: Values of all numbers, which count for those that are no inputs.
+        sensors: Whether readings are those of the study's sensors, or ideal.
     """
-    fixed = quiet_values(study) if quiet else median_values(study)
-    sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
+    channel_sensors = study.loop.sensor if sensors else (IDEAL,) * len(study.loop.channels)
 
     require_steps_in_any_order(study, "the prediction of a logged flight")
 
     def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
-        loop = replace(study.loop, settled=None, sensor=sensors, controller=tuple(controllers))
+        loop = replace(study.loop, settled=None, sensor=channel_sensors, controller=tuple(controllers))
         params = study.params({**fixed, **dict(zip(names, values, strict=True))})
         key = draw_key(study.config.seed, index)
         advance = held_between_samples(loop, params)
@@ -109,7 +117,7 @@ def prediction(
     """
     if len(study.loop.channels) > 1:
         return prediction_by_lanes(study, names, samples, presets)
-    outputs = simulated_outputs(study, names, samples, quiet=True)
+    outputs = simulated_outputs(study, names, samples, quiet_values(study), sensors=False)
 
     def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
         def slope(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -139,7 +147,7 @@ def prediction_by_lanes(
     """
     preset = [math.nan] * len(names) + list(presets.values())
     names = (*names, *presets)
-    outputs = simulated_outputs(study, names, samples, quiet=True)
+    outputs = simulated_outputs(study, names, samples, quiet_values(study), sensors=False)
     programs: dict[bytes, Start] = {}
 
     def program(commands: np.ndarray) -> Start:
@@ -169,23 +177,68 @@ def prediction_by_lanes(
     return predict
 
 
-def study_noise(
-    study: Study, names: Sequence[str], values: np.ndarray, commands: np.ndarray, replicates: int
-) -> np.ndarray:
-    """Outputs with sensors, random disturbances and winds less those without, shape (replicates, channels, samples)."""
-    samples = commands.shape[1]
-    quiet = simulated_outputs(study, names, samples, quiet=True)
-    noisy = simulated_outputs(study, names, samples, quiet=False)
+def declares_noise(study: Study) -> bool:
+    """Whether a study has random disturbances or winds."""
+    return quiet_values(study) != median_values(study)
 
-    def lane(lane_values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
-        numbers = [lane_values[name] for name in names]
-        logged = jnp.asarray(commands)
-        return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
 
-    with arithmetic(study.config.loop.precision):
-        columns = {name: np.full(replicates, value) for name, value in zip(names, values, strict=True)}
-        start = kernels.compiled(kernels.requested_form(), lane, list(names), replicates, None, None)
-        results, _ = start(columns, np.arange(replicates, dtype=np.uint32))()
-    channels = len(study.loop.channels)
-    readings = np.stack([np.asarray(result, float) for result in results], axis=1)
-    return readings[:, :channels] - readings[:, channels:]
+class NoiseProgram:
+    """Outputs with random disturbances and winds less those without, compiled for the commands of a log.
+
+    Args:
+        study: The study, without a sweep.
+        names: The numbers.
+        commands: The commands, shape (channels, samples).
+        sensors: Whether the outputs have the noise of the sensors, too.
+    """
+
+    def __init__(self, study: Study, names: Sequence[str], commands: np.ndarray, sensors: bool) -> None:
+        samples = commands.shape[1]
+        self.study = study
+        self.names = names
+        quiet = simulated_outputs(study, names, samples, quiet_values(study), sensors=False)
+        noisy = simulated_outputs(study, names, samples, median_values(study), sensors)
+
+        def lane(lane_values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
+            numbers = [lane_values[name] for name in names]
+            logged = jnp.asarray(commands)
+            return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
+
+        with arithmetic(study.config.loop.precision):
+            self.start = kernels.compiled(kernels.requested_form(), lane, list(names), 1, None, None)
+
+    def simulate(self, values: np.ndarray, replicates: int) -> np.ndarray:
+        """The noise at values of the numbers, shape (replicates, channels, samples)."""
+        with arithmetic(self.study.config.loop.precision):
+            columns = {name: np.full(replicates, value) for name, value in zip(self.names, values, strict=True)}
+            results, _ = self.start(columns, np.arange(replicates, dtype=np.uint32))()
+        channels = len(self.study.loop.channels)
+        readings = np.stack([np.asarray(result, float) for result in results], axis=1)
+        return readings[:, :channels] - readings[:, channels:]
+
+
+class DisturbanceNoise:
+    """What random disturbances and winds add to the outputs of a log.
+
+    Fits of the log with signals at other times share the program, because such a shift hardly changes the noise.
+    """
+
+    def __init__(self) -> None:
+        self.program: NoiseProgram | None = None
+
+    def simulate(
+        self, study: Study, names: Sequence[str], values: np.ndarray, commands: np.ndarray
+    ) -> np.ndarray | None:
+        """Simulations of the noise, shape (replicates, channels, samples); None: the study has none.
+
+        Args:
+            study: The study.
+            names: The numbers.
+            values: Their values, shape (n,).
+            commands: The commands, shape (channels, samples).
+        """
+        if not declares_noise(study):
+            return None
+        if self.program is None:
+            self.program = NoiseProgram(study, names, commands, sensors=False)
+        return self.program.simulate(values, REPLICATES)

@@ -15,7 +15,7 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import MinimumSearch
-from dssc_jax.flight_logs.fit.prediction import study_noise
+from dssc_jax.flight_logs.fit.prediction import NoiseProgram
 from dssc_jax.flight_logs.hints.conversions import likeness_text
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
@@ -139,9 +139,8 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
         results.append(explain_channel(readings, noise, columns[:, 0]))
     if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.is_doubtful for result in results):
         return results
-    simulated_noise = study_noise(
-        problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES
-    )
+    program = NoiseProgram(problem.study, problem.names, problem.log.commands, sensors=True)
+    simulated_noise = program.simulate(problem.values(x), NOISE_REPLICATES)
     for place, readings in enumerate(problem.readings):
         added_noise = readings.interpolate(simulated_noise[:, readings.channel])
         replicate_rms = np.sqrt(np.mean(added_noise**2, axis=-1))

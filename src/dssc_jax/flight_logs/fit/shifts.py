@@ -51,7 +51,7 @@ class Delay(NamedTuple):
         channels: Positions of the channels that are shifted.
         time: How much later they are than predicted [s].
         deviation: Standard deviation of the time [s].
-        p_value: Probability of as large a gain of the likelihood without a delay.
+        p_value: Largest probability, without a delay, of as large a gain of the likelihood by one of the shifts.
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
         values: The numbers with the shift.
         unshifted: Root mean squares of the residuals of the shifted channels without the shift.
@@ -133,7 +133,8 @@ def fitted_delay(
     unshifted_problem = shifts.at((), 0)
     unshifted_end = reweighted_minimum(unshifted_problem, unshifted_end)
     gain = 2.0 * (log_likelihood(shifted_problem, end.x) - log_likelihood(unshifted_problem, unshifted_end.x))
-    p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
+    compared = 2 * margin + 1
+    p_value = min(1.0, compared * float(stats.chi2.sf(max(gain, 0.0), 1)))
     distance, deviation = refinement(shifts, end, channels, shift, margin)
     deviations = np.sqrt(np.diag(np.linalg.pinv(unshifted_end.equations.information)))
     relative_moves = (end.x - unshifted_end.x) / np.maximum(deviations, TINY)
