@@ -236,10 +236,11 @@ class FitProblem:
         """
         medians = np.zeros(len(self.names))
         simulated = self.disturbances.simulate(self.study, self.names, self.values(medians), self.log.commands)
-        for row, readings in enumerate(self.readings if simulated is not None else ()):
-            declared = declared_noise(
-                readings.times, readings.interpolate(simulated[:, readings.channel]), readings.sensor
-            )
+        if simulated is None:
+            return
+        for row, readings in enumerate(self.readings):
+            disturbed = readings.interpolate(simulated[:, readings.channel])
+            declared = declared_noise(readings.times, disturbed, readings.sensor)
             if declared is not None:
                 self.noises[row], self.variances[row] = declared
 
