@@ -39,6 +39,7 @@ PARTS = (
     "What it leaves open comes from",
     "newtons in place of kilograms-force",
     "each in standard deviations of its law",
+    "that grows with the square of the speed",
 )
 
 

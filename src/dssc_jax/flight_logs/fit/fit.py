@@ -32,6 +32,7 @@ from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
+from dssc_jax.flight_logs.fit.missing_forces import force_doubts
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import RANDOM, Prediction, prediction
@@ -305,6 +306,7 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
+    doubts_of_forces = () if doubts_of_delays else force_doubts(problem, search.best, np.sqrt(np.diag(covariance)))
     doubts_of_outliers = outlier_doubts(problem, x)
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
@@ -336,6 +338,7 @@ def fitted_minimum(
             *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *doubts_of_delays,
+            *doubts_of_forces,
             *held_doubts(problem.log),
             *doubts_of_commands,
             *wind_doubts(study),

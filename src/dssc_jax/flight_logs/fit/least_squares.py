@@ -215,19 +215,25 @@ class FitProblem:
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
         """The search for the noise of each channel's residual at coordinates."""
         simulated = self.disturbances.simulate(self.study, self.names, self.values(x), self.log.commands)
-        searches = []
-        for readings, noise, columns in zip(self.readings, self.noises, self.columns(x), strict=True):
-            disturbed = None if simulated is None else readings.interpolate(simulated[:, readings.channel])
-            search = NoiseSearch(
-                readings.times,
-                columns,
-                readings.floor,
-                readings.sensor,
-                disturbed,
-                only_simulated=self.is_shifted and isinstance(noise, SimulatedNoise),
-            )
-            searches.append(search)
-        return searches
+        return [self.noise_search(row, columns, simulated) for row, columns in enumerate(self.columns(x))]
+
+    def noise_search(self, row: int, columns: np.ndarray, simulated: np.ndarray | None) -> NoiseSearch:
+        """The search for the noise of a residual.
+
+        Args:
+            row: Position of its readings.
+            columns: Residual and slopes, shape (n, 1 + p).
+            simulated: Simulations of random disturbances, shape (replicates, channels, samples); None: there are none.
+        """
+        readings = self.readings[row]
+        return NoiseSearch(
+            readings.times,
+            columns,
+            readings.floor,
+            readings.sensor,
+            None if simulated is None else readings.interpolate(simulated[:, readings.channel]),
+            only_simulated=self.is_shifted and isinstance(self.noises[row], SimulatedNoise),
+        )
 
     def weight_as_declared(self) -> None:
         """Replace the noises by those that the study declares, at the medians of the laws; white ones stay without any.

@@ -15,10 +15,11 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import MinimumSearch
-from dssc_jax.flight_logs.fit.prediction import NoiseProgram
+from dssc_jax.flight_logs.fit.prediction import NoiseProgram, declares_noise
 from dssc_jax.flight_logs.hints.conversions import likeness_text
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
+from dssc_jax.study import Study
 
 MOST_UNEXPLAINED = 0.1  # share of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
@@ -234,6 +235,16 @@ def require_explained(channel: str, unit: str, result: Explained, hint: str = ""
     )
 
 
+def strength_hint(study: Study) -> str:
+    """That a flight in strong gusts may be refused although the study declares gusts; empty if it declares none."""
+    if not declares_noise(study):
+        return ""
+    return (
+        ". The study's random disturbances are part of that noise. They exceed what is accepted in at most one of 20 "
+        "flights, so this one may have met stronger ones: give their strength (std, turbulence) a larger value"
+    )
+
+
 def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> None:
     """Require that the residuals at coordinates can be noise.
 
@@ -249,7 +260,7 @@ def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
         if result.least_unexplained > MOST_UNEXPLAINED:
             channel = problem.study.loop.channels[readings.channel]
             unit = problem.study.units[readings.channel].output
-            require_explained(channel, unit, result, conversion_hint(problem, x, place))
+            require_explained(channel, unit, result, conversion_hint(problem, x, place) + strength_hint(problem.study))
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
