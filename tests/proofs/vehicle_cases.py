@@ -1,5 +1,6 @@
 """A problem of the whole vehicle for the tests of proofs."""
 
+from dssc_jax.proofs.problem import NominalControl
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 HOVER = 9.81
@@ -56,5 +57,8 @@ def problem(rotor_lag=0.0, delay=0.0):
 
 def vehicle_problem_from(content):
     """The search's problem from the content of a certificate."""
-    channels = {name: ChannelProblem(**channel) for name, channel in content["channels"].items()}
+    channels = {}
+    for name, channel in content["channels"].items():
+        nominal = NominalControl(*channel["nominal"]) if channel["nominal"] else None
+        channels[name] = ChannelProblem(**{**channel, "nominal": nominal})
     return VehicleProblem(**{**content, "channels": channels})
