@@ -124,6 +124,8 @@ def test_references_of_other_channels_and_times():
     edge = pulses.copy()
     edge[100] = 1.0 - edge[100]
     assert reference_shift(edge, pulses) == 0  # and not a period
+    lost = np.concatenate([pulses[:150], pulses[155:], pulses[:5]])
+    assert reference_shift(lost, pulses) == 0  # rows are lost, and the beginning agrees with one period later, too
     assert reference_shift((TIME > 2.0).astype(float), (TIME > 2.0 - 2.0 * DT).astype(float)) == 2  # of a single edge
 
 

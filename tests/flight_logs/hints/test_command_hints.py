@@ -111,3 +111,16 @@ def test_a_command_of_a_faster_controller_is_told(sample_time, is_told):
         text = rate_hint(command, sample_time)
         assert text.startswith("changes every 0.02 s") == is_told
     assert rate_hint(Column(times, np.ones(len(times))), 0.1) == ""
+
+
+def test_single_commands_that_the_controller_did_not_give_are_told():
+    replayed = command()
+    logged = replayed + 1e-4 * np.random.default_rng(1).normal(size=500)
+    logged[[120, 300]] += [50.0, -20.0]
+    text = command_hint(logged, replayed, DT, "N")
+    assert text.startswith(
+        "has single values that the analysed controller does not give, at 2.4 s and 6 s of the study"
+    )
+    kick = replayed.copy()
+    kick[120] += 50.0
+    assert "single values" not in command_hint(kick, 0.9 * kick, DT, "N")  # of a jump that both answer

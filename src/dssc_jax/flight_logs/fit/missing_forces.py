@@ -61,6 +61,8 @@ def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) 
         size = PROBE * float(np.sqrt(np.mean(commands**2))) / max(float(np.sqrt(np.mean(course**2))), TINY)
         (probed,) = problem.columns(minimum.x, commands + size * course)
         effect = columns[:, 0] - probed[:, 0]
+        if not np.isfinite(effect).all():
+            continue
         p_value, moves = effect_of_force(problem, columns, effect, simulated)
         is_large = np.max(np.abs(moves[problem.fitted]) / deviations) > LARGE_MOVE
         if is_large and p_value < likeliest[0]:

@@ -23,6 +23,8 @@ FASTER = 0.75  # share of T_s: commands that change more often are those of a fa
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
 LEAST_STUCK = 5  # equal samples in a row of a command that sticks
 STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
+MOST_SPIKES = 3  # single values of a log that are told
+MUCH_LARGER = 5.0  # factor on the jump of the replay: a larger one of the log is that of a spike
 MOST_SPANS = 3  # in which a command sticks
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 
@@ -92,6 +94,15 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     difference = rms(logged - replayed)
     if difference <= ROUNDING * rms(logged):
         return ""
+    spikes = spike_rows(logged, replayed)
+    if spikes:
+        times = " and ".join(f"{row * sample_time:.4g} s" for row in spikes)
+        largest = max(abs(float(logged[row] - replayed[row])) for row in spikes)
+        return (
+            f"has single values that the analysed controller does not give, at {times} of the study, up to "
+            f"{largest:.4g} {unit} beside it: spikes of the log. A fit takes them for what the vehicle got: leave them "
+            "out of the log"
+        )
     hold = usual_hold(logged)
     spans = stuck_spans(logged, replayed) if hold == 1 else []
     if spans:
@@ -129,6 +140,31 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
     return ""
+
+
+def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:
+    """The samples of a few single values that make nearly all of the difference to the replay; none if it has others.
+
+    A spike is one in the logged command alone. A controller that answers a jump has one in the replay, too.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
+    """
+    differences = np.nan_to_num(np.abs(logged - replayed))
+    squares = (differences / differences.max()) ** 2
+    largest = np.sort(np.argsort(squares)[-MOST_SPIKES:])
+    if np.sum(squares) - np.sum(squares[largest]) > EXPLAINED**2 * np.sum(squares):
+        return []
+    rows = []
+    for row in largest[squares[largest] > EXPLAINED**2].tolist():
+        if not 0 < row < len(logged) - 1:
+            return []
+        jumps = [abs(values[row] - 0.5 * (values[row - 1] + values[row + 1])) for values in (logged, replayed)]
+        if not jumps[0] > MUCH_LARGER * jumps[1]:
+            return []
+        rows.append(row)
+    return rows
 
 
 def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int]]:

@@ -300,13 +300,14 @@ def is_same_reference(logged: np.ndarray, reference: np.ndarray) -> bool:
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
 
-    Of several shifts the smallest counts.
+    Of several shifts the smallest counts, and none above half of the reference's period.
     """
     variation = rms(reference - np.mean(reference))
     if variation == 0.0 or is_same_reference(logged, reference):
         return 0
     samples = len(reference)
-    for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
+    longest = min(samples // 2, MOST_PRODUCTS // samples)
+    for shift in range(1, min(longest, period_of(reference, longest) // 2) + 1):
         for shifted, original, result in (
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
@@ -315,6 +316,23 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
             if has_variation and rms(shifted - original) <= SAME_REFERENCE * variation:
                 return result
     return 0
+
+
+def period_of(reference: np.ndarray, longest: int) -> int:
+    """The period of a reference in samples: the least shift that agrees with it beyond shorter ones that do not.
+
+    Args:
+        reference: The reference, shape (samples,).
+        longest: The longest period that is sought; twice as much is returned if there is none.
+    """
+    largest_difference = SAME_REFERENCE * rms(reference - np.mean(reference))
+    has_differed = False
+    for shift in range(1, longest + 1):
+        agrees = rms(reference[shift:] - reference[:-shift]) <= largest_difference
+        if agrees and has_differed:
+            return shift
+        has_differed |= not agrees
+    return 2 * longest
 
 
 def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
