@@ -153,26 +153,19 @@ NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = 
 """Kinds of correlated noise: the noise at a point of scores, and the number of scores."""
 
 
-def simulated_noise(declared: SimulatedNoise, point: np.ndarray, scale: TimeScale) -> Noise:
-    """The declared noise with another share: at a score of the law of logit c, whose mean is the declared one.
+def noise_of_share(simulated: SimulatedNoise, point: np.ndarray, scale: TimeScale) -> Noise:
+    """A simulated noise with another share: at a score of the law of logit c, whose mean is the simulated one.
 
     Args:
-        declared: The declared noise.
+        simulated: The noise of simulations.
         point: The score, shape (1,).
         scale: The time scale, on which a simulated shape does not depend.
     """
-    return declared._replace(share=sigmoid(logit(declared.share) + SHARE_WIDTH * point[0]))
+    return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * point[0]))
 
 
-class DeclaredNoise(NamedTuple):
-    """The noise of simulations, and its variance."""
-
-    noise: SimulatedNoise
-    variance: float
-
-
-def declared_noise(times: np.ndarray, simulated: np.ndarray, white: float) -> DeclaredNoise | None:
-    """The noise of simulated disturbances beside white noise; None if they are 0 or not finite.
+def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
+    """The noise of simulated disturbances beside white noise, and its variance; None if they are 0 or not finite.
 
     Args:
         times: Times of the readings [s], shape (n,).
@@ -184,7 +177,7 @@ def declared_noise(times: np.ndarray, simulated: np.ndarray, white: float) -> De
         return None
     disturbance = float(np.mean(np.square(simulated)))
     share = sigmoid(logit(disturbance / (disturbance + white)))
-    return DeclaredNoise(SimulatedNoise(share, shape), disturbance + white)
+    return SimulatedNoise(share, shape), disturbance + white
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
@@ -273,9 +266,9 @@ class NoiseSearch:
         self.white = fit_noise(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
         self.kinds = NOISE_KINDS
-        declared = None if simulated is None else declared_noise(self.times, simulated, least_white)
-        if declared is not None:
-            simulated_kind = (partial(simulated_noise, declared.noise), 1)
+        disturbance = None if simulated is None else noise_of_simulations(times, simulated, least_white)
+        if disturbance is not None:
+            simulated_kind = (partial(noise_of_share, disturbance[0]), 1)
             self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
         if self.white.variance <= ROUNDING_VARIANCE * floor:
             self.kinds = ()

@@ -170,27 +170,29 @@ def largest_jump(command: np.ndarray) -> float:
 
 def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
     """The doubts about outputs that are held or interpolated, commands with large changes, and gaps in the log."""
+    texts = (
+        (
+            log.slow,
+            "is held for {:.3g} s at a time, and is taken where it changes. Leave repeated cells empty, or log the time "
+            "of each measurement",
+        ),
+        (
+            log.interpolated,
+            "is a straight line from one reading to the next, {:.3g} s apart: the log was interpolated, and one value "
+            "for each reading is taken. Log the readings alone, with the time of each measurement, and leave other cells "
+            "empty",
+        ),
+        (
+            log.jumps,
+            "changes by {:.3g} where the log lacks it, and the moment of the change is not known: estimates of lags, "
+            "delays, masses and gains may be wrong by more than their intervals. Log every command, with a time stamp "
+            "of its own",
+        ),
+    )
     doubts = []
-    for name, interval in log.slow.items():
-        text = (
-            f"{name} is held for {interval:.3g} s at a time, and is taken where it changes. Leave repeated cells "
-            "empty, or log the time of each measurement"
-        )
-        doubts.append(Doubt(name, text))
-    for name, interval in log.interpolated.items():
-        text = (
-            f"{name} is a straight line from one reading to the next, {interval:.3g} s apart: the log was "
-            "interpolated, and one value for each reading is taken. Log the readings alone, with the time of each "
-            "measurement, and leave other cells empty"
-        )
-        doubts.append(Doubt(name, text))
-    for name, jump in log.jumps.items():
-        text = (
-            f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
-            "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
-            "with a time stamp of its own"
-        )
-        doubts.append(Doubt(name, text))
+    for sizes, text in texts:
+        for name, size in sizes.items():
+            doubts.append(Doubt(name, f"{name} {text.format(size)}"))
     if log.gaps:
         names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
         longest = max(gap.end - gap.begin for gap in log.gaps)

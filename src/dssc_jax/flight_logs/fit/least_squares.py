@@ -18,7 +18,7 @@ from dssc_jax.flight_logs.fit.prediction import DisturbanceNoise, Prediction
 from dssc_jax.flight_logs.fit.sampled_log import SampledLog
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
-from dssc_jax.statistics.noise_posterior import NoisePosterior, NoiseSearch, declared_noise
+from dssc_jax.statistics.noise_posterior import NoisePosterior, NoiseSearch, noise_of_simulations
 from dssc_jax.statistics.simulated_noise import SimulatedNoise
 from dssc_jax.study import Law, Study
 
@@ -246,7 +246,7 @@ class FitProblem:
             return
         for row, readings in enumerate(self.readings):
             disturbed = readings.interpolate(simulated[:, readings.channel])
-            declared = declared_noise(readings.times, disturbed, readings.sensor)
+            declared = noise_of_simulations(readings.times, disturbed, readings.sensor)
             if declared is not None:
                 self.noises[row], self.variances[row] = declared
 

@@ -5,8 +5,8 @@ joins the least squares as one more number, and the gain of the likelihood tells
 """
 
 import math
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -14,8 +14,10 @@ from scipy import stats
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refusals import Doubt, signal_and_unit
-from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE, linear_cost
-from dssc_jax.statistics.correlated_noise import Noise, weighted_products
+from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE, likelihood_of_cost, linear_cost
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.statistics.correlated_noise import weighted_products
+from dssc_jax.statistics.noise_posterior import NoiseSearch
 
 PROBE = 1e-3  # root mean square of the probing force, as a share of that of the command
 REST = 1e-2  # share of the largest speed below which friction passes through 0
@@ -31,12 +33,36 @@ def friction(speed: np.ndarray) -> np.ndarray:
     return -speed / np.hypot(speed, REST * float(np.abs(speed).max()) + TINY)
 
 
-FORCES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = MappingProxyType(
-    {
-        "that grows with the square of the speed (drag)": quadratic_drag,
-        "of constant size against it (friction)": friction,
-    }
+class Force(NamedTuple):
+    """A force against the speed.
+
+    Args:
+        words: What it is, in words.
+        course: The course of the force over the speed, shape (n,) to (n,); its size does not matter.
+    """
+
+    words: str
+    course: Callable[[np.ndarray], np.ndarray]
+
+
+FORCES = (
+    Force("that grows with the square of the speed (drag)", quadratic_drag),
+    Force("of constant size against it (friction)", friction),
 )
+
+
+class ForceEffect(NamedTuple):
+    """What a fit with a force says.
+
+    Args:
+        force: The force.
+        p_value: Largest probability of as large a gain of the likelihood by one of the forces, if there is none.
+        moves: How far the force moves the coordinates, shape (p,).
+    """
+
+    force: Force
+    p_value: float
+    moves: np.ndarray
 
 
 def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) -> tuple[Doubt, ...]:
@@ -49,75 +75,73 @@ def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) 
     """
     if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1:
         return ()
+    certain = []
+    for effect in force_effects(problem, minimum):
+        largest_move = float(np.max(np.abs(effect.moves[problem.fitted]) / deviations))
+        if effect.p_value < SIGNIFICANCE and largest_move > LARGE_MOVE:
+            certain.append(effect)
+    if not certain:
+        return ()
+    effect = min(certain, key=lambda effect: effect.p_value)
+    place = problem.fitted[int(np.argmax(np.abs(effect.moves[problem.fitted]) / deviations))]
+    better = problem.values(minimum.x + effect.moves)[place]
+    signal, _ = signal_and_unit(problem, 0)
+    text = (
+        f"a force against the speed {effect.force.words}, which the study lacks, would explain part of the residual of "
+        f"{signal} (p = {effect.p_value:.1g}): with it, {problem.names[place]} is about {better:.4g} in place of "
+        f"{problem.values(minimum.x)[place]:.4g}. Estimates are wrong by more than their intervals. Give the plant "
+        "that force (docs/extending.md), or fly at the speeds that count"
+    )
+    return (Doubt(signal, text),)
+
+
+def force_effects(problem: FitProblem, minimum: Minimum) -> list[ForceEffect]:
+    """The effects of all forces on a fit; without those whose simulated output is not finite.
+
+    Args:
+        problem: The problem of one channel, with the noise of the minimum.
+        minimum: The minimum.
+    """
     commands = problem.log.commands
     values = problem.values(minimum.x)
     simulated = problem.disturbances.simulate(problem.study, problem.names, values, commands)
     predicted, _ = problem.predict(values, commands)
     speed = np.gradient(predicted[0], problem.study.loop.sample_time)
     (columns,) = problem.columns(minimum.x)
-    likeliest: tuple[float, str, np.ndarray] = (SIGNIFICANCE, "", np.zeros(0))
-    for name, course_of in FORCES.items():
-        course = course_of(speed)
-        size = PROBE * float(np.sqrt(np.mean(commands**2))) / max(float(np.sqrt(np.mean(course**2))), TINY)
+    effects = []
+    for force in FORCES:
+        course = force.course(speed)
+        size = PROBE * rms(commands) / max(rms(course), TINY)
         (probed,) = problem.columns(minimum.x, commands + size * course)
-        effect = columns[:, 0] - probed[:, 0]
-        if not np.isfinite(effect).all():
-            continue
-        p_value, moves = effect_of_force(problem, columns, effect, simulated)
-        is_large = np.max(np.abs(moves[problem.fitted]) / deviations) > LARGE_MOVE
-        if is_large and p_value < likeliest[0]:
-            likeliest = (p_value, name, moves)
-    p_value, name, moves = likeliest
-    if not name:
-        return ()
-    largest = problem.fitted[int(np.argmax(np.abs(moves[problem.fitted]) / deviations))]
-    number = problem.names[largest]
-    better = problem.values(minimum.x + moves)[largest]
-    signal, _ = signal_and_unit(problem, 0)
-    text = (
-        f"a force against the speed {name}, which the study lacks, would explain part of the residual of {signal} "
-        f"(p = {p_value:.1g}): with it, {number} is about {better:.4g} in place of "
-        f"{values[largest]:.4g}. Estimates are wrong by more than their intervals. Give the plant "
-        "that force (docs/extending.md), or fly at the speeds that count"
-    )
-    return (Doubt(signal, text),)
+        response = columns[:, 0] - probed[:, 0]
+        if np.isfinite(response).all():
+            extended = np.column_stack([columns, response / max(rms(response), TINY)])
+            search = problem.noise_search(0, extended, simulated)
+            effects.append(effect_of(force, problem, columns, extended, search))
+    return effects
 
 
-def effect_of_force(
-    problem: FitProblem, columns: np.ndarray, effect: np.ndarray, simulated: np.ndarray | None
-) -> tuple[float, np.ndarray]:
-    """Least squares with the effect of a force on the output as one more number.
+def effect_of(
+    force: Force, problem: FitProblem, columns: np.ndarray, extended: np.ndarray, search: NoiseSearch
+) -> ForceEffect:
+    """Least squares with the response to a force as one more number.
 
     Either least squares has the noise of its residual: without the force, correlated noise takes its place.
 
     Args:
-        problem: The problem, with the noise of its minimum.
+        force: The force.
+        problem: The problem of one channel, with the noise of its minimum.
         columns: Residual and slopes at the minimum, shape (n, 1 + p).
-        effect: Effect of the force on the output, shape (n,).
-        simulated: Simulations of random disturbances, shape (replicates, channels, samples); None: there are none.
-
-    Returns:
-        - Largest probability of as large a gain of the likelihood by one of the forces, if there is none.
-        - Moves of the coordinates, shape (p,).
+        extended: The same with the response of the output to the force, shape (n, 2 + p).
+        search: The search for the noise of the residual with the force.
     """
-    extended = np.column_stack([columns, effect / max(float(np.sqrt(np.mean(effect**2))), TINY)])
-    noise, fit = problem.noise_search(0, extended, simulated).likeliest()
-    times = problem.readings[0].times
-    gain = 2.0 * (log_likelihood(noise, times, extended) - log_likelihood(problem.noises[0], times, columns))
+    (readings,) = problem.readings
+    noise, fit = search.likeliest()
+    products, log_det = weighted_products(noise, readings.times, extended)
+    products_without, log_det_without = weighted_products(problem.noises[0], readings.times, columns)
+    likelihood = likelihood_of_cost(readings, linear_cost(products), log_det)
+    gain = 2.0 * (likelihood - likelihood_of_cost(readings, linear_cost(products_without), log_det_without))
     p_value = len(FORCES) * float(stats.chi2.sf(max(gain, 0.0), 1))
-    products = weighted_products(noise, times, extended)[0] / fit.variance
-    information = products[1:, 1:] + np.diag(np.append(problem.prior, 0.0))
-    steps = np.linalg.lstsq(information, products[1:, 0], rcond=None)[0]
-    return (min(1.0, p_value) if math.isfinite(p_value) else 1.0), steps[:-1]
-
-
-def log_likelihood(noise: Noise, times: np.ndarray, columns: np.ndarray) -> float:
-    """Logarithm of the likelihood of a residual at the best numbers and the likeliest variance of its noise.
-
-    Args:
-        noise: The noise.
-        times: Times of the readings [s], shape (n,).
-        columns: Residual and slopes, shape (n, 1 + p).
-    """
-    products, log_det = weighted_products(noise, times, columns)
-    return -0.5 * (log_det + len(times) * math.log(max(linear_cost(products), TINY)))
+    information = products[1:, 1:] / fit.variance + np.diag(np.append(problem.prior, 0.0))
+    moves = np.linalg.lstsq(information, products[1:, 0] / fit.variance, rcond=None)[0][:-1]
+    return ForceEffect(force, min(1.0, p_value) if math.isfinite(p_value) else 1.0, moves)

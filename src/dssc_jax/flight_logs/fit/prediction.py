@@ -205,10 +205,15 @@ class NoiseProgram:
             return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
 
         with arithmetic(study.config.loop.precision):
-            self.start = kernels.compiled(kernels.requested_form(), lane, list(names), 1, None, None)
+            self.start = kernels.compiled(kernels.requested_form(), lane, list(names), REPLICATES, None, None)
 
     def simulate(self, values: np.ndarray, replicates: int) -> np.ndarray:
-        """The noise at values of the numbers, shape (replicates, channels, samples)."""
+        """The noise at values of the numbers, shape (replicates, channels, samples).
+
+        Args:
+            values: The values, shape (n,).
+            replicates: Number of simulations, at most :data:`REPLICATES`.
+        """
         with arithmetic(self.study.config.loop.precision):
             columns = {name: np.full(replicates, value) for name, value in zip(self.names, values, strict=True)}
             results, _ = self.start(columns, np.arange(replicates, dtype=np.uint32))()

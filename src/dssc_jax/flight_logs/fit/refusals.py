@@ -240,8 +240,8 @@ def strength_hint(study: Study) -> str:
     if not declares_noise(study):
         return ""
     return (
-        ". The study's random disturbances are part of that noise. They exceed what is accepted in at most one of 20 "
-        "flights, so this one may have met stronger ones: give their strength (std, turbulence) a larger value"
+        ". The study's random disturbances are part of that noise. They exceed what is accepted in about one of 20 "
+        "flights at most, so this one may have met stronger ones: give their strength (std, turbulence) a larger value"
     )
 
 

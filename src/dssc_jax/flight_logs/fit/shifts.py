@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, Readings
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise, reweighted_minimum
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
 
@@ -185,9 +185,20 @@ def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
     total = 0.0
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         products, log_det = weighted_products(noise, readings.times, columns[:, :1])
-        count = len(readings.times)
-        total -= 0.5 * (log_det + count * math.log(max(float(products[0, 0]), readings.floor * count, TINY)))
+        total += likelihood_of_cost(readings, float(products[0, 0]), log_det)
     return total
+
+
+def likelihood_of_cost(readings: Readings, cost: float, log_det: float) -> float:
+    """Logarithm of the likelihood of a channel's readings at the likeliest variance of their noise.
+
+    Args:
+        readings: The readings.
+        cost: Weighted sum of squares of the residual under noise of unit variance.
+        log_det: Logarithm of the determinant of the covariance of that noise.
+    """
+    count = len(readings.times)
+    return -0.5 * (log_det + count * math.log(max(cost, readings.floor * count, TINY)))
 
 
 def refinement(shifts: Shifts, end: Minimum, channels: Sequence[int], shift: int, margin: int) -> tuple[float, float]:

@@ -160,11 +160,15 @@ def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:
     for row in largest[squares[largest] > EXPLAINED**2].tolist():
         if not 0 < row < len(logged) - 1:
             return []
-        jumps = [abs(values[row] - 0.5 * (values[row - 1] + values[row + 1])) for values in (logged, replayed)]
-        if not jumps[0] > MUCH_LARGER * jumps[1]:
+        if not jump_at(logged, row) > MUCH_LARGER * jump_at(replayed, row):
             return []
         rows.append(row)
     return rows
+
+
+def jump_at(values: np.ndarray, row: int) -> float:
+    """How far a value is from the middle between its neighbours."""
+    return abs(float(values[row] - 0.5 * (values[row - 1] + values[row + 1])))
 
 
 def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int]]:

@@ -53,15 +53,17 @@ CONVERSIONS = (
     Conversion(1000.0, "times 1000", "m", "millimetres in place of metres"),
     Conversion(0.01, "times 0.01"),
     Conversion(0.001, "times 0.001"),
-    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians", True),
-    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees", True),
-    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres", True),
-    Conversion(1.0 / GRAVITY, "times 0.102", "N", "kilograms-force in place of newtons", True),
-    Conversion(1000.0 / GRAVITY, "times 102", "N", "grams-force in place of newtons", True),
+    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians", restricted=True),
+    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees", restricted=True),
+    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres", restricted=True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "N", "kilograms-force in place of newtons", restricted=True),
+    Conversion(1000.0 / GRAVITY, "times 102", "N", "grams-force in place of newtons", restricted=True),
     Conversion(GRAVITY, "times 9.807", "N", restricted=True),
-    Conversion(1.0 / GRAVITY, "times 0.102", "m/s^2", "multiples of g in place of m/s^2", True),
+    Conversion(1.0 / GRAVITY, "times 0.102", "m/s^2", "multiples of g in place of m/s^2", restricted=True),
     Conversion(GRAVITY, "times 9.807", "m/s^2", restricted=True),
-    Conversion(GRAVITY, "times 9.807", "1", "newtons in place of kilograms-force, or m/s^2 in place of g", True),
+    Conversion(
+        GRAVITY, "times 9.807", "1", "newtons in place of kilograms-force, or m/s^2 in place of g", restricted=True
+    ),
 )
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
@@ -181,12 +183,14 @@ def likeness_text(
         unit: Unit of the output.
     """
     pairs = delayed_pairs(logged, expected[index])
-    multiple = conversion_text(logged, expected[index], PREDICTED, unit, min(rms(late - own) for late, own in pairs))
+    multiple = conversion_text(
+        logged, expected[index], PREDICTED, unit, min(rms(late - output) for late, output in pairs)
+    )
     if multiple:
         return f"looks like the study's {multiple}"
-    itself = min(rms(late - line_through(own, late)) for late, own in pairs)
+    least_by_channel = min(rms(late - line_through(output, late)) for late, output in pairs)
     deviation = rms(logged - line_through(np.arange(len(logged), dtype=float), logged))
-    smallest_distance = min(ALIKE * deviation, FEWER * itself)
+    smallest_distance = min(ALIKE * deviation, FEWER * least_by_channel)
     text = ""
     for channel, output in enumerate(expected):
         distance = rms(logged - output)
