@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import linalg, optimize, stats
 
-from benchmarks.gust_fit import gust_flight, gust_study
+from benchmarks.gust_fit import SAMPLES, gust_flight, gust_study
 from dssc_jax.flight_logs.fit.declared_noise import larger_covariance
 from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.fit.prediction import REPLICATES, NoiseProgram
 from tests.flight_logs.fit.test_fit import DT, linear, log_of, output
 
 STD = 0.1
@@ -73,3 +74,62 @@ def test_the_shape_of_a_declared_gust_weights_flights_whose_commands_answer_it()
         deviations.append(fitted.deviations[fitted.names.index("plant.k_p")])
     assert stats.chi2.sf(np.sum(np.square(scores)), len(scores)) > 1e-3
     assert max(deviations) < 0.08
+
+
+def test_plain_xla_simulates_the_same_noise(monkeypatch):
+    """As many simulations as a batch holds, with the same keys."""
+    study = gust_study()
+    log, _ = gust_flight(0)
+    names = tuple(study.laws)
+    commands = log.columns["u_total"].value[None, :60]
+    values = np.array([1.0, 1.0, 0.2])
+    simulations = []
+    for form in ("lanes", "scan"):
+        monkeypatch.setenv("DSSC_JAX_KERNEL", form)
+        program = NoiseProgram(study, names, commands, sensors=False)
+        simulations.append(program.simulate(values, REPLICATES))
+    assert simulations[0].shape == (REPLICATES, 1, 60)
+    assert np.std(simulations[0][:, 0, -1]) > 1e-2
+    np.testing.assert_allclose(simulations[1], simulations[0], rtol=1e-9, atol=1e-12)
+
+
+def dense_estimates(log, rows):
+    """The likeliest log k_p, a_p and force for readings at some rows: the gust's covariance in full, its size known."""
+    y = log.columns["y"].value[rows]
+    u = log.columns["u_total"].value
+    lags = DT * np.abs(np.subtract.outer(np.arange(SAMPLES), np.arange(SAMPLES)))
+    gust_covariance = 4.0 * STD**2 * np.exp(-lags / CORRELATION_TIME)
+
+    def cost(numbers):
+        log_k_p, a_p, force = numbers
+        held = linalg.expm(DT * np.array([[0.0, 1.0, 0.0], [0.0, -a_p, np.exp(log_k_p)], [0.0, 0.0, 0.0]]))
+        impulse, free = np.zeros(SAMPLES), np.zeros(SAMPLES)
+        driven, undriven = held[:2, 2], np.array([0.5, 0.0])
+        for row in range(SAMPLES):
+            free[row] = undriven[0]
+            undriven = held[:2, :2] @ undriven
+            if row > 0:
+                impulse[row] = driven[0]
+                driven = held[:2, :2] @ driven
+        response = np.tril(linalg.toeplitz(impulse))
+        covariance = (response @ gust_covariance @ response.T)[np.ix_(rows, rows)] + 0.002**2 * np.eye(len(rows))
+        root = np.linalg.cholesky(covariance)
+        scaled = linalg.solve_triangular(root, y - (free + response @ (u + force))[rows], lower=True)
+        return 0.5 * scaled @ scaled + np.log(np.diag(root)).sum()
+
+    options = {"xatol": 1e-3, "fatol": 1e-3, "maxfev": 200}
+    return optimize.minimize(cost, [0.0, 1.0, 0.0], method="Nelder-Mead", options=options).x
+
+
+def test_a_sparse_log_in_gusts_has_the_likeliest_numbers():
+    """Every third reading; the covariance of the gust in full is another way to the same numbers."""
+    log, truth = gust_flight(5)
+    rows = np.arange(0, SAMPLES, 3)
+    y = log.columns["y"]
+    sparse = log_of(log.columns["y"].value, log.columns["u_total"].value)
+    sparse.columns["y"] = type(y)(y.time[rows], y.value[rows])
+    fitted = fit_log(gust_study(), sparse)
+    likeliest = dict(zip(truth, dense_estimates(log, rows), strict=True))
+    differences = fitted.scaled - [likeliest[name] for name in fitted.names]
+    assert set(fitted.names) == set(truth)
+    assert (np.abs(differences) < 0.3 * fitted.deviations).all()

@@ -173,14 +173,14 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
     texts = (
         (
             log.slow,
-            "is held for {:.3g} s at a time, and is taken where it changes. Leave repeated cells empty, or log the time "
-            "of each measurement",
+            "is held for {:.3g} s at a time, and is taken where it changes. Leave repeated cells empty, or log the "
+            "time of each measurement",
         ),
         (
             log.interpolated,
             "is a straight line from one reading to the next, {:.3g} s apart: the log was interpolated, and one value "
-            "for each reading is taken. Log the readings alone, with the time of each measurement, and leave other cells "
-            "empty",
+            "for each reading is taken. Log the readings alone, with the time of each measurement, and leave other "
+            "cells empty",
         ),
         (
             log.jumps,
