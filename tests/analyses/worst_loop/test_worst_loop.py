@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.analyses.worst_loop.box import box_of
-from dssc_jax.analyses.worst_loop.cells import cover_box
+from dssc_jax.analyses.worst_loop.cells import INTERVALS, cover_box
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.search import nearest_instability
 
@@ -130,6 +130,13 @@ def test_a_first_order_loop_has_its_closed_form():
     assert np.all(covered.gains[:3] >= exact)
     assert np.all(covered.gains[:3] <= 1.01 * exact)
     assert nearest_instability(first_order, 1, 4.0, no_point_limit).growth == pytest.approx(2.0, rel=1e-4)
+
+
+def test_fewer_cells_than_the_first_intervals_end_the_search():
+    """A limit below the number of first cells was passed without end: they were halved along the angle alone."""
+    ends = (-np.ones(1), np.ones(1))
+    unattainable = np.full(len(GAINS), 1e-3)
+    assert cover_box(first_order, ends, unattainable, 10, no_point_limit).cells == INTERVALS
 
 
 def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():

@@ -124,7 +124,7 @@ def cover_box(
         evaluate: The loop at points of the box; it is stable at one of them.
         ends: Lower and upper corner of the box, shape (sides,).
         goals: Bounds that are good enough, shape (gains,).
-        most: Number of cells to compute at most.
+        most: Number of cells to compute at most; the first :data:`INTERVALS` are computed in any case.
         remaining_points: Number of points that may still be evaluated.
         readout: The gains.
     """
@@ -142,7 +142,8 @@ def cover_box(
     while True:
         excess = np.max(bounds.gains / goals, axis=1)
         order = np.argsort(-excess)
-        worst = order[excess[order] > 1.0][: min(BATCH_CELLS, (most - cell_count) // 2)]
+        halvable = min(BATCH_CELLS, max(0, most - cell_count) // 2)
+        worst = order[excess[order] > 1.0][:halvable]
         points = np.cumsum(np.where(bounds.axis[worst] == len(ends[0]), 0, 2 * points_per_cell))
         worst = worst[points <= remaining_points()]
         if not worst.size:
