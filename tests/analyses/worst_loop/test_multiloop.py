@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from dssc_jax.analyses.worst_loop.cells import cover_box
 from dssc_jax.analyses.worst_loop.joint import joint_mu_bound, margins_of, worst_joint_margin
 from dssc_jax.analyses.worst_loop.readouts import joint_readout, norm_over_box
-from dssc_jax.analyses.worst_loop.search import radii_of
+from dssc_jax.analyses.worst_loop.search import spectral_radii
 
 T_S = 0.01
 GAP = 1.05
@@ -187,7 +187,7 @@ def test_an_unstable_loop_in_the_box_leaves_no_bound():
     def evaluate(points):
         return satellite(np.array([0.0, 1.0, 1.0]) * points[:, :1] * 200.0)
 
-    assert radii_of(evaluate(np.array([[1.0]])), 2)[0] > 1.0
+    assert spectral_radii(evaluate(np.array([[1.0]])), 2)[0] > 1.0
     assert worst_joint_margin(evaluate, 1, 2, T_S, no_point_limit).value == 0.0
     ends = (-np.ones(1), np.ones(1))
     assert not cover_box(evaluate, ends, np.array([1e300]), 2000, no_point_limit, joint_readout(2)).stable
