@@ -50,7 +50,10 @@ PROOF_FILE = "proof.json"
 
 @dataclass(frozen=True)
 class Counterexample:
-    """The worst draw that a search found against a tuned loop, after one round of a robust tuning."""
+    """The worst draw that a search found against a tuned loop, after one round of a robust tuning.
+
+    In JSON the fields of ``worst`` stand among its own.
+    """
 
     worst: PointAnswer = field(metadata={MERGED: True})
     simulations: Annotated[int, Quantity("1", "simulations spent")]
@@ -58,7 +61,11 @@ class Counterexample:
 
 @dataclass(frozen=True)
 class SearchFacts:
-    """How the search for the tuned numbers went: its method, its end, and what its result meets and misses."""
+    """How the search for the tuned numbers went: its method and its end, and what its result meets and misses.
+
+    ``missed`` has the bounds that the result misses, ``aimed`` the proved number if it was optimised, and
+    ``counterexamples`` the worst draw after each round.
+    """
 
     method: Annotated[str, Quantity("", "method of the search")]
     stopped: Annotated[str, Quantity("", "why it ended")]
@@ -85,7 +92,10 @@ class ObjectiveAnswer:
 
 @dataclass(frozen=True)
 class VerdictAnswer:
-    """The comparison of result and start on fresh draws, with its confidence."""
+    """The comparison of result and start on fresh draws, with its confidence.
+
+    In JSON the fields of ``verdict`` stand among its own.
+    """
 
     verdict: Verdict = field(metadata={MERGED: True})
     within_limits: Annotated[bool, Quantity("", "whether every limit holds on these draws")]
@@ -94,7 +104,10 @@ class VerdictAnswer:
 
 @dataclass(frozen=True)
 class GradientAnswer:
-    """The comparison of derivatives with differences, with its result in words."""
+    """The comparison of derivatives with differences, with its result in words.
+
+    In JSON the fields of ``agreement`` stand among its own.
+    """
 
     agreement: GradientAgreement = field(metadata={MERGED: True})
     text: Annotated[str, Quantity("", "the result in one line")]
@@ -111,7 +124,10 @@ class TuningDraws:
 
 @dataclass(frozen=True)
 class TunedAnswer:
-    """The tuned numbers, and how they do on fresh draws."""
+    """The tuned numbers, and how they do on fresh draws.
+
+    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` stand among its own.
+    """
 
     objective: ObjectiveAnswer
     start: Annotated[dict[str, float], Quantity("that of the number", "tuned numbers at the start")]
