@@ -28,7 +28,10 @@ from dssc_jax.study import Study, takes_file
 
 @dataclass(frozen=True)
 class TunedContestAnswer:
-    """The contest of controllers whose gains were tuned on equal budgets, with the budget in words."""
+    """The contest of controllers whose gains were tuned on equal budgets, with the budget in words.
+
+    In JSON the fields of ``contest`` stand among its own.
+    """
 
     budget: Annotated[str, Quantity("", "the budget of each controller")]
     contest: ContestAnswer = field(metadata={MERGED: True})
@@ -36,7 +39,10 @@ class TunedContestAnswer:
 
 @dataclass(frozen=True)
 class ComparisonAnswer:
-    """Controllers with the gains that the study gives, or that follow from it, and with tuned gains."""
+    """Controllers with the gains that the study gives, or that follow from it, and with tuned gains.
+
+    ``tuned`` is None if nothing was tuned. In JSON the fields of ``corresponding`` stand among its own.
+    """
 
     draws: Annotated[int, Quantity("1", "number of draws")]
     confidence: Annotated[float, Quantity("1", "confidence of each interval")]
