@@ -28,6 +28,7 @@ class StudySlacks:
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        """Compile the study for batches of :data:`LANES` draws."""
         self.study = study
         self.progress = progress
         self.engine = Engine(study, LANES)
@@ -60,6 +61,7 @@ class SlackCounter:
     """
 
     def __init__(self, slack: SlackFunction) -> None:
+        """Start both counts at 0."""
         self.slack = slack
         self.simulations = 0
         self.indices = 0  # indices of in-loop noise provided so far

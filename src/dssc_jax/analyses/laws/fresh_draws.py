@@ -30,7 +30,8 @@ class FreshDraws:
     progress: ProgressCallback | None = None
 
     def __post_init__(self) -> None:
-        self.simulated = 0  # simulations so far, for all changes
+        """Start the count of simulations, for all changes together."""
+        self.simulated = 0
 
     @cached_property
     def indices(self) -> np.ndarray:

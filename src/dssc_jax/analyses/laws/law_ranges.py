@@ -255,6 +255,7 @@ class DrawSimulator:
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        """Compile the study; draws of other laws are passed to it as values."""
         self.ranged = study.ranged_laws
         self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})  # in their middles
         self.engine = Engine(self.middle, min(BLOCK, study.config.draws))

@@ -50,7 +50,7 @@ def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Da
     channel_dims = (*dims, "channel")
     factors = np.stack([part.factors for part in margins])
     of_perturbation = "of the perturbation that was found"
-    columns = {
+    columns = {  # dimensions, values, unit, meaning
         "disk": (dims, [part.guaranteed for part in margins], "1", "disk margin alpha of all loops at once"),
         "found": (dims, [part.attained for part in margins], "1", "alpha of a perturbation that was found"),
         "frequency": (dims, [part.frequency for part in margins], "rad/s", "critical frequency"),

@@ -45,8 +45,8 @@ class MultiloopMargins(NamedTuple):
     factors: np.ndarray
 
 
-class JointLoops:
-    """n closed loops with an input and an output at each of several break points.
+class JointLoops(NamedTuple):
+    """n closed loops x+ = A x + B w, v = C x, with an input w and an output v at each of several break points.
 
     Args:
         a: A, shape (n, states, states).
@@ -54,10 +54,9 @@ class JointLoops:
         c: C, shape (n, channels, states).
     """
 
-    def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-        self.a = a
-        self.b = b
-        self.c = c
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
 
     def at(self, angles: np.ndarray) -> np.ndarray:
         """M = G + I/2 with G = C (z I - A)^-1 B and z = e^(j theta), shape (n, m, channels, channels).
@@ -68,8 +67,8 @@ class JointLoops:
         identity = np.eye(self.a.shape[-1])
         responses = []
         for theta in angles.T:
-            matrix = np.exp(1j * theta)[:, None, None] * identity - self.a
-            responses.append(self.c @ np.linalg.solve(matrix, self.b))
+            matrices = np.exp(1j * theta)[:, None, None] * identity - self.a
+            responses.append(self.c @ np.linalg.solve(matrices, self.b))
         return np.stack(responses, axis=1) + 0.5 * np.eye(self.b.shape[-1])
 
 

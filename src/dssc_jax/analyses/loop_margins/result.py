@@ -69,7 +69,10 @@ class MarginStatistics:
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """How many draws have a stable loop, and statistics of their margins, at one break and operating point."""
+    """How many draws have a stable loop, and statistics of their margins, at one break and operating point.
+
+    In JSON the margins stand by their names among its own fields.
+    """
 
     stable: Annotated[int, Quantity("1", "draws with a stable loop")]
     stable_interval: Annotated[tuple[float, float], Quantity("1", "interval of their share of all draws")]

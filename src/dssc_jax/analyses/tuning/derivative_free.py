@@ -29,7 +29,7 @@ POPULATION = 8  # members of a generation for each coordinate
 def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
     """Run differential evolution on the training draws, for objectives whose derivatives are not useful.
 
-    A generation is one batch of simulations. The number of generations is that of the steps in ``[tune]``.
+    A generation is one batch of simulations. There are as many generations as ``[tune]`` has steps.
 
     Args:
         problem: The problem.
@@ -43,7 +43,6 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     table = plan.table
     size = len(plan.coordinates.names)
     goal = problem.goal_on(problem.train)
-    scale = abs(first.train.merit.objective) or 1.0
     lanes_per_member = len(problem.train) + len(problem.extra)
     most_lanes = min(BLOCK, POPULATION * size * lanes_per_member)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, most_lanes)
@@ -61,7 +60,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
             results_of_member = {name: array[lanes] for name, array in results.items()}
             merit = goal.merit(results_of_member, (), len(problem.extra))  # (): no derivatives
             if not merit.ended and problem.is_admissible(z[i]):
-                costs[i] = merit.objective / scale + PENALTY * merit.violation
+                costs[i] = merit.objective / first.scale + PENALTY * merit.violation
         return costs
 
     def record(z: np.ndarray) -> None:
@@ -146,11 +145,15 @@ def optimise_proof(problem: Problem, first: StartPoints, progress: ProgressCallb
         """The score of a point plus the penalty of its violation; a point that is the best so far is recorded."""
         nonlocal evaluation_count, lowest
         train = first.train if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
-        score = score_at(problem, z) if not train.merit.ended and problem.is_admissible(z) else math.inf
-        total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
+        score = math.inf
+        if not train.merit.ended and problem.is_admissible(z):
+            score = score_at(problem, z)
+        total = UNFIT
+        if math.isfinite(score):
+            total = score + PENALTY * train.merit.violation
         if total < lowest:
             lowest = total
-            validation = first.validation if evaluation_count == 0 else problem.evaluate(z)
+            validation = first.validation if evaluation_count == 0 else problem.evaluate(z)  # 0: the start
             search.record(problem, evaluation_count, train, validation, score)
         evaluation_count += 1
         if progress:

@@ -46,6 +46,7 @@ class Multipliers:
     """
 
     def __init__(self, scale: float) -> None:
+        """Start with multipliers and gaps of 0."""
         self.scale = scale
         self.values: dict[str, float] = {}  # lambda of each limit; a missing one is 0
         self.gaps: dict[str, float] = {}
@@ -105,7 +106,7 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
     if table.schedule == "cosine":
         rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
-    multipliers = Multipliers(abs(first.train.merit.objective) or 1.0)
+    multipliers = Multipliers(first.scale)
     rng = np.random.default_rng(problem.plan.seed)
     search = SearchRecord(first.validation)
     iterate = first.train
@@ -195,7 +196,7 @@ def quadratic_programming(problem: Problem, first: StartPoints, progress: Progre
         D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
         from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
     """
-    iteration = QuadraticSearch(problem, SearchRecord(first.validation), first.train, progress)
+    iteration = QuadraticSearch(problem, SearchRecord(first.validation), first.train, first.scale, progress)
     iteration.search.record(problem, 0, *first)
     first_width = problem.plan.table.smoothing
     steps = problem.plan.table.steps
@@ -239,6 +240,7 @@ class QuadraticSearch:
         problem: The problem.
         search: The record of the search.
         iterate: The present iterate.
+        scale: Objective of the start, relative to which the objective is taken.
         progress: Called after each step.
         step_count: Number of steps taken so far.
         gaps: How much more each limit is exceeded on the validation draws than on the training draws, by name.
@@ -247,15 +249,16 @@ class QuadraticSearch:
     problem: Problem
     search: SearchRecord
     iterate: EvaluatedPoint
+    scale: float
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)
-    _stale: int = 0
+    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)  # of the stage, by bytes of z
+    _stale: int = 0  # steps since the best one
 
     def __post_init__(self) -> None:
-        self.names = list(self.iterate.merit.excess)
-        self.scale = abs(self.iterate.merit.objective) or 1.0
+        """Fix the order of the limits."""
+        self.names = list(self.iterate.merit.excess)  # of the limits
 
     def at(self, x: np.ndarray) -> tuple[EvaluatedPoint, bool]:
         """The evaluated point at x, and whether its draws do not end early and its certificates hold.

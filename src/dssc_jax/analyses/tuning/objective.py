@@ -67,10 +67,13 @@ def draw_weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
     if aggregate == "mean":
         return np.full(count, 1.0 / count)
     if aggregate == "worst":
-        spread = max(SHARPNESS * float(np.std(costs)), np.finfo(float).eps * float(np.max(np.abs(costs))))
-        return softmax(costs / (spread if spread > np.finfo(float).tiny else 1.0))
-    worst_count = (1.0 - level) * count  # a fraction of a draw counts
-    rank = np.empty(count)  # 0 is the worst draw
+        rounding = np.finfo(float).eps * float(np.max(np.abs(costs)))
+        temperature = max(SHARPNESS * float(np.std(costs)), rounding)
+        if temperature <= np.finfo(float).tiny:
+            temperature = 1.0  # all costs are 0
+        return softmax(costs / temperature)
+    worst_count = (1.0 - level) * count  # a fraction of a draw counts in part
+    rank = np.empty(count)  # 0: the worst draw
     rank[np.argsort(-costs, kind="stable")] = np.arange(count)
     return np.clip(worst_count - rank, 0.0, 1.0) / worst_count
 
@@ -108,9 +111,9 @@ class Goal:
 
     def excess(self, results: Arrays) -> np.ndarray:
         """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if it meets all."""
-        return np.maximum(np.max(self._relative(results), axis=0), 0.0)
+        return np.maximum(np.max(self._relative_excess(results), axis=0), 0.0)
 
-    def _relative(self, results: Arrays) -> np.ndarray:
+    def _relative_excess(self, results: Arrays) -> np.ndarray:
         """How far each draw misses each requirement, relative to the bound, shape (requirements, draws).
 
         It is negative where the requirement is met. A metric that is missing or infinite misses its bound by
@@ -119,12 +122,12 @@ class Goal:
         relative_excess = np.array([-results[r.name] / r.scale for r in self.requirements])
         return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
-    def undefined(self, results: Arrays) -> np.ndarray:
+    def lacks_value(self, results: Arrays) -> np.ndarray:
         """Whether each draw lacks a cost or a limited metric, shape (n,): it ended early, or has no margin."""
-        undefined = ended_early(results["outcome"]) | np.isnan(self.cost(results))
+        is_lacking = ended_early(results["outcome"]) | np.isnan(self.cost(results))
         for name in self.limits:
-            undefined = undefined | np.isnan(results[name])
-        return undefined
+            is_lacking = is_lacking | np.isnan(results[name])
+        return is_lacking
 
     def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
         """Objective and excesses from results of draws and counterexamples, with their derivatives by some numbers.
@@ -135,7 +138,7 @@ class Goal:
             counterexample_count: Number of counterexamples; they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - counterexample_count
-        ended = int(np.count_nonzero(self.undefined(results)))
+        ended = int(np.count_nonzero(self.lacks_value(results)))
         if ended:
             return Merit(float("inf"), {}, {}, {}, ended)
         draw_results = {name: array[:count] for name, array in results.items()}
@@ -167,7 +170,7 @@ class Goal:
 
     def _mean_excess(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
         """Mean over the draws of how far the worst requirement is missed, and its derivatives by some numbers."""
-        relative_excess = self._relative(results)
+        relative_excess = self._relative_excess(results)
         worst = np.argmax(relative_excess, axis=0)  # index of a requirement for each draw
         is_violated = np.max(relative_excess, axis=0) > 0.0
         slopes = {}
@@ -249,7 +252,7 @@ class Verdict:
     Args:
         draws: Number of draws, which are those of the study itself.
         objective: The aggregate of the costs; infinite if a draw ended early.
-        reduction: 1 - result/start.
+        reduction: Reduction of the objective, 1 - result/start.
         reduction_interval: Bootstrap interval of the reduction over the draws; NaN if a draw ended early.
         quantile: Exact order-statistic intervals of the cost's quantile at the level of the aggregate.
         difference: Median and exact interval of the difference of the cost draw by draw, result minus start.
@@ -279,8 +282,8 @@ class Verdict:
 
     @property
     def within(self) -> bool:
-        """Whether every limit holds on these draws."""
-        return all(results <= bound for bound, _, results in self.limits.values())
+        """Whether every limit holds on these draws for the result."""
+        return all(result_mean <= bound for bound, _, result_mean in self.limits.values())
 
 
 def judge_tuning(
@@ -327,7 +330,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
-    level = goal.level if goal.aggregate == "cvar" else 0.5
+    level = goal.level if goal.aggregate == "cvar" else 0.5  # of the quantile whose intervals are given
     cost_difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)

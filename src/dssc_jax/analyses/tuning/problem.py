@@ -38,6 +38,11 @@ class StartPoints(NamedTuple):
     train: EvaluatedPoint
     validation: EvaluatedPoint
 
+    @property
+    def scale(self) -> float:
+        """Size of the start's objective, relative to which a search takes objectives; 1 in place of 0."""
+        return abs(self.train.merit.objective) or 1.0
+
 
 class TheoremSlacks:
     """Excesses of Theorem 1's inequalities over a required slack, as a compiled function of the search's coordinates.
@@ -47,6 +52,7 @@ class TheoremSlacks:
     """
 
     def __init__(self, plan: Plan) -> None:
+        """Compile the excesses and their derivatives."""
         theorem = plan.theorem
         slack = plan.table.slack
         assert theorem is not None
@@ -96,6 +102,7 @@ class Problem:
     proved: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        """Prepare the programs with and without derivatives, split the draws, and read the goal."""
         trial = self.plan.trial()
         table = self.plan.table
         start = self.plan.numbers_at(self.plan.coordinates.origin)

@@ -103,7 +103,7 @@ def slopes_at_points(function: Callable[[jax.Array], dict[str, jax.Array]], z: j
     return jax.vmap(jax.jacfwd(function))(z)
 
 
-FREE_PREFIX = "free."
+FREE_PREFIX = "free."  # of a free parameter's name among the tuned numbers
 REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
@@ -114,8 +114,8 @@ def name_in_study(name: str) -> str:
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
 
 
-SMALL_GAIN = "small gain"
-SLACK = "slack of "
+SMALL_GAIN = "small gain"  # name of the small-gain condition among the inequalities
+SLACK = "slack of "  # prefix of an inequality's name among the limits
 PARAMETER_OF_NUMBER = {name_in_study(name): name for name in Parameters._fields}
 """The parameter of Table 1 by the dotted name of the loop's number; the free parameters determine all of them."""
 
@@ -140,6 +140,7 @@ class Theorem:
     ends: Ends = field(init=False)
 
     def __post_init__(self) -> None:
+        """Find the parameters of Table 1 and check that the loop's bounds are known."""
         nominal = getattr(self.study.template.controller[0], "nominal", None)
         if nominal is not None and nominal.predictor_term:
             rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
@@ -165,10 +166,11 @@ class Theorem:
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the design that follows from the free parameters, and the other tuned numbers."""
         free = self.free_parameters(tuned)
-        _, bounds = self.parameters_and_bounds({name_in_study("l0"): free.l0})  # the nominal control's depend on l0
-        parameters = design(bounds, free)
-        numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
-        return numbers | {name_in_study(name): value for name, value in parameters._asdict().items()}
+        error_pole = {name_in_study("l0"): free.l0}  # the bound of the nominal control depends on it
+        _, bounds = self.parameters_and_bounds(error_pole)
+        designed = design(bounds, free)
+        other_numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
+        return other_numbers | {name_in_study(name): value for name, value in designed._asdict().items()}
 
     def parameters_and_bounds(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
         """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers changed.
@@ -185,7 +187,9 @@ class Theorem:
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
         """Check the inequalities of Theorem 1 for the loop with some of its numbers changed, without any tolerance."""
-        return check(*self.parameters_and_bounds({name: float(value) for name, value in numbers.items()}))
+        plain_numbers = {name: float(value) for name, value in numbers.items()}
+        parameters, bounds = self.parameters_and_bounds(plain_numbers)
+        return check(parameters, bounds)
 
     def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
         """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
@@ -214,11 +218,13 @@ def split_parameters(
 ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
     """Split the free parameters of ``[tune.free]`` into those that are varied and those that are fixed.
 
+    Args:
+        free: [low, high] of each varied parameter, and the value of each fixed one, by name.
+
     Returns:
         The interval of each varied one, by its name with :data:`FREE_PREFIX`, and the value of each fixed one.
-
     Raises:
-        ConfigError: One is missing or unknown, or none is varied.
+        ConfigError: A parameter is missing or unknown, or none is varied.
     """
     for name in free:
         if name not in Free._fields:
@@ -226,7 +232,13 @@ def split_parameters(
     for name in REQUIRED_PARAMETERS:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
-    intervals = {FREE_PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
+    intervals = {}
+    fixed = {}
+    for name, value in free.items():
+        if isinstance(value, tuple):
+            intervals[FREE_PREFIX + name] = value
+        else:
+            fixed[name] = value
     if not intervals:
         raise ConfigError("tune.free", "varies nothing; give [low, high] for one at least")
-    return intervals, {name: value for name, value in free.items() if not isinstance(value, tuple)}
+    return intervals, fixed

@@ -38,6 +38,7 @@ class LoopFamily:
     """
 
     def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray, advance: Callable[[int], None]) -> None:
+        """Start with an empty cache of linearised points."""
         self.resting = resting
         self.advance = advance
         self.box = box
@@ -159,6 +160,7 @@ class BrokenFamily:
     """
 
     def __init__(self, family: LoopFamily, state_indices: np.ndarray, places: Sequence[int]) -> None:
+        """Find the sides of the box that change this loop."""
         self.family = family
         self.state_indices = state_indices
         self.places = list(places)

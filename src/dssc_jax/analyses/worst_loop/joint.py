@@ -199,7 +199,7 @@ def multiloop_case(
         return None
     channels = tuple(study.loop.channels[index] for index in joint.channels)
 
-    def states_of() -> np.ndarray:
+    def known_states() -> np.ndarray:
         """Indices of the states between the commands at any point linearised so far."""
         places = seen_joint_places(study, family, drawn)
         assert places is not None  # the loops seen so far become more, never fewer
@@ -210,4 +210,4 @@ def multiloop_case(
         drawn_loops = broken.break_loops(drawn)
         return joint_case(broken, channels, drawn_loops, study.config.loop.sample_time, gap, cells, remaining_points())
 
-    return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), states_of, search)
+    return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), known_states, search)

@@ -64,6 +64,7 @@ class LinearModels:
     """
 
     def __init__(self, evaluate: Evaluate, channels: int) -> None:
+        """Start without a model; each is computed when it is first needed."""
         self.evaluate = evaluate
         self.channels = channels
         self.models: dict[bytes, LinearModel] = {}

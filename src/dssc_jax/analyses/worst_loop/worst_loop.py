@@ -140,16 +140,37 @@ def loop_cases(
     remaining_loops = len(broken_loops) + other_loops
     cases = {}
     for name, broken in broken_loops.items():
-        family = broken.family
-        share = family.remaining_points(most) // remaining_loops
-
-        def search(loop: BrokenFamily, family: LoopFamily = family, share: int = share) -> LoopCase:
-            """The worst case of one broken loop, within its share of the points."""
-            return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most)))
-
-        cases[name] = with_all_states(broken, partial(family.states_at, drawn, broken.places[0]), search)
+        share = broken.family.remaining_points(most) // remaining_loops
+        cases[name] = case_with_all_states(study, broken, drawn, cells, share, most)
         remaining_loops -= 1
     return cases
+
+
+def case_with_all_states(
+    study: Study, broken: BrokenFamily, drawn: StateMatrices, cells: int, share: int, most: int
+) -> LoopCase:
+    """Find the worst case of one broken loop, with every state that has an effect at a point of the searches.
+
+    Args:
+        study: The study.
+        broken: The broken loop over the box, with the states that are known before the searches.
+        drawn: The loops of the draws that have an operating point.
+        cells: Largest number of cells.
+        share: Largest number of points to linearise in one search.
+        most: Largest number of points to linearise for all loops together.
+    """
+    family = broken.family
+    (place,) = broken.places
+
+    def known_states() -> np.ndarray:
+        """Indices of the states of this loop at any point linearised so far."""
+        return family.states_at(drawn, place)
+
+    def search(loop: BrokenFamily) -> LoopCase:
+        """The worst case of the loop with some states."""
+        return loop_case(study, loop, drawn, cells, min(share, family.remaining_points(most)))
+
+    return with_all_states(broken, known_states, search)
 
 
 def require_sizes(cells: int, points: int | None) -> None:
@@ -196,7 +217,7 @@ def require_one_linear_loop(study: Study, places: Sequence[LoopPart], findings: 
         return
     first = differing_parts[0]
     place = places[first]
-    boundary = place.remaining.meaning.partition(";")[0]
+    boundary, _, _ = place.remaining.meaning.partition(";")  # its first clause
     count = int(np.count_nonzero(findings[:, first] != Finding.SMOOTH))
     raise ConfigError(
         study.source,
