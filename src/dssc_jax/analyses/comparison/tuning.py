@@ -183,9 +183,9 @@ def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
 def candidate_scores(
     evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray
 ) -> list[tuple[int, float]]:
-    """The score of each candidate: its failed draws, then minus a low quantile of its worst slack.
+    """The score of each candidate: its number of failed draws, then minus a low quantile of its worst slack.
 
-    Scores are compared as tuples. The smaller one is better.
+    Scores are compared as tuples: fewer failures are better, and among equals a larger slack.
 
     Args:
         evaluator: The compiled study.
@@ -236,8 +236,8 @@ def candidate_points(
         seed: Seed of the Sobol points.
     """
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(seed))
-    next_power_of_two = 1 << (count - 1).bit_length()  # Sobol points are even in such numbers
-    points = sobol.random(next_power_of_two)[:count]
+    enough = 1 << (count - 1).bit_length()  # the least power of two >= count: so many Sobol points are even
+    points = sobol.random(enough)[:count]
     low, high = np.array(list(extents.values())).T[:, :, None]  # shape (numbers, 1) each
     columns = np.exp(np.log(low) + points.T * np.log(high / low))
     leaves = study.leaves()

@@ -157,11 +157,11 @@ class WorstDrawSearch:
             return ""
         if self.worst > -np.inf:
             return self.unspent
-        points = self.batches[-1]
-        place = int(np.argmin(points.slacks))
-        if points.ended[place]:
+        last_batch = self.batches[-1]
+        worst = int(np.argmin(last_batch.slacks))
+        if last_batch.ended[worst] != RAN_TO_END:
             return "a draw ended early, and no draw is worse"
-        label = self.requirements[int(points.binding[place])].label
+        label = self.requirements[int(last_batch.binding[worst])].label
         return f"a draw misses {label} by an infinite amount, and no draw is worse"
 
     @property

@@ -37,7 +37,7 @@ class BrokenLoop(NamedTuple):
 def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
     """The disk margins of all loops at once as variables of a dataset, along ``operating_point`` and ``draw``.
 
-    The dataset is empty if one operating point has no such margin, or others have those of other channels.
+    The dataset is empty if an operating point has no such margins, or two have margins of different channels.
 
     Args:
         multiloop: The margins of all draws, by operating point.
@@ -48,12 +48,15 @@ def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Da
         return xr.Dataset()
     dims = ("operating_point", "draw")
     channel_dims = (*dims, "channel")
-    factors = np.stack([part.factors for part in margins])
+    guaranteed = [at_point.guaranteed for at_point in margins]
+    attained = [at_point.attained for at_point in margins]
+    frequencies = [at_point.frequency for at_point in margins]
+    factors = np.stack([at_point.factors for at_point in margins])
     of_perturbation = "of the perturbation that was found"
     columns = {  # dimensions, values, unit, meaning
-        "disk": (dims, [part.guaranteed for part in margins], "1", "disk margin alpha of all loops at once"),
-        "found": (dims, [part.attained for part in margins], "1", "alpha of a perturbation that was found"),
-        "frequency": (dims, [part.frequency for part in margins], "rad/s", "critical frequency"),
+        "disk": (dims, guaranteed, "1", "disk margin alpha of all loops at once"),
+        "found": (dims, attained, "1", "alpha of a perturbation that was found"),
+        "frequency": (dims, frequencies, "rad/s", "critical frequency"),
         "gain": (channel_dims, np.abs(factors), "1", f"gain {of_perturbation}"),
         "phase": (channel_dims, np.angle(factors), "rad", f"phase {of_perturbation}"),
     }

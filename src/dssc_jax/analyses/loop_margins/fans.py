@@ -39,6 +39,7 @@ def fan_quantiles(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -
 
 def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Phases of several loop transfer functions [rad], shape (draws, frequencies), unwrapped for a comparison.
+
     A phase is known up to whole turns. Each curve is made continuous over frequency. The part of its phase that comes
     from its poles is computed exactly, since a light resonance turns the phase by half a turn between two frequencies
     of the grid. The curves are then shifted by whole turns until they agree at the frequency where most loops cross the
@@ -66,6 +67,7 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
 
 def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Sum of the arguments of e^(j theta) - p over the poles p [rad], shape (draws, angles), continuous in theta.
+
     With z = e^(j theta), z - p = z (1 - p/z) for a pole inside the unit circle, and z - p = -p (1 - z/p) for a pole
     outside. In both cases the second factor has a positive real part, so that its argument does not jump.
 

@@ -95,10 +95,10 @@ def best_scales(matrices: np.ndarray) -> np.ndarray:
         slope = slopes[:, 1:]
         reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, shape, slope), TINY))
         is_moving = reach > STILL
-        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]
+        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]  # from the centre to the edge, uphill
         centre = centre - np.where(is_moving[:, None], direction, 0.0) / (free + 1.0)
         outer = direction[:, :, None] * direction[:, None, :]
-        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)
+        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)  # about the lower half
         shape = np.where(is_moving[:, None, None], shrunk, shape)
         logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, logs)

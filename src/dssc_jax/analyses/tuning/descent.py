@@ -52,7 +52,10 @@ class Multipliers:
         self.gaps: dict[str, float] = {}
 
     def pushes(self, point: EvaluatedPoint) -> dict[str, float]:
-        """max(0, lambda + c g) of each limit, by name: its weight in the gradient, and its next multiplier."""
+        """max(0, lambda + c g) of each limit, by name: its weight in the gradient, and its next multiplier.
+
+        lambda is the limit's multiplier, c the penalty and g the relative excess over the limit.
+        """
         pushes = {}
         for name, excess in point.merit.excess.items():
             tightened_excess = excess + headroom(name) + self.gaps.get(name, 0.0)
@@ -285,7 +288,7 @@ class QuadraticSearch:
         SLSQP calls it at iterates only, so each new point here is a step, and is evaluated on the validation draws.
 
         Raises:
-            OutOfPatience: there was no improvement for too long.
+            OutOfPatience: There was no improvement for too long.
         """
         point, _ = self.at(x)
         if not np.array_equal(point.z, self.iterate.z):
@@ -296,7 +299,7 @@ class QuadraticSearch:
         """Count a step to a point, and record the point on the validation draws.
 
         Raises:
-            OutOfPatience: there was no improvement for too long.
+            OutOfPatience: There was no improvement for too long.
         """
         table = self.problem.plan.table
         self.step_count += 1

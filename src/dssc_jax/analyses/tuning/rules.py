@@ -79,17 +79,19 @@ def require_theorem_settings(table: TuneTable) -> None:
 
 def example(study: Study) -> str:
     """An example of ``[tune]`` for the message about a missing one: a first positive gain, and a first metric."""
-    gain = ""
+    range_of_gain = ""  # the controller has no positive gain
     for name, value in study.leaves().items():
-        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name):
-            gain = f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]'
+        if not name.startswith("controller.") or not is_free(study, name):
+            continue
+        if isinstance(value, float) and value > 0.0:
+            range_of_gain = f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]'
             break
-    metric = next((measure.name for measure in study.measures), "error_rms")
-    return f"[tune] parameters = {{ {gain} }}, objective = {{ {metric} = 1.0 }}"
+    metrics = [measure.name for measure in study.measures] or ["error_rms"]
+    return f"[tune] parameters = {{ {range_of_gain} }}, objective = {{ {metrics[0]} = 1.0 }}"
 
 
 def is_free(study: Study, name: str) -> bool:
-    """Whether a number may differ between draws and no expression determines it."""
+    """Whether a number may have a law and no expression determines it."""
     return study.quantities[name].law and study.numbers[name].expression is None
 
 

@@ -229,7 +229,7 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
         y = r[:, outputs]
         change = inverse_change(r, x, y, steps, remainder)
         response = y[:, :, inputs]  # G_0
-        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x; its sign does not matter, since u_i has both
+        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x, up to a sign, which u_i has anyway
         nonlinear = np.abs(y) @ remainder @ np.abs(x)  # abs(y E x) at most
         second_order = change.left_size @ change.inverse @ change.right_size  # abs(y D N^-1 D x) at most
         gains = readout.gains(Enclosure(response, linear, nonlinear + second_order, cells.end), goals)
@@ -285,7 +285,7 @@ def inverse_change(
     spread = np.abs(r[:, None] @ steps)
     left = np.abs(y[:, None] @ steps)
     right = np.abs(r[:, None] @ (steps @ x[:, None]))
-    k = spread.sum(axis=1) + sizes @ remainder
+    k = spread.sum(axis=1) + sizes @ remainder  # bounds abs(R D) for D = N - N_0 = sum of u_i N_i + E
     return InverseChange(
         sizes=sizes,
         spread=spread,

@@ -50,10 +50,10 @@ class JointCase(NamedTuple):
     cells: int
 
 
-def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
+def joint_disk_margins(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
     """The disk margins of n loops, with the balanced bound of mu, and the perturbations that attain them.
 
-    The margins of an unstable loop are 0, its frequency and factors NaN.
+    An unstable loop has margins of 0, and NaN for its frequency and factors.
 
     Args:
         matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels).
@@ -93,7 +93,7 @@ def worst_joint_margin(
 
     def attained_margins(points: np.ndarray) -> np.ndarray:
         """The disk margin at each point as the one quantity of the search, shape (n, 1)."""
-        return margins_of(evaluate(points), channels, sample_time).attained[:, None]
+        return joint_disk_margins(evaluate(points), channels, sample_time).attained[:, None]
 
     (worst,) = worst_values(attained_margins, np.negative, sides, budget)  # a smaller margin is worse
     return worst
@@ -143,9 +143,9 @@ def joint_case(
     evaluate = broken_family.at
     budget = broken_family.family.allowance(points)
     search_budget = broken_family.family.allowance(points // 3)
-    drawn = margins_of(drawn_loops, count, sample_time).attained
+    drawn = joint_disk_margins(drawn_loops, count, sample_time).attained
     worst = worst_joint_margin(evaluate, sides, count, sample_time, search_budget)
-    at_worst = margins_of(evaluate(worst.point[None]), count, sample_time)
+    at_worst = joint_disk_margins(evaluate(worst.point[None]), count, sample_time)
     covered = CoverBounds(np.array([UNBOUNDED]), cells=0)
     if worst.value > 0.0:  # an unstable loop has no bound
         covered = joint_mu_bound(evaluate, sides, count, gap / worst.value, cells, budget)
