@@ -31,6 +31,8 @@ STRIDE = 0.25  # first step of a descent, relative to the size of the set
 LONGER = 1.5  # factor of a step after success
 SHORTER = 0.3  # factor of a step after failure
 MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
+LEAST_MEMBERS = 8  # members of the evolution in any case
+GENERATION_COST = 20  # a generation takes at most one part in so many of the budget
 LARGEST_COST = 1e100  # of the evolution, in place of infinity
 RAN_TO_END = 0  # in place of the outcome code of an early end
 
@@ -79,11 +81,11 @@ def population_size(budget: int, size: int) -> int:
         budget: Number of simulations.
         size: Number of uncertain numbers.
     """
-    return max(8, min(MEMBERS_PER_COORDINATE * size, budget // 20))
+    return max(LEAST_MEMBERS, min(MEMBERS_PER_COORDINATE * size, budget // GENERATION_COST))
 
 
 def climb_count(budget: int, size: int) -> int:
-    """Number of gradient descents, such that each can make several steps within its share of the budget.
+    """Number of gradient descents at once, such that each can make several steps within its share of the budget.
 
     Args:
         budget: Number of simulations.

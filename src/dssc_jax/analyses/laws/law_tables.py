@@ -201,7 +201,9 @@ def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
     if not levels.size:
         return np.nan, np.nan
     low, high = quantile_interval(levels, 0.5, confidence)
-    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else (np.nan, np.nan)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return np.nan, np.nan
+    return float(low), float(high)
 
 
 def failing_direction(shifts: WeightedDraws, free: np.ndarray) -> int:

@@ -115,8 +115,10 @@ class RangedDraws:
         coordinates = iter(point.tolist())
         laws = {}
         for name, law in self.laws.items():
-            arguments = tuple(low if low == high else next(coordinates) for low, high in law.ranges)
-            laws[name] = Law(law.kind, arguments)
+            arguments = []
+            for low, high in law.ranges:
+                arguments.append(low if low == high else next(coordinates))
+            laws[name] = Law(law.kind, tuple(arguments))
         return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:

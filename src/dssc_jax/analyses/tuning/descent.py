@@ -336,18 +336,20 @@ class QuadraticSearch:
         start = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
         start[-1] = max([0.0, *-self.room(start)])  # the least excess that all limits allow
         limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
+        constraints = [limits] if self.names else []
         box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(start) - 1)
         not_negative = (0.0, None)
         try:
             minimize(
-                self.cost, start, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
+                self.cost, start, jac=self.gradient, method="SLSQP", constraints=constraints,
                 bounds=[*box, not_negative],
                 options={"maxiter": max(1, steps - self.step_count), "ftol": CONVERGED},
             )  # fmt: skip
         except OutOfPatience:
             self.search.stopped = f"no better on the validation draws for {self._stale} looks"
-        else:
-            self.search.stopped = "all steps done" if self.step_count >= self.problem.plan.table.steps else "converged"
+            return
+        all_done = self.step_count >= self.problem.plan.table.steps
+        self.search.stopped = "all steps done" if all_done else "converged"
 
     def update_gaps(self) -> bool:
         """Take the gaps of the limits at the present iterate; they stay if a validation draw ends early.

@@ -301,26 +301,27 @@ def inverse_change(
 def side_weights(change: InverseChange, bends: np.ndarray, scales: np.ndarray, is_bounded: np.ndarray) -> np.ndarray:
     """How much each side of a cell contributes to its bounds, shape (n, sides + 1), the angle last.
 
-    The side with the largest weight is halved next. Where a cell has no bound yet, the weight is the contribution to
-    the spectral radius of K, which must become less than 1.
+    With weights s of the channels the second-order bound is s |y D| (I - K)^-1 |R D x| 1/s. The weight of side i is its
+    change with the size of N_i, a term for each of the three factors. Where a cell has no bound yet, it is the change
+    of the spectral radius of K, which must become less than 1. The side with the largest weight is halved next.
 
     Args:
         change: Sizes of the terms of N^-1.
         bends: The deviation from a linear dependence along each side, shape (n, sides, m, m).
-        scales: Positive weights of the channels, shape (n, channels).
+        scales: s, positive, shape (n, channels).
         is_bounded: Whether each cell has a bound, shape (n,).
     """
     left_eigenvectors, right_eigenvectors = dominant_vectors(change.k)
-    left_bounds = np.einsum("nc,nci->ni", scales, change.left_size @ change.inverse)
+    left_bounds = np.einsum("nc,nci->ni", scales, change.left_size @ change.inverse)  # s |y D| (I - K)^-1
     right_bounds = np.einsum("nic,nc->ni", change.inverse @ change.right_size, 1.0 / scales)
     left_weights = np.where(is_bounded[:, None], left_bounds, left_eigenvectors)
     right_weights = np.where(is_bounded[:, None], right_bounds, right_eigenvectors)
     # n: cell, k: side, c: channel; i, j, l: rows and columns of N
     bend_weights = np.einsum("ni,nij,nkjl,nl->nk", left_weights, change.sizes, WIDENED * bends, right_weights)
     weights = np.einsum("ni,nkij,nj->nk", left_weights, change.spread, right_weights)
-    direct = np.einsum("nc,nkci,ni->nk", scales, change.left, right_weights)
-    direct += np.einsum("ni,nkic,nc->nk", left_weights, change.right, 1.0 / scales)
-    weights += np.where(is_bounded[:, None], direct, 0.0)
+    outer_factors = np.einsum("nc,nkci,ni->nk", scales, change.left, right_weights)
+    outer_factors += np.einsum("ni,nkic,nc->nk", left_weights, change.right, 1.0 / scales)
+    weights += np.where(is_bounded[:, None], outer_factors, 0.0)
     weights[:, : bends.shape[1]] += bend_weights  # the angle has no bends
     return weights
 

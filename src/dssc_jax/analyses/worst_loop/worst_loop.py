@@ -113,7 +113,7 @@ def linearise_widely(study: Study, family: LoopFamily, most: int) -> None:
         most: Largest number of points.
     """
     points = start_points(len(family.box.sides))
-    largest_growth = admissible_growths(study, family.box)[0]
+    largest_growth, *_ = admissible_growths(study, family.box)
     family.at(np.concatenate([points, largest_growth * points])[:most])
 
 
