@@ -149,7 +149,8 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
     unshifted_lanes = {name: column[:points] for name, column in lanes.items()}
     derivatives = problem.with_derivatives(draws, unshifted_lanes)
-    is_complete = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
+    ended_early = np.isfinite(results["failed_at"]).reshape(len(shifts), points)
+    is_complete = ~np.any(ended_early, axis=0)
     metrics = list(problem.plan.measures)
     values = np.stack([results[name].reshape(len(shifts), points)[:, is_complete] for name in metrics])
     exact = derivatives_by_coordinates(problem, metrics, derivatives, centre)[:, is_complete]

@@ -148,9 +148,9 @@ def worst_values(
     points = start_points(sides)[: max(1, remaining_points())]
     values = values_at(points)
     quantities = values.shape[1]
-    best = np.argmax(badness(values), axis=0)
-    worst_points = points[best]  # one for each quantity
-    worst = values[best, range(quantities)]
+    worst_rows = np.argmax(badness(values), axis=0)  # one for each quantity
+    worst_points = points[worst_rows]
+    worst = values[worst_rows, range(quantities)]
     step = FIRST_STEP
     moves = unit_moves(sides)
     while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
@@ -161,7 +161,7 @@ def worst_values(
         trial_badness = badness(trial_values)
         has_improved = False
         for index in range(quantities):
-            k = int(np.argmax(trial_badness[index, :, index]))  # the best of this quantity's own trials
+            k = int(np.argmax(trial_badness[index, :, index]))  # among the trials about this quantity's worst point
             if trial_badness[index, k, index] > badness(worst)[index] + LEAST_GAIN:
                 worst[index] = trial_values[index, k, index]
                 worst_points[index] = trials[index, k]
