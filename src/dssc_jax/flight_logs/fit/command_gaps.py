@@ -20,7 +20,7 @@ from dssc_jax.flight_logs.reading.reader import forward_filled
 LACKING = 0.25  # share of the samples: a command that lacks more is logged more rarely than it is given
 STAIRCASE = 0.2  # share of the logged values that repeat the one before: with more, the controller itself is as slow
 REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
-JUMP = 5.0  # factor on the changes before and after: a larger change is a jump, and no straight line
+JUMP = 5.0  # factor on the slopes before and after: a larger slope is a jump, and no straight line
 LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
 TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
 
@@ -60,22 +60,28 @@ def is_rare(command: np.ndarray) -> bool:
     return float(np.mean(np.diff(values) == 0.0)) < STAIRCASE
 
 
-def along_lines(command: np.ndarray, jumps_early: bool) -> np.ndarray:
+def along_lines(command: np.ndarray, jumps_early: bool, longest_gap: float | None = None) -> np.ndarray:
     """Interpolate a command linearly between its values; it is held over long gaps.
 
     Where it jumps, it keeps the last value until the next one is logged; ``jumps_early`` has the next one at once.
+
+    Args:
+        command: The command, NaN where the log lacks it, shape (samples,).
+        jumps_early: Whether it jumps right after the last logged value.
+        longest_gap: Longest gap that is no long one, in samples; None: 2.5 times the median gap.
     """
     finite_rows = np.flatnonzero(np.isfinite(command))
     values = command[finite_rows]
     gaps = np.diff(finite_rows)
-    changes = np.abs(np.diff(values))
-    preceding = np.concatenate([[0.0], changes[:-1]])
-    following = np.concatenate([changes[1:], [0.0]])
-    jumps = changes > JUMP * np.maximum(preceding, following)
+    slopes = np.abs(np.diff(values)) / gaps
+    preceding = np.concatenate([[0.0], slopes[:-1]])
+    following = np.concatenate([slopes[1:], [0.0]])
+    jumps = slopes > JUMP * np.maximum(preceding, following)
+    longest = REGULAR * float(np.median(gaps)) if longest_gap is None else longest_gap
     filled = forward_filled(command)
     lines = np.interp(np.arange(len(command)), finite_rows, values)
     for begin, end, value, is_jump, gap in zip(finite_rows[:-1], finite_rows[1:], values[1:], jumps, gaps, strict=True):
-        if gap > REGULAR * np.median(gaps):
+        if gap > longest:
             continue
         if not is_jump:
             filled[begin:end] = lines[begin:end]

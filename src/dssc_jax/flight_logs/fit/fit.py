@@ -17,6 +17,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
 from dssc_jax.flight_logs.fit.command_gaps import (
     better_commands,
     command_doubts,
@@ -263,7 +264,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         causes = (
             *output_start_doubts(problem, best.x, results),
             *outlier_doubts(problem, best.x),
-            *delay_doubts(problem, best),
+            *(dropout_doubts(problem, best) or delay_doubts(problem, best)),
         )
         raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
 
@@ -292,7 +293,7 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    doubts_of_delays = delay_doubts(problem, search.best)
+    doubts_of_delays = dropout_doubts(problem, search.best) or delay_doubts(problem, search.best)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]
