@@ -10,6 +10,7 @@ LOGS = ROOT / "src" / "dssc_jax" / "flight_logs"
 PAGE = ROOT / "docs" / "log_fits.md"
 LEAST_LENGTH = 40  # characters of a message; shorter texts are parts of one
 PARTS = (
+    "with that, the study describes the flight",  # behind the words for what is wrong
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "Log the time",

@@ -53,6 +53,7 @@ from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, Se
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
+from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -209,8 +210,9 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
         Unexplained: The residual is more than noise.
     """
     results = explain(problem, best.x)
-    require_description(problem, best.x, results)
-    doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, best.x, results))
+    require_explained(problem, best, results)
+    causes = (*doubts(problem, best.x, results), *column_doubts(problem, best))
+    doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
         f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified.widths)}. "
@@ -261,7 +263,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     try:
         require_description(problem, best.x, results)
     except Unexplained as refusal:
-        causes = (
+        causes = column_doubts(problem, best) or (
             *output_start_doubts(problem, best.x, results),
             *outlier_doubts(problem, best.x),
             *(dropout_doubts(problem, best) or delay_doubts(problem, best)),

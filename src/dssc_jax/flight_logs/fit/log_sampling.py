@@ -39,8 +39,10 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
     references = study_references(study, samples)
     sampling = LogSampling(study, log, samples)
+    all_signals = []
     for row in range(len(loop.channels)):
         signals = channel_signals(study, log, row, references[row, 0])
+        all_signals.append(signals)
         if "y" in signals:
             sampling.add_output(row, signals["y"])
         command = signals.get("u_total")
@@ -59,6 +61,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         replayed=tuple(sampling.replayed),
         jumps=sampling.jumps,
         gaps=log_gaps(log, sampling.needed_signals, end),
+        references=references[:, 0],
+        signals=tuple(all_signals),
         rare=tuple(sampling.rare),
         between=reconstruction.text,
         sensor_noise=reading_noise(study, sampling.outputs),
