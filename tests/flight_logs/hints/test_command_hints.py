@@ -124,3 +124,16 @@ def test_single_commands_that_the_controller_did_not_give_are_told():
     kick = replayed.copy()
     kick[120] += 50.0
     assert "single values" not in command_hint(kick, 0.9 * kick, DT, "N")  # of a jump that both answer
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_an_interpolated_command_is_told_with_the_time_between_commands(rows):
+    """A command every 0.1 s in a table of 50 rows a second, or of 100."""
+    nodes = np.random.default_rng(4).normal(size=101)
+    times = DT / rows * np.arange(500 * rows)
+    lines = Column(times, np.interp(times, 0.1 * np.arange(101), nodes))
+    for sample_time in (DT, 0.1):
+        text = rate_hint(lines, sample_time)
+        assert text.startswith("is a straight line from one command to the next, 0.1 s apart: the log was interpolated")
+    held = Column(times, nodes[np.floor(times / 0.1 + 1e-9).astype(int)])
+    assert rate_hint(held, DT) == ""

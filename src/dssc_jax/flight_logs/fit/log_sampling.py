@@ -114,12 +114,15 @@ class LogSampling:
             self.interpolated[name] = len(is_bend) / np.count_nonzero(is_bend) * loop.sample_time
 
     def add_command(self, row: int, command: np.ndarray) -> None:
-        """Add a channel's logged command."""
+        """Add a channel's logged command; of one that is interpolated between rarer ones, these."""
         name = signal_name(self._study.loop.channels[row], "u_total")
         self.commands[row] = command
         self.needed_signals.append(name)
         self.held_samples |= held_samples({name: command})
-        if is_rare(command):
+        is_bend = bends(command)
+        if is_bend.size:
+            self.commands[row] = np.where(np.resize(is_bend, len(command)), command, np.nan)
+        if is_rare(self.commands[row]):
             self.rare.append(name)
         jump = largest_jump(command)
         if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):

@@ -10,6 +10,7 @@ import numpy as np
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.hints.conversions import FEWER, conversion_text, multiple_of, rms
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reading.interpolated_outputs import bends
 from dssc_jax.flight_logs.reading.reader import Column, forward_filled
 
 SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
@@ -30,12 +31,20 @@ ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference 
 
 
 def rate_hint(command: Column, sample_time: float) -> str:
-    """That a logged command changes more often than the study's controller gives one, in words; empty if it does not.
+    """That a command was interpolated, or changes more often than the study's controller gives one; empty if neither.
 
     Args:
         command: The command as logged.
         sample_time: T_s of the study [s].
     """
+    is_bend = bends(command.value)
+    if is_bend.size:
+        interval = len(is_bend) / np.count_nonzero(is_bend) * float(np.median(np.diff(command.time)))
+        return (
+            f"is a straight line from one command to the next, {interval:.3g} s apart: the log was interpolated, and a "
+            "controller that holds its commands gave each of them later. Log the commands alone, with the time of "
+            "each, and leave other cells empty"
+        )
     change_times = command.time[1:][np.diff(command.value) != 0.0]
     if len(change_times) < LEAST_VALUES:
         return ""
