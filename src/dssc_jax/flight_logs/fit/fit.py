@@ -51,6 +51,7 @@ from dssc_jax.flight_logs.fit.refusals import (
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
+from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
 from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
@@ -264,7 +265,7 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         require_description(problem, best.x, results)
     except Unexplained as refusal:
         causes = column_doubts(problem, best) or (
-            *output_start_doubts(problem, best.x, results),
+            *(start_speed_doubts(problem, best) or output_start_doubts(problem, best.x, results)),
             *outlier_doubts(problem, best.x),
             *(dropout_doubts(problem, best) or delay_doubts(problem, best)),
         )
@@ -310,6 +311,9 @@ def fitted_minimum(
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
     doubts_of_forces = () if doubts_of_delays else force_doubts(problem, search.best, np.sqrt(np.diag(covariance)))
+    doubts_of_start = output_start_doubts(problem, x, results)
+    if any(result.is_doubtful for result in results):
+        doubts_of_start = start_speed_doubts(problem, search.best) or doubts_of_start
     doubts_of_outliers = outlier_doubts(problem, x)
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
@@ -337,7 +341,7 @@ def fitted_minimum(
         cut=problem.count.reason,
         doubts=(
             *doubts(problem, x, results),
-            *output_start_doubts(problem, x, results),
+            *doubts_of_start,
             *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *doubts_of_delays,

@@ -15,6 +15,22 @@ LONG_IN_AIR = 1.0  # s before the study begins: integrals are no longer those of
 MOVING = 0.5  # m/s at the beginning: such a vehicle has flown before
 
 
+START = ("plant.initial.0", "plant.initial.1")
+"""The numbers of the first output and its derivative of a plant of one channel."""
+
+
+def fixed_start(study: Study) -> tuple[float, float] | None:
+    """The output and its derivative at which a plant of one channel starts; None if they are no plain numbers."""
+    values = []
+    for name in START:
+        number = study.numbers.get(name)
+        if number is None or number.expression is not None or not isinstance(number.value, int | float):
+            return None
+        values.append(float(number.value))
+    is_start_of_output = study.numbers[START[0]].quantity.unit.startswith(study.units[0].output)
+    return (values[0], values[1]) if is_start_of_output else None
+
+
 def fixed_integrals(study: Study) -> dict[str, float]:
     """The numbers at which integrals of software on board start, by name; without those that have a law."""
     software = study.loop.mimo_plant.software
