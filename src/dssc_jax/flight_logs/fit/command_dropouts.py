@@ -14,9 +14,9 @@ from dssc_jax.flight_logs.fit.command_gaps import along_lines
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, reweighted_minimum
 from dssc_jax.flight_logs.fit.refits import Refit, with_log
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.shifts import EXPLAINED, LARGE_MOVE, LARGE_PART, SIGNIFICANCE, log_likelihood
 from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 LONGEST = 25  # samples that repeat a command in one span: more are a controller that rests
 MOST_REPEATED = 0.3  # share of the samples: with more, the controller itself is slow
@@ -63,7 +63,7 @@ def without_spans(command: np.ndarray, spans: list[Dropout]) -> np.ndarray:
     return without
 
 
-def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about commands that the log lacks for a few samples, with their times and the remedy.
 
     Args:
@@ -95,7 +95,7 @@ def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
             f"study, and the vehicle got other commands there (p = {p_value:.1g}): with straight lines over these "
             f"spans {fall_text(held, better)}. Log every command, or fit a part without such a span"
         )
-        doubts.append(Doubt(name, text))
+        doubts.append(SignalWarning(name, "command-dropouts", text))
     return tuple(doubts)
 
 

@@ -13,10 +13,11 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise, reweighted_minimum
 from dssc_jax.flight_logs.fit.prediction import prediction
 from dssc_jax.flight_logs.fit.refits import Refit
-from dssc_jax.flight_logs.fit.refusals import Doubt, signal_and_unit
+from dssc_jax.flight_logs.fit.refusals import signal_and_unit
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import SIGNIFICANCE, log_likelihood
 from dssc_jax.flight_logs.hints.starts import START, fixed_start
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 DEVIATIONS = 5.0  # of the speed: a smaller difference is not told
 LARGE_PART = 0.5  # share of the residual that may be left if another start explains it
@@ -68,7 +69,7 @@ def fitted_start(problem: FitProblem, minimum: Minimum) -> FittedStart | None:
     return FittedStart(place, speed, deviation, p_value, Refit(free, end).residual(0))
 
 
-def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about the speed at which the study begins, with the start that the output shows.
 
     Args:
@@ -91,4 +92,4 @@ def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ..
         f"{found.residual:.3g} {unit} rms. Set plant.initial = [{found.place:.4g}, {found.speed:.4g}], or give it laws "
         "around these, which a fit estimates"
     )
-    return (Doubt(name, text),)
+    return (SignalWarning(name, "initial-speed", text),)

@@ -13,10 +13,10 @@ import numpy as np
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.refits import Refit, refit
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.sampled_log import SampledLog
 from dssc_jax.flight_logs.hints.conversions import FEWER
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 DESCRIBED = 0.2  # largest residual of other columns, as a share of the outputs' standard deviation
 LEAST_SHARE = 0.05  # of the outputs' standard deviation: a smaller residual is that of the right columns
@@ -38,7 +38,7 @@ class OtherColumns(NamedTuple):
     log: SampledLog
 
 
-def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about columns of outputs and commands, if others describe the flight far better, with the remedy.
 
     Other commands are tried where other outputs explain nothing: each of them is another simulation.
@@ -57,7 +57,7 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
                 f"{best.words}: with that, the study describes the flight, and the residual is {100 * share:.2g} % of "
                 "the output. Correct the columns, and fit again"
             )
-            return (Doubt(best.signal, text),)
+            return (SignalWarning(best.signal, "exchanged-columns", text),)
     return ()
 
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 LONG_IN_AIR = 1.0  # s before the study begins: integrals are no longer those of the ground
@@ -76,7 +77,7 @@ def start_remedy(name: str) -> str:
     )
 
 
-def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
+def start_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
     """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
     software = study.loop.mimo_plant.software
     initial_values = fixed_integrals(study)
@@ -86,7 +87,8 @@ def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
     if not reason:
         return {}
     vertical = list(initial_values)[-1]
-    return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
+    text = f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"
+    return {vertical.rpartition(".")[0]: Hint("start-in-air", text)}
 
 
 def airborne_reason(study: Study, log: FlightLog) -> str:
