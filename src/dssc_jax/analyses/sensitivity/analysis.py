@@ -20,10 +20,10 @@ from dssc_jax.study import Study, takes_file
 
 
 class SensitivityDesign(NamedTuple):
-    """The functions of one method of sensitivity analysis.
+    """The functions of a method of sensitivity analysis: what it simulates, and which studies it refuses.
 
     Args:
-        design: (study, whether in-loop noise is a factor, confidence) -> the design of the method.
+        design: (study, whether in-loop noise is a factor, confidence) -> the simulations, and what follows from them.
         require: Raises ConfigError for a study that the method cannot treat, before anything is compiled. Its result
             does not matter, so it may be the function that counts the rows.
     """
@@ -78,18 +78,17 @@ def sensitivity(
         results.append(evaluate(engine, values_at_levels(study, sample.levels), sample.indices))
         if progress:
             progress(len(results) * design.rows, count)
-    outputs: dict[str, tuple[np.ndarray, ...] | None] = {}
+    outputs: dict[str, tuple[np.ndarray, ...] | None] = {}  # the quantities by output; None: there are none
     reasons = {}
     missing = {}
-    for name in [*(measure.name for measure in study.measures), FAILURE]:
+    metrics = [measure.name for measure in study.measures]
+    for name in [*metrics, FAILURE]:
         values = np.stack([output_values(result, name) for result in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(values)))
         reason = f"has no value on {missing[name]:,} simulations" if missing[name] else design.refusal(values)
         if reason:
-            outputs[name] = None
             reasons[name] = reason
-        else:
-            outputs[name] = design.quantities(values)
+        outputs[name] = None if reason else design.quantities(values)
     factors = (*study.laws, NOISE) if noisy else tuple(study.laws)
     dataset = sensitivity_dataset(study, method, factors, outputs, missing)
     return Sensitivity(
