@@ -1,6 +1,6 @@
 """Conformal prediction of the next flight, and a test of a study against several flights; no law is assumed.
 
-Each flight yields one number, by a formula that was fixed before the flights. If n + 1 flights are exchangeable, the
+Each flight yields a number, by a formula that was fixed before the flights. If n + 1 flights are exchangeable, the
 rank of the last number among all is uniform. So it is at most the k-th smallest of the others with a probability of at
 least k/(n + 1) (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World (2005), chapter 2).
 

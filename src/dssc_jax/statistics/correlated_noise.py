@@ -1,8 +1,8 @@
 """Likelihood of noise that is correlated in time and observed at any times, and least squares under such noise.
 
 Noise of unit variance is the sum of white noise and a correlated part with the share c of the variance. The correlated
-part is the output of a first-order or second-order system driven by white noise, or the integral of the former. Its
-correlation over a lag tau, or its equation, is
+part is the output of a first-order or second-order system driven by white noise, or the integral of first-order noise.
+Its correlation over a lag tau, or its equation, is
 
     exp(-tau/T)                                                                        first order
     exp(-zeta w) (cos(nu w) + zeta sin(nu w)/nu), w = tau/T, nu^2 = 1 - zeta^2         second order
@@ -220,7 +220,7 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
 def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Precision matrix of the states of the correlated part at all times together, for a variance of 1.
 
-    A drift starts at 0 one median gap before the first time.
+    A drift starts at 0 a median gap before the first time.
 
     Args:
         noise: The noise; its share does not matter.
@@ -303,7 +303,7 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
 
 
 class NoiseFit(NamedTuple):
-    """Generalised least squares of a channel's residual under one kind of noise.
+    """Generalised least squares of a channel's residual under a kind of noise.
 
     Args:
         log_likelihood: Logarithm of the restricted likelihood, in which the p fitted numbers and the variance of the

@@ -1,6 +1,6 @@
 """Worst failure probability over all laws within a divergence of the assumed law, and the divergence a limit allows.
 
-Let P be the assumed law of a draw, Q the true one, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
+Let P be the assumed law of a draw, Q the true law, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
 grows when a draw is reduced to "fails or not": D(Ber(q), Ber(p)) <= D(Q, P). A law whose density relative to P is q/p
 on F and (1-q)/(1-p) elsewhere attains the bound. So the worst case over all laws within D(Q, P) <= r, of any number of
 uncertain numbers, is a problem in one dimension: the largest q with D(Ber(q), Ber(p)) <= r.

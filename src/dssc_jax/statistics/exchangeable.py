@@ -1,4 +1,4 @@
-"""A rank test of one curve against n independent curves, exact for any law of the curves.
+"""A rank test of a curve against n independent curves, exact for any law of the curves.
 
 A statistic of each curve is computed in a way that does not depend on the order of the n + 1 curves. If the tested
 curve has the law of the others, the n + 1 statistics are exchangeable, so that its rank among them is uniform (G. A.
@@ -6,9 +6,9 @@ Barnard, J. Royal Statistical Society B 25 (1963) 294; for curves, M. Myllymäki
 B 79 (2017) 381-404). Nothing is assumed of how the values of a curve depend on each other.
 
 A curve has several signals over time. The statistic is the extreme rank length of the same article, with signals in
-place of points: a curve is extreme if few others depart as far in one of its signals. So all signals count alike, even
-beside one in which all curves have spikes. With many signals, many curves are the most extreme in one of them. The gap
-to the second curve then decides between them (U. Hahn, Scandinavian Journal of Statistics 42 (2015) 1060-1083:
+place of points: a curve is extreme if few others depart as far in any of its signals. So all signals count alike, even
+beside a signal in which all curves have spikes. With many signals, many curves are the most extreme in some signal. The
+gap to the second curve then decides between them (U. Hahn, Scandinavian Journal of Statistics 42 (2015) 1060-1083:
 continuous ranks).
 """
 
@@ -77,7 +77,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     """Largest departure of each curve in each signal, and all departures of the tested curve.
 
     A departure is the distance from the pointwise median, in units of the pointwise median absolute deviation, or of
-    a floor where the curves hardly differ. Medians are those of all n + 1 curves, which makes the test exact. Signals
+    a floor where the curves hardly differ. Medians are taken over all n + 1 curves, which makes the test exact. Signals
     without spread (:func:`spread_signals`) are left out.
 
     Args:

@@ -37,7 +37,7 @@ class Change(ABC):
 
     @abstractmethod
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight: its changed density relative to the unchanged one.
+        """Logarithm of each draw's importance weight: its density under the changed law over its present density.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).

@@ -5,9 +5,9 @@ least `upper` failures. These two boundaries are fixed in advance for every look
 every failure probability p, and its inversion gives an exact interval.
 
 Stops are ordered from few failures to many. First come the stops at the lower boundary in the order of their looks,
-then those at the upper boundary in the reverse order; stops at one look are ordered by the number of failures. If fewer
-draws fail, a test stops no later in this order. So the probability of stopping at or before a stop falls with p, and
-both limits are unique.
+then the stops at the upper boundary in the reverse order; stops at the same look are ordered by the number of failures.
+If fewer draws fail, a test stops no later in this order. So the probability of stopping at or before a stop falls with
+p, and both limits are unique.
 
 Reference:
     C. Jennison, B. W. Turnbull, "Confidence intervals for a binomial parameter following a multistage test with

@@ -1,6 +1,6 @@
 """Bayesian model of a residual's correlated noise: the posterior law over kinds of noise and their parameters.
 
-A residual seldom identifies its correlation well, a sparse one hardly at all. Results that depend on the noise are
+A residual seldom identifies its correlation well, a sparse residual hardly at all. Results that depend on the noise are
 therefore averaged over all plausible noises, with their posterior probabilities, instead of computed for the most
 likely one. Numbers have been fitted to the residual; the restricted likelihood accounts for that.
 
@@ -41,7 +41,7 @@ PROPOSAL_WIDTH = 1.2  # width of the proposal law relative to the posterior law 
 MODE_STARTS = (-1.2, 0.0, 1.2)  # starts of the search for the mode, in each coordinate
 LARGEST_LOGIT = 13.8  # bound of |logit c|: a share and its complement are at least 1e-6
 LEAST_GAP = 0.2  # least gap between two times, as a share of the median gap
-LONGEST = 1000.0  # longest time constant of the second order in median gaps; longer ones are lost in rounding
+LONGEST = 1000.0  # longest time constant of the second order in median gaps; longer time constants are lost in rounding
 ROUNDING_VARIANCE = 10.0  # multiple of the least variance below which a residual counts as rounding, and as white
 LEAST_DAMPING = 0.02
 MOST_DAMPING = 0.98
@@ -78,7 +78,7 @@ class NoisePosterior(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """Laplace's normal approximation of the posterior law of one kind of noise, around its mode.
+    """Laplace's normal approximation of the posterior law of a kind of noise, around its mode.
 
     Args:
         point: Coordinates of the mode, whose prior law is standard normal, shape (k,).
@@ -311,6 +311,7 @@ class NoiseSearch:
         simulated: np.ndarray | None = None,
         only_simulated: bool = False,
     ) -> None:
+        """Find the mode of the posterior law of each kind of noise."""
         self.times = separate_times(times)
         self.columns = columns
         self.floor = floor

@@ -1,12 +1,12 @@
-"""Worst probability of a set of scores when their normal law is moved or widened, over all sets of one probability.
+"""Worst probability of a set of scores when their normal law is moved or widened, over all sets of a given probability.
 
-The scores of a draw have the standard normal law, and the set is that of the failing draws. Let the true law of the
-scores be N(d, I), at the distance s = |d|. Of all sets of probability p, the half space in direction d gains most
-(Neyman and Pearson): its probability becomes Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with
+The scores of a draw have the standard normal law, and the set contains the scores of the failing draws. Let the true
+law of the scores be N(d, I), at the distance s = |d|. Of all sets of probability p, the half space in direction d gains
+most (Neyman and Pearson): its probability becomes Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with
 k >= 1, the outside of a ball gains most. So the bounds hold for any set, and these sets attain them.
 
 A smaller distance, or widths between 1 and k, cannot be worse. The same rescaling with added noise turns N(0, I) into
-itself and the law with s or k into the milder one, and no processing makes two laws easier to tell apart.
+itself and the law with s or k into the milder law, and no processing makes two laws easier to tell apart.
 
 References:
     J. Neyman, E. S. Pearson, Philosophical Transactions A 231 (1933) 289-337.

@@ -191,7 +191,7 @@ def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike,
     With a stake s, a draw multiplies the capital by 1 - s (1 - margin) if a alone fails, by 1 + s (1 + margin) if b
     alone fails, and by 1 + s margin otherwise. The result is the mean capital over the stakes :data:`STAKES`. If the
     difference is at least ``margin``, the capital is a supermartingale, so it ever exceeds 1/e with a probability of at
-    most e (Ville), however often one looks.
+    most e (Ville), however often it is computed.
 
     Args:
         only_a: Number of draws on which a alone failed, any shape.

@@ -114,7 +114,7 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
     """Number of draws after which the exact interval reaches at most ``error`` with the probability ``confidence``.
 
     Let n_k be the least number of draws with which the interval is short enough at every number of failures up to k.
-    The probability of at most k failures falls from n_k to n_(k+1) - 1 draws. At n_(k+1) draws one more failure is
+    The probability of at most k failures falls from n_k to n_(k+1) - 1 draws. At n_(k+1) draws a further failure is
     allowed, so the probability jumps up: over the draws it is a sawtooth. The answer is the first n_k after which every
     tooth ends high enough. Some smaller numbers may also suffice.
 

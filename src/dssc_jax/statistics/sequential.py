@@ -45,13 +45,14 @@ class UntilWidth:
 
     Reference:
         J. Frey, "Fixed-width sequential confidence intervals for a proportion", The American Statistician 64 (2010)
-        242-249, on rules of this kind; the interval is that of Jennison and Turnbull.
+        242-249, on rules of this kind; the interval is due to Jennison and Turnbull.
     """
 
     width: float
     confidence: float = CONFIDENCE
 
     def __post_init__(self) -> None:
+        """Refuse arguments outside (0, 1)."""
         require_share(width=self.width, confidence=self.confidence)
 
     @property
@@ -126,7 +127,8 @@ class AcceptReject:
     """Stopping rule: Wald's sequential test of a failure probability p <= ``accept`` against p >= ``reject``.
 
     The likelihood ratio of the two hypotheses is compared with 1/a and a, where a = 1 - confidence. So the probability
-    of a wrong acceptance, and that of a wrong rejection, is at most a for any times of the looks (Ville).
+    of a wrong acceptance is at most a, and so is the probability of a wrong rejection, for any times of the looks
+    (Ville).
 
     Args:
         accept: Acceptable failure probability, in (0, reject).
@@ -145,6 +147,7 @@ class AcceptReject:
     confidence: float = CONFIDENCE
 
     def __post_init__(self) -> None:
+        """Refuse probabilities that are out of range or in the wrong order."""
         require_share(accept=self.accept, reject=self.reject, confidence=self.confidence)
         if not self.accept < self.reject:
             raise ValueError(f"accept must be below reject, got {self.accept:g} and {self.reject:g}")

@@ -1,8 +1,8 @@
 """Noise whose correlated part has the shape that simulations show, as an autoregression of the readings.
 
-Simulations give the correlated part at the times of the readings. Each reading is predicted from those before it by
-least squares over all simulations and times. The errors of these predictions are uncorrelated, so they whiten the
-noise. At the beginning and behind a gap fewer readings predict.
+Simulations give the correlated part at the times of the readings. Earlier readings predict each reading by least
+squares over all simulations and times. The errors of these predictions are uncorrelated, so they whiten the noise. At
+the beginning and behind a gap fewer readings predict.
 
 References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), sections 3.2 and 13.4.
@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-MOST_LAGS = 40  # readings that predict the next one
+MOST_LAGS = 40  # readings that predict the next reading
 READINGS_PER_LAG = 8  # least number of readings for each reading that predicts
 LONG_GAP = 1.5  # median gaps, from which the prediction begins anew
 REGULAR = 1e-12  # share of the variance that keeps the normal equations of a smooth noise regular
 
 
 class NoiseShape(NamedTuple):
-    """What simulations show of the correlated part of a noise: the products that predict a reading from earlier ones.
+    """What simulations show of the correlated part of a noise: products that predict a reading from earlier readings.
 
     A mean product is the mean over the simulations of the product of two readings. A matrix of mean products has in
     row and column j the reading j places before the predicted reading; rows of readings that do not predict are 0.

@@ -1,4 +1,4 @@
-"""Probability of an event under another law than that of the draws, from weighted independent draws."""
+"""Probability of an event under another law than the draws have, from weighted independent draws."""
 
 import numpy as np
 from scipy import special

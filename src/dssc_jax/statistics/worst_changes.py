@@ -4,7 +4,7 @@ The failure probability under a changed law is the sum of the weights of the fai
 draws. Its logarithm has a gradient in closed form, and a search from several starts finds its largest value over the
 changes within a size. If the failing draws form a convex set, it is concave in a shift and has a single maximum.
 
-**What the limits claim.** For one change that is fixed in advance, the upper limit U of the weighted mean is above the
+**What the limits claim.** For a change that is fixed in advance, the upper limit U of the weighted mean is above the
 true probability with its confidence. The worst change is such a change, although it is unknown. The largest U over all
 changes is at least U there, so it bounds the worst probability with the same confidence. The lower limit of the best
 change follows in the same way. In place of the largest U, the code takes U where the weighted probability is largest;

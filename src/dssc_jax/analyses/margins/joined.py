@@ -1,4 +1,4 @@
-"""Join several margins over one walk into one dataset, and separate them again."""
+"""Join several margins over the same walk into a dataset, and separate them again."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -37,8 +37,8 @@ class Walk:
         end: The other end, larger or smaller than the start.
         log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid, including both ends.
-        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest one
-            that divides the duration into whole samples. None for any other number.
+        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest
+            value that divides the duration into whole samples. None for any other number.
     """
 
     start: float
@@ -98,6 +98,7 @@ class FirstViolated:
     """
 
     def __init__(self, draws: int, start: float) -> None:
+        """Record no failure of any draw."""
         self.start = start
         self.requirement = np.full(draws, -1)
         self.distance = np.full(draws, np.inf)
@@ -125,7 +126,7 @@ class FirstViolated:
 
 
 def join_critical(blocks: Sequence[Critical]) -> Critical:
-    """The critical values of several blocks of draws as those of all draws, one block after the other."""
+    """The critical values of all draws, from the critical values of their blocks in order."""
     violated = [block.violated for block in blocks if block.violated is not None]
     return Critical(
         value=np.concatenate([block.value for block in blocks]),

@@ -52,7 +52,7 @@ def margin(
         study: The study, or its file; its own sweep is ignored.
         over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
             tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
-        bounds: The safe end, where draws are expected to pass, then the other end, which may be the smaller one.
+        bounds: The safe end, where draws are expected to pass, then the other end, which may be smaller.
         log: Space the values evenly in the logarithm.
         points: Number of values in the bracketing grid. A failure between two neighbouring values is not noticed if the
             draw passes at both.
@@ -260,7 +260,7 @@ def critical_block(
 
     Args:
         evaluator: The compiled study.
-        block: The draws, from the first index to the one after the last.
+        block: The draws, from the first index to the index after the last.
         numbers_at: See :func:`numbers_along`.
         walk: The walk to search.
         bisections: Number of bisections of the grid cell.

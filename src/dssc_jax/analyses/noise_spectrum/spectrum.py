@@ -1,4 +1,4 @@
-"""The gain from measurement noise to the command over frequency, from one trajectory."""
+"""The gain from measurement noise to the command over frequency, from a trajectory."""
 
 import numpy as np
 import xarray as xr

@@ -48,7 +48,7 @@ class FailureProbability(Analysis):
 
     Args:
         width: Width of the interval that was asked for.
-        simulations: Number of simulations, with those of the prediction.
+        simulations: Number of simulations, for the prediction and in the strata.
     """
 
     kind = "probability"

@@ -27,7 +27,7 @@ NET_POINTS = 2**12  # points of a net
 NARROW_NET_POINTS = 2**14  # points of a net, if the interval is to be narrower than NARROW_WIDTH
 NARROW_WIDTH = 0.01
 FIRST_MASS = 0.01  # probability of each of the two strata at the border
-GROWTH = 2.5  # ratio of a stratum's probability to that of its neighbour nearer to the border
+GROWTH = 2.5  # probability of a stratum over its neighbour's, which is nearer to the border
 RESERVE = 1.0  # ratio of the width that the draws aim at to the width that was asked for
 
 

@@ -1,6 +1,6 @@
 """A prediction of the slack from some simulated draws, and the probability of failure at a predicted slack.
 
-The prediction only decides how many draws an answer takes. A bad one leaves the answer valid.
+The prediction only decides how many draws an answer takes. A bad prediction leaves the answer valid.
 """
 
 from dataclasses import dataclass, field
@@ -123,6 +123,7 @@ class Surrogate:
     curve: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
+        """Fit the prediction to all points, and the logistic curve to predictions of points that are left out."""
         values = scale_slacks(self.slacks)
         self.function = fit_interpolation(self.points, values)
         predicted = np.empty(len(values))

@@ -1,6 +1,6 @@
 """Design points: the failures nearest to the median draw in standard normal space, and approximations there.
 
-The most probable failures of one kind lie near a design point. Searches from several starts find several design points.
+The most probable failures of a kind lie near a design point. Searches from several starts find several design points.
 FORM replaces the limit state, the border of failure, by its tangent there, and SORM by a paraboloid. Both are
 approximations without an interval.
 
@@ -27,7 +27,7 @@ SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach
 SMALLEST_STEP = 0.02
 SETTLED = 0.02  # length of the last step of a search
 ON_BORDER = 0.05  # distance from the border of failure of a point that counts as on it
-SAME = 0.7  # distance of two design points that count as one
+SAME = 0.7  # distance of two design points that count as the same
 FARTHER = 2.5  # design points that lie so much farther out than the nearest contribute nothing
 CURVATURE_STEP = 0.05  # step of a difference of slopes
 
@@ -70,7 +70,7 @@ def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> 
         starts: The points at which the searches start, shape (n, d).
 
     Returns:
-        The design points, without those that lie far beyond the nearest and without SORM's factor.
+        The design points, without points far beyond the nearest, and without SORM's factor.
     """
     points = starts
     slacks, slopes = slacks_and_slopes(points)

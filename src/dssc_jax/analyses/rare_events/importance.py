@@ -2,8 +2,8 @@
 
 A prediction of the slack, made from plain draws and from points of a wide law, leads to the design points. Rounds of
 further points near them improve it. Candidates are then drawn from a mixture of normal laws at the design points and of
-the wide law. Each is simulated with a known chance: a likely one where it stands for much of the failure probability or
-may decide whether the prediction is right. A failing candidate counts with its weight over its chance (Horvitz and
+the wide law. Each is simulated with a known chance, which is large where it stands for much of the failure probability
+or may decide whether the prediction is right. A failing candidate counts with its weight over its chance (Horvitz and
 Thompson), so the estimate has no bias, whatever the prediction is worth. The points that made the prediction do not
 count. The method misses failures of a kind that no simulated point meets; the plain draws bound their probability.
 
@@ -37,7 +37,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
-LEARNT = 128  # plain draws in the prediction: those with the smallest slacks
+LEARNT = 128  # plain draws in the prediction, namely the draws with the smallest slacks
 EXPLORED = 256  # points of the wide law in the prediction
 STARTS = 16  # starts of the searches for design points
 START_DISTANCE = 1.5  # least distance between two starts
@@ -75,6 +75,7 @@ class ImportanceSampling:
     plain: int = FEWER_PLAIN
 
     def __post_init__(self) -> None:
+        """Refuse settings that are out of range."""
         if not 0.0 < self.variation < 1.0:
             raise ConfigError("rare", f"needs variation in (0, 1), got {self.variation:g}")
         if self.most < LEAST_SAMPLED or self.plain < 1:
@@ -220,7 +221,7 @@ class DesignSearch:
     def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
         """Fit the prediction with further simulated points, and search for its design points.
 
-        The searches start from the failing points nearest to the median draw, then from those with the least slacks.
+        The searches start from the failing points nearest to the median draw, then from points with the least slacks.
 
         Args:
             points: The further points, shape (n, d).
@@ -341,7 +342,7 @@ class Sample(NamedTuple):
 
 
 def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample:
-    """Simulate the points of the answer in batches, and return the failing ones with their weights.
+    """Simulate the points of the answer in batches, and return the failing points with their weights.
 
     The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
     batch doubles the number of points. Each batch counts in proportion to its planned size, which does not depend on

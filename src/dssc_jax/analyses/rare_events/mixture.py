@@ -73,13 +73,13 @@ def mixture_sample(components: list[Component], count: int, rng: np.random.Gener
 
 
 def fit_mixture(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
-    """Fit a mixture to weighted failures, by one step of expectation and maximisation.
+    """Fit a mixture to weighted failures, by a step of expectation and maximisation.
 
     Each narrow law gets the mean of the failures near it, and their covariance where it is wider than the unit matrix.
     A law with few failures stays as it is.
 
     Args:
-        components: The mixture to start from; its last law is the wide one, which stays.
+        components: The mixture to start from; its last law, the wide law, stays.
         points: Points in standard normal space, shape (n, d).
         weights: Probability of the failures that each point stands for, shape (n,).
     """

@@ -44,8 +44,8 @@ class Prediction:
     def failure_probability(self, points: np.ndarray) -> np.ndarray:
         """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
 
-        The error of a smooth slack is assumed to be normal. That of a noisy one, such as the largest of many readings,
-        has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
+        The error of a smooth slack is assumed to be normal. The error of a noisy slack, such as the largest of many
+        readings, has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
         """
         is_noisy = self.smoothing >= NOISY
         probabilities = np.empty(len(points))

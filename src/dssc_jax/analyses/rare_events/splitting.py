@@ -57,6 +57,7 @@ class Splitting:
     plain: int = PLAIN
 
     def __post_init__(self) -> None:
+        """Refuse settings that are out of range."""
         if self.particles < LEAST_PARTICLES or not 0 < self.killed < self.particles:
             rule = f"needs particles >= {LEAST_PARTICLES} and 0 < killed < particles"
             raise ConfigError("rare", f"{rule}, got {self.particles} and {self.killed}")

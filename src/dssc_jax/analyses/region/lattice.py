@@ -83,6 +83,7 @@ class Lattice:
     def __init__(
         self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
     ) -> None:
+        """Lay out the lattice, and compile the study; nothing is simulated yet."""
         self.study = study
         self.over = over
         self.progress = progress
@@ -124,7 +125,7 @@ class Lattice:
         """Simulate the coarse lattice, then its boundary at ever finer strides down to 1.
 
         Args:
-            stride: Distance of neighbouring points of the coarse lattice, in points of the finest one.
+            stride: Distance of neighbouring points of the coarse lattice, in points of the finest lattice.
         """
         count = len(self.failures)
         places = range(0, count, stride)

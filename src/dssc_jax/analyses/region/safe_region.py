@@ -2,7 +2,7 @@
 
 The two numbers lie on a lattice that is fixed in advance, and all its points share the same independent draws. At each
 point the number of failed draws has a binomial law, so that an exact interval says whether at least 95 % of all plants
-pass. The intervals hold for all points of the lattice together (Bonferroni), and hence for those that the search
+pass. The intervals hold for all points of the lattice together (Bonferroni), and hence for the points that the search
 chooses to simulate, in whatever way. Between the points nothing is claimed.
 
 The search simulates a coarse lattice and halves its cells where the verdicts at the corners differ. A side whose ends

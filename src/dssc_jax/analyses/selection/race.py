@@ -1,4 +1,4 @@
-"""A race of N candidates on common draws: those that are surely not among the best K are simulated no more.
+"""A race of N candidates on common draws: a candidate that is surely not among the best K is simulated no more.
 
 Let the best be the K candidates with the smallest failure probabilities. A candidate leaves the race when the draws are
 evidence that K others fail less often. One of the best leaves only if the evidence is wrong for one of the others, so
@@ -11,8 +11,8 @@ Where K candidates hardly ever fail, nothing fails less often by more than that:
 is surely less than ``within`` may be chosen without a look at the others.
 
 The evidence holds at all numbers of draws at once (:func:`dssc_jax.statistics.log_evidence_of_less`), so the race may
-look as often as it likes. A third of the error is spent on those that leave, a third on the end, and a third on those
-that hardly ever fail.
+look as often as it likes. A third of the error is spent on candidates that leave, a third on the end, and a third on
+candidates that hardly ever fail.
 """
 
 import math
@@ -74,7 +74,7 @@ class PairedFailures(NamedTuple):
     draws: int
 
     def all_within(self, difference: float, evidence_threshold: float) -> bool:
-        """Whether it is proved that no candidate of the first set fails more often than one of the second by more.
+        """Whether each of the first set is proved to fail at most ``difference`` more often than each of the second.
 
         Args:
             difference: Difference of failure probabilities.
@@ -103,6 +103,7 @@ class Tally:
     """
 
     def __init__(self, failing: Failing, count: int) -> None:
+        """Begin without draws."""
         self.failing = failing
         self.draws = np.zeros(count, int)
         self.failures = np.zeros(count, int)
@@ -123,7 +124,7 @@ class Tally:
 
 
 def race(failing: Failing, count: int, keep: int, within: float, most: int) -> RaceResult:
-    """Find the K candidates that fail least often, by ever more draws of those still in the race.
+    """Find the K candidates that fail least often, by ever more draws of the candidates in the race.
 
     After each look at the draws, candidates leave for which K others are surely better. The race ends when the K best
     so far are surely not worse than the others by more than ``within``; or when K candidates surely fail less often

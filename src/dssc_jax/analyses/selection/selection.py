@@ -55,7 +55,7 @@ class Selection(Analysis):
     """The candidates among many that fail least often.
 
     The dataset has along ``candidate`` the value of each number by its dotted name, the number of ``draws`` and of
-    ``failures``, and ``place``: 0 for the best candidate, -1 for one that was not chosen.
+    ``failures``, and ``place``: 0 for the best candidate, -1 for a candidate that was not chosen.
 
     Args:
         ranges: Where the candidates lie, by dotted name of the number.
@@ -136,7 +136,7 @@ def select(
     """Find the candidates that fail least often among many values of some numbers, with 95 % confidence.
 
     All candidates are simulated on the same independent draws. Those that are surely not among the best leave early.
-    The draws differ from those of a run of the study, on which the choice can be judged.
+    A run of the study has other draws, on which the choice can be judged.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.

@@ -31,7 +31,7 @@ class Term(NamedTuple):
     Args:
         first: Index of the first number.
         first_degree: Degree in the first number, at least 1.
-        second: Index of the second number; the first one again in a polynomial of one number.
+        second: Index of the second number; the first number again in a polynomial of one number.
         second_degree: Degree in the second number; 0 in a polynomial of one number.
     """
 

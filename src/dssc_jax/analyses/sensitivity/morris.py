@@ -1,6 +1,6 @@
 """Morris screening of every metric and of failure: which of many numbers matter at all, by few simulations.
 
-A trajectory moves one factor after the other, in random order, by half of its law's probability. The change of the
+A trajectory moves the factors one after the other, in random order, by half of its law's probability. The change of the
 output is the factor's elementary effect. The mean of its absolute values, mu*, says how much a factor matters; the
 spread sigma of the signed effects says how much that depends on the other factors or on where the factor is. In-loop
 noise is one more factor: its move is another draw index.
@@ -27,7 +27,7 @@ FEWEST = 10  # trajectories, for intervals of some use
 
 
 def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Random trajectories through the grid of levels; each moves one factor after the other.
+    """Random trajectories through the grid of levels; each moves the factors one after the other.
 
     Args:
         count: Number of trajectories.

@@ -24,7 +24,7 @@ PLANNED_ROWS = 30  # carrying rows that a refusal plans for, so that the next ru
 
 
 class RowSample(NamedTuple):
-    """Points to simulate, one for each row of a design.
+    """Points to simulate, a point for each row of a design.
 
     Args:
         levels: Quantile levels of the laws, correlations included, shape (rows, laws).

@@ -4,12 +4,12 @@ The effect of a factor is the variance that it explains when it becomes known af
 orders in which the factors may become known. The effects are never negative and sum to 1. For independent factors each
 lies between the first-order and the total Sobol index.
 
-Every row has a random order of the factors and two independent points. Its simulations are chained: the first takes
-all factors from the second point, and each further one takes one more factor, in that order, from the first point. With
-correlated numbers the others follow their conditional law, since the normal scores of the Gaussian copula are mixed by
-the Cholesky factor of the correlation in that order. So the pair of the last simulation and the k-th shares exactly
-the first k factors, and half its mean square difference is the variance that these leave unexplained. In-loop noise
-is one more factor, independent of the numbers.
+Every row has a random order of the factors and two independent points. Its simulations are chained: the first takes all
+factors from the second point, and each further simulation takes a further factor, in that order, from the first point.
+With correlated numbers the others follow their conditional law, since the normal scores of the Gaussian copula are
+mixed by the Cholesky factor of the correlation in that order. So the pair of the last simulation and the k-th shares
+exactly the first k factors, and half its mean square difference is the variance that these leave unexplained. In-loop
+noise is one more factor, independent of the numbers.
 
 Reference:
     E. Song, B. L. Nelson, J. Staum, SIAM/ASA Journal on Uncertainty Quantification 4 (2016) 1060-1083; A. B. Owen,
@@ -76,7 +76,7 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
 
 
 def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Shapley effects of one output, the share of its variance that each factor explains, with their intervals.
+    """Shapley effects of an output, the share of its variance that each factor explains, with their intervals.
 
     Half the squared difference of the last simulation and simulation k has as its mean the variance that the first k
     factors leave unexplained. Its fall from k - 1 to k is the part of the factor at place k of the order. The interval

@@ -5,7 +5,7 @@ with the column of i from B. The indices follow from the pairs (B, AB_i), which 
 all but i. In-loop noise is one more factor: A's rows have their own draw indices and B's rows others.
 
 The rows are independent replicates of a scrambled Sobol sequence. The intervals are Student's t over the replicates.
-An output whose variance comes from only a few rows, as that of a rare failure does, is refused: no interval would hold.
+An output whose variance comes from only a few rows, such as a rare failure, is refused: no interval would hold.
 """
 
 from typing import NamedTuple
@@ -32,7 +32,7 @@ SINGULAR = 1e-10  # relative size of a singular value that counts as 0 in the eq
 
 
 class SobolIndices(NamedTuple):
-    """Sobol indices of one output, each with estimate, lower and upper end; below 0 means about 0.
+    """Sobol indices of an output, each with estimate, lower and upper end; below 0 means about 0.
 
     Args:
         first: First-order indices, shape (factors, 3).
@@ -61,7 +61,7 @@ def sobol_indices(
     confidence: float = CONFIDENCE,
     chaos: Chaos | None = None,
 ) -> SobolIndices:
-    """First-order index S_i and total index S_Ti of one output for each factor i, with their intervals.
+    """First-order index S_i and total index S_Ti of an output for each factor i, with their intervals.
 
     S_i is the share of the variance that the factor explains alone, S_Ti its share with all interactions. With centred
     outputs f, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), where V is the variance over A and B.
@@ -92,7 +92,7 @@ def sobol_indices(
     if predicted is not None:
         numerators, variance_terms = correct_terms(numerators, variance_terms, predicted)
     if effective_rows**2 / len(f_a) >= JOINT:
-        for place, numerator in enumerate(numerators):
+        for place, numerator in enumerate(numerators):  # both indices of a factor belong to the same AB_i
             controls = control_variates(f_a, f_b, f_ab[place % len(f_ab)])
             numerators[place] = subtract_controls(numerator, variance_terms, controls)
     indices = numerators.mean(1, keepdims=True) / variance_terms.mean()

@@ -1,4 +1,4 @@
-"""Theory and simulation combined: how far one number of a loop can change according to each."""
+"""Theory and simulation combined: how far a number of a loop can change according to each."""
 
 import time
 from collections.abc import Mapping
@@ -234,7 +234,7 @@ def assess(
     prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Assessment:
-    """Assess one number's critical value by Theorem 1, linearisation, describing functions and simulation.
+    """Assess a number's critical value by Theorem 1, linearisation, describing functions and simulation.
 
     Each method answers a different question. The theorem covers all draws and all states, but the loop without lag and
     sampling. A proof covers the sampled loop with its lag, for all plants of the laws at once. Eigenvalues cover small
@@ -261,12 +261,12 @@ def assess(
     study = study.without_sweep()
     local = {}
     not_covered = {}
-    edge = None
     for kind in Time:
         try:
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
+    edge = None
     if Time.SAMPLED in local and is_time_constant(study, over):
         median_study = study.override({**medians(study), "draws": 1})
         critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])
@@ -292,7 +292,7 @@ def is_time_constant(study: Study, name: str) -> bool:
 
 
 def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list[float]:
-    """The time constants at which oscillations are computed [s]: those within the walk that the sample time resolves.
+    """The time constants at which oscillations are computed [s], within the walk and resolved by the sample time.
 
     Args:
         study: The study.

@@ -136,7 +136,7 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
-        params: Parameters of the loop for one draw.
+        params: Parameters of the loop for a draw.
     """
     gains = params.controller[0]
     model = loop.unmodelled[0]
@@ -184,7 +184,7 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
-        params: Parameters of the loop for one draw.
+        params: Parameters of the loop for a draw.
     """
     a, b, c = open_loop(loop, params)
     law = loop.controller[0].synthesised
@@ -225,7 +225,7 @@ def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
 
     Args:
         loop: A loop at rest; see :func:`at_rest`.
-        params: Parameters of the loop for one draw.
+        params: Parameters of the loop for a draw.
     """
     key = jax.random.key(0)
     start, unravel = ravel_pytree(state_after_first_sample(loop, params))

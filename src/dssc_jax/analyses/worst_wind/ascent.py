@@ -2,8 +2,8 @@
 
 The height of a signal is its value with the sign that makes a larger height worse. A climb raises the height.
 
-The method is that of Frank and Wolfe: a step goes from the present wind towards the one that maximises the linearised
-signal over all winds within the bounds. For a loop that is nearly linear the whole step is the best one, and the result
+The method is due to Frank and Wolfe: a step goes from the present wind towards the extreme wind, which maximises the
+linearised signal over all winds within the bounds. For a nearly linear loop the whole step is the best, and the result
 switches where the gradient changes its sign, as Pontryagin's principle says of the worst disturbance.
 
 Reference:
@@ -139,6 +139,7 @@ class Ascent:
     differentiated: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        """Find the ranges in which the search can move uncertain numbers."""
         self.ranges = number_ranges(self.flights.flying.laws, self.flights.numbers)
 
     def run(self) -> dict[str, WorstFlight]:
@@ -173,7 +174,7 @@ class Ascent:
         return Climbs(signals, join_points(starts), np.concatenate(start_heights))
 
     def first_winds(self) -> list[np.ndarray]:
-        """The winds of the candidates [m/s], by kind: resonant ones and random ones, shape (n, size, 3) each."""
+        """The winds of the candidates [m/s], by kind: resonant winds, then random winds, shape (n, size, 3) each."""
         return [self.winds.resonant_winds(), self.winds.random_winds(RANDOM, self.rng)]
 
     def report(self, rounds: int) -> None:
@@ -248,14 +249,14 @@ class Ascent:
         for i, signal in enumerate(signals):
             by_trial[:, i] = heights[signal].reshape(len(trials), count)[:, i]
         highest = np.argmax(by_trial, axis=0)
-        rows = np.arange(count)
+        rows = np.arange(count)  # of a set of trials, which lie one set after the other
         return all_trials.select(highest * count + rows), by_trial[highest, rows]
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
         """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.
 
         The worst moment of a flight may come before its end. The last trial delays the extreme wind, so that this
-        moment becomes the last one and more wind can precede it.
+        moment comes last and more wind can precede it.
 
         Args:
             signals: The signal of each point, n names.
@@ -266,7 +267,7 @@ class Ascent:
             and the delayed extreme wind.
         """
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
-        self.differentiated += len(signals) * (3 * self.winds.grid.size + len(self.flights.numbers))
+        self.differentiated += len(signals) * (len(self.flights.grid.names) + len(self.flights.numbers))
         signs = np.array([self.flights.signals[name].sign for name in signals])
         wind_slopes = signs[:, None, None] * slopes.wind
         number_slopes = {name: signs * column for name, column in slopes.numbers.items()}
@@ -282,7 +283,7 @@ class Ascent:
     def extreme_numbers(self, slopes: Arrays, numbers: Arrays) -> Arrays:
         """Each uncertain number at the end of its range towards which the signal gets worse, shape (n,) each.
 
-        A number without an effect, or one that the search cannot move, stays.
+        A number without an effect stays, and so does a number that the search cannot move.
 
         Args:
             slopes: Derivatives of the height by each number, shape (n,) each.

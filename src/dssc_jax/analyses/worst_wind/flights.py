@@ -31,7 +31,7 @@ SMALLEST = ("rotor_thrust_min",)
 REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
 """Tables of a study that do not matter for a flight in a given wind."""
 BEYOND = 3
-"""Knots of a spline besides one for each segment: before the flight, at its end and after it."""
+"""Knots of a spline besides a knot for each segment: before the flight, at its end and after it."""
 
 
 class WindGrid(NamedTuple):
@@ -40,7 +40,7 @@ class WindGrid(NamedTuple):
     Args:
         interval: Time between two vectors [s].
         size: Number of vectors.
-        smooth: Whether the vectors are knots of a spline; otherwise each one holds for the interval.
+        smooth: Whether the vectors are knots of a spline; otherwise each vector holds for the interval.
     """
 
     interval: float
@@ -126,6 +126,7 @@ class WindFlights:
     flying: Study = field(init=False)
 
     def __post_init__(self) -> None:
+        """Compile the flights without and with derivatives by every number of the wind and of the vehicle."""
         self.flying = flying_study(self.study, self.grid)
         self.signals = {measure.name: Signal.of(measure) for measure in self.flying.measures}
         self.numbers = [name for name in self.flying.laws if not name.startswith("wind.")]
@@ -159,7 +160,7 @@ class WindFlights:
             names: The signal of each flight, n names.
 
         Returns:
-            The derivatives; 0 in place of one that is not a number.
+            The derivatives; 0 in place of NaN.
         """
         draws = np.zeros(len(winds), int)  # the noise of draw 0
         results = self._with_gradients(draws, self.grid.values(winds) | dict(numbers))
@@ -222,14 +223,14 @@ def fly_winds(
     """Fly once in each of many given winds, in batches of one compiled program.
 
     Args:
-        study: The study; its own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of
-            draw 0.
+        study: The study; its own wind, sweep, metrics and requirements are replaced. All flights have the in-loop noise
+            of draw 0.
         winds: The winds [m/s], shape (flights, vectors, 3). The vectors divide the flight into equal parts, of whole
-            samples; each one holds over its part. Fewer than the flight has samples.
+            samples; each vector holds over its part. There are fewer vectors than samples.
         numbers: Values of uncertain numbers of the study by dotted name, shape (flights,) each; the others have their
             medians.
-        smooth: Whether the vectors are the knots of a cubic spline instead: the first one a part before the start, the
-            second one at the start, and the last two at the end and a part after it.
+        smooth: Whether the vectors are the knots of a cubic spline instead: the first knot a part before the start, the
+            second at the start, and the last two at the end and a part after it.
 
     Returns:
         Along ``flight``: for each channel the largest |e|, |e'| and |sigma| as ``error_max_x``, ``error_rate_max_x``,

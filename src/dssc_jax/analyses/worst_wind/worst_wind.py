@@ -173,7 +173,7 @@ class WorstWind(Analysis):
 
 
 def finite_or_none(value: float) -> float | None:
-    """The value, or None in place of an infinite one, which JSON does not have."""
+    """The value, or None in place of infinity, which JSON does not have."""
     return value if np.isfinite(value) else None
 
 
@@ -204,8 +204,8 @@ def worst_wind(
         progress: Called with the rounds done.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows; a signal is unknown; ``segments``
-            or ``rounds`` is out of range.
+        ConfigError: The bounds of the wind are unknown or uncertain, or it never blows; a signal is unknown;
+            ``segments`` or ``rounds`` is out of range.
 
     Example:
         >>> import dssc_jax as dj
@@ -255,7 +255,7 @@ def worst_wind(
 def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed: int = 0) -> np.ndarray:
     """Random winds within the bounds of a study's wind, for :func:`dssc_jax.fly_winds`.
 
-    Each one switches at random times to random extremes. The mean time between two switches is random, too, from one
+    Each wind switches at random times to random extremes. The mean time between two switches is random, too, from one
     part of the flight to all of it.
 
     Args:
@@ -269,7 +269,7 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
         ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows; or a number is too small.
+        ConfigError: The bounds of the wind are unknown or uncertain, or it never blows; or a number is too small.
 
     Example:
         >>> import dssc_jax as dj
