@@ -8,16 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.problem import Box, ProofProblem, middle
 from dssc_jax.proofs.search.gains import start_ratio
+from dssc_jax.proofs.search.held_plant import held_matrices
 from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.law_spread import Deviation, LawSpread
 from dssc_jax.proofs.search.sampled_loop import (
     LoopPoint,
     Step,
     box_middle,
-    held_matrices,
-    middle,
     signal_sizes,
     start_corners,
     step_of,

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.problem import Box, ProofProblem, middle
 from dssc_jax.proofs.search.bounds_map import (
     CHANGE,
     EQUIVALENT,
@@ -19,6 +19,7 @@ from dssc_jax.proofs.search.bounds_map import (
     BoundsMap,
     bounds_map,
 )
+from dssc_jax.proofs.search.held_plant import flow, held_matrix
 from dssc_jax.proofs.search.impulse_responses import decay_of, spectral_radius
 from dssc_jax.proofs.search.law_spread import (
     StageRegion,
@@ -27,13 +28,7 @@ from dssc_jax.proofs.search.law_spread import (
     slide_hull,
 )
 from dssc_jax.proofs.search.obstacles import Obstacle
-from dssc_jax.proofs.search.sampled_loop import (
-    INNER_STEPS,
-    flow,
-    held_matrix,
-    middle,
-    signal_sizes,
-)
+from dssc_jax.proofs.search.sampled_loop import INNER_STEPS, signal_sizes
 
 ROUNDS = 16
 """Largest number of regions that are tried for bounds from the start on; each is larger than the one before."""

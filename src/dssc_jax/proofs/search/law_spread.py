@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.problem import Interval, ProofProblem, middle
 from dssc_jax.proofs.search.gains import (
     GAIN_NAMES,
     KNOWN_INTEGRALS,
@@ -24,7 +24,7 @@ from dssc_jax.proofs.search.gains import (
     increment_errors,
     with_room,
 )
-from dssc_jax.proofs.search.sampled_loop import functions_of, middle
+from dssc_jax.proofs.search.sampled_loop import functions_of
 
 SLOPE_STEPS = 40
 """Steps of the search for the slope of a straight line; each cuts the slope's interval by a third."""
