@@ -16,11 +16,13 @@ from dssc_jax.proofs.search.vehicle.bounds import (
     VehicleBounds,
     best_bounds,
     inflated_bound,
+    linear_channel_proofs,
+    proof_of,
+)
+from dssc_jax.proofs.search.vehicle.bounds_map import (
     input_sizes,
     is_stable,
-    linear_channel_proofs,
     linear_channels,
-    proof_of,
     slides,
     vehicle_totals,
     with_slopes,
