@@ -16,7 +16,7 @@ class DeadZoneParams(NamedTuple):
 
 
 def beyond_zone(params: DeadZoneParams, command: Scalar) -> Scalar:
-    """The plant input: the part of the command beyond the dead zone, 0 within it."""
+    """The plant input [u]: the part of the command beyond the dead zone, 0 within it."""
     return command - saturate(command, params.half_width)
 
 

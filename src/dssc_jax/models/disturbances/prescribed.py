@@ -31,7 +31,7 @@ class StepParams(NamedTuple):
 
 
 class SineDisturbanceParams(NamedTuple):
-    """amplitude sin(2 pi t/period + phase)."""
+    """The sine d = amplitude sin(2 pi t/period + phase)."""
 
     amplitude: Annotated[Scalar, Quantity("u", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
@@ -52,19 +52,22 @@ class SplineParams(NamedTuple):
 
 
 def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The value over the sample, which is the state."""
+    """The disturbance over the present sample [u], which the state holds."""
     return state
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of the step over [t, t + dt): the integral of a jump within a sample is exact, its time up to T_s."""
+    """Mean of the step over the sample [t, t + dt) [u], which the plant gets in place of a jump within the sample.
+
+    So the integral of the disturbance is exact at all samples.
+    """
     return params.value * elapsed_share(params.at, t, dt)
 
 
 def sine_value(
     params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The sine at t [s]."""
+    """The sine [u] at t [s]."""
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
@@ -76,7 +79,7 @@ def check_knots(params: SplineParams) -> SplineParams:
 
 
 def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The spline at t [s]."""
+    """The spline [u] at t [s]."""
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 
 
