@@ -51,7 +51,7 @@ class IntegratedLaw(NamedTuple):
 
 
 class SuperTwisting(NamedTuple):
-    """kappa_1 and kappa_2 in the normalisation of Table 2, and the smoothing delta."""
+    """Gains kappa_1, kappa_2 of an STA in the normalisation of Table 2, and the smoothing delta [(y/s)^(1/2)]."""
 
     kappa1: Scalar
     kappa2: Scalar
@@ -59,7 +59,11 @@ class SuperTwisting(NamedTuple):
 
 
 def super_twisting(functions: State) -> SuperTwisting:
-    """The STA that state-dependent functions approximate; raises ConfigError if they approximate none."""
+    """Gains of the super-twisting algorithm (STA) that state-dependent functions approximate.
+
+    Raises:
+        ConfigError: They approximate none.
+    """
     approximated = getattr(functions, "super_twisting", None)
     if approximated is None:
         raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
@@ -67,16 +71,30 @@ def super_twisting(functions: State) -> SuperTwisting:
 
 
 def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
-    """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma."""
+    """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma.
+
+    Args:
+        kappa: Gain kappa_1.
+        r: |sigma|^(1/2).
+        delta: Smoothing [(y/s)^(1/2)].
+        tau_m: Predictor time constant at the sample [s].
+    """
     defect = log_defect(r / delta)
     return IntegratedLaw(kappa / delta * defect, 0.5 * delta / (defect * (r + delta) * tau_m))
 
 
 def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
-    """The functions from k_o tau_av and the given factor."""
+    """The functions from k_o tau_av and the given factor.
+
+    Args:
+        product: k_o tau_av.
+        tau_m: Predictor time constant [s].
+        k_o: Predictor gain [y/(s^2 u)]; None: it follows from tau_av.
+        tau_av: Averaging time constant [s]; None: it follows from k_o.
+    """
     if k_o is not None:
         return StateFunctions(k_o, product / k_o, tau_m)
-    assert tau_av is not None  # held by one_factor, before tracing
+    assert tau_av is not None  # held by require_one_factor, before tracing
     return StateFunctions(product / tau_av, tau_av, tau_m)
 
 
@@ -97,8 +115,8 @@ class Factored(Protocol):
 F = TypeVar("F", bound=Factored)
 
 
-def one_factor(gains: F) -> F:
-    """Require that exactly one of k_o and tau_av is given; raises ConfigError."""
+def require_one_factor(gains: F) -> F:
+    """The constants themselves, which must give exactly one of k_o and tau_av; raises ConfigError."""
     if (gains.k_o is None) == (gains.tau_av is None):
         given_factors = "neither" if gains.k_o is None else "both"
         raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {given_factors}")
@@ -106,7 +124,10 @@ def one_factor(gains: F) -> F:
 
 
 class Constant(NamedTuple):
-    """Constants: the original SSC, which synthesises PI with K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+    """Constant k_o, tau_av and tau_m: the original SSC, which synthesises PI control.
+
+    Its gains are K_P = 1/(k_o tau_av) and K_I = K_P/tau_m.
+    """
 
     k_o: Annotated[Scalar, K_O]
     tau_av: Annotated[Scalar, TAU_AV]
@@ -118,7 +139,7 @@ class Constant(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 1."""
+        """The constants themselves, in every state (Table 2, row 1)."""
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -127,14 +148,17 @@ class Constant(NamedTuple):
 
 
 class StandardSta(NamedTuple):
-    """Standard STA; stiff, since both functions vanish with sigma. r is floored at 1e-9."""
+    """The functions that synthesise the standard STA.
+
+    They are stiff, because k_o tau_av and tau_m vanish with sigma; r counts as at least ``ROOT_FLOOR`` there.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.IMPLICIT  # the slope of phi_1 is infinite at 0
     tunable = ("kappa1", "kappa2")
     finite_slope = False
@@ -146,7 +170,7 @@ class StandardSta(NamedTuple):
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains, without smoothing."""
+        """The STA with these gains, which the functions synthesise exactly: no smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, 0.0)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -155,7 +179,10 @@ class StandardSta(NamedTuple):
 
 
 class ApproximateSta1(NamedTuple):
-    """First approximation of the STA; smooth at sigma = 0, where tau_m = 2 delta kappa1/kappa2."""
+    """The functions of the first approximation of the STA.
+
+    They are smooth also at sigma = 0, where tau_m = 2 delta kappa1/kappa2.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
@@ -163,7 +190,7 @@ class ApproximateSta1(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa1", "kappa2")
     finite_slope = True
@@ -176,7 +203,7 @@ class ApproximateSta1(NamedTuple):
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains."""
+        """The STA with these gains and this smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -185,7 +212,7 @@ class ApproximateSta1(NamedTuple):
 
 
 class ApproximateSta2(NamedTuple):
-    """Second approximation of the STA."""
+    """The functions of the second approximation of the STA: those of the standard STA with r + delta in place of r."""
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
@@ -193,7 +220,7 @@ class ApproximateSta2(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa1", "kappa2")
     finite_slope = True
@@ -205,7 +232,7 @@ class ApproximateSta2(NamedTuple):
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains."""
+        """The STA with these gains and this smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -233,7 +260,7 @@ class SquareRoot(NamedTuple):
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
 
     def super_twisting(self) -> SuperTwisting:
-        """Row 4 of Table 2, where both delta agree."""
+        """The STA that row 4 of Table 2 approximates, which has these functions if both delta agree."""
         kappa1 = 2.0 / (self.kappa_o * self.tau_av)
         return SuperTwisting(kappa1, kappa1 / self.kappa_m, self.delta_o)
 
@@ -243,7 +270,10 @@ class SquareRoot(NamedTuple):
 
 
 class Field(NamedTuple):
-    """The functions of the field test (Section V-C). Only here, kappa_2 multiplies sgn itself."""
+    """The functions of the article's field test (Section V-C).
+
+    Only here kappa_2 multiplies sgn itself; Table 2 multiplies sgn by kappa_2/2.
+    """
 
     k_o: Annotated[Scalar, K_O]
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -262,7 +292,7 @@ class Field(NamedTuple):
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
 
     def super_twisting(self) -> SuperTwisting:
-        """Twice its kappa_2, which multiplies sgn itself."""
+        """The STA in the normalisation of Table 2, whose kappa_2 is twice the one that multiplies sgn itself."""
         delta = 0.5 * self.delta * self.k_o * self.kappa1
         return SuperTwisting(self.kappa1, 2.0 * self.kappa2, delta)
 
@@ -275,7 +305,10 @@ KAPPA_ABC = "variable gain's coefficient"
 
 
 class VariableGains(NamedTuple):
-    """kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1."""
+    """The variable gains kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1.
+
+    ``by_sigma`` and ``by_e`` are those with respect to sigma and e.
+    """
 
     kappa1: Scalar
     kappa2: Scalar
@@ -286,7 +319,15 @@ class VariableGains(NamedTuple):
 def variable_gains(
     sigma: Scalar, e: Scalar, coefficients: tuple[Scalar, Scalar, Scalar, Scalar], epsilon: Scalar, gamma: Scalar
 ) -> VariableGains:
-    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d and kappa_2 = 2 eps kappa_1 + gamma."""
+    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d and kappa_2 = 2 eps kappa_1 + gamma.
+
+    Args:
+        sigma: Sliding variable [y/s].
+        e: Control error [y].
+        coefficients: kappa_a, kappa_b, kappa_c, kappa_d.
+        epsilon: Share eps of kappa_2 that follows kappa_1.
+        gamma: Constant part of kappa_2.
+    """
     kappa_a, kappa_b, kappa_c, kappa_d = coefficients
     kappa = kappa_a * abs(sigma) + kappa_b * abs(e) + kappa_c
     kappa1 = kappa * kappa + kappa_d
@@ -317,20 +358,23 @@ class Vgsta(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa_d", "gamma")
     finite_slope = True
     smooth = piecewise("the jump of tau_m at e = 0")
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
-        """kappa_1 and kappa_2."""
+        """The variable gains kappa_1 and kappa_2 at sigma and e, with the derivatives of kappa_1."""
         coefficients = (self.kappa_a, self.kappa_b, self.kappa_c, self.kappa_d)
         return variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
 
     def ratio(self, sigma: Scalar) -> tuple[Scalar, Scalar]:
-        """phi_1/sigma = phi_a/(r + delta) + phi_b of (26), and phi_1's derivative."""
-        rd = root_abs(sigma) + self.delta
+        """phi_1/sigma = phi_a/(r + delta) + phi_b of (26), and phi_1's derivative.
+
+        Both are finite at sigma = 0, because delta > 0.
+        """
+        rd = root_abs(sigma) + self.delta  # r + delta
         return self.phi_a / rd + self.phi_b, self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -352,7 +396,7 @@ class Vgsta(NamedTuple):
         return factors(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """The STA near the origin, where phi_a rules over phi_b."""
+        """The STA that the law approaches near the origin, where its square-root part phi_a rules over phi_b."""
         at = self.gains(0.0, 0.0)
         return SuperTwisting(at.kappa1 * self.phi_a, at.kappa2 * self.phi_a**2, self.delta)
 

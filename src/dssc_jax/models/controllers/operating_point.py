@@ -16,14 +16,14 @@ RESTING_SIGNALS = Quantity("SI", "each measured signal s_0 there; absent: 0")
 
 
 def deviations(signals: Signals, resting: Signals) -> Signals:
-    """The deviations of measured signals from those at rest; () stands for zeros."""
+    """The deviations s - s_0 of measured signals from their values at rest; () at rest stands for zeros."""
     if not resting:
         return signals
     return tuple(difference(value, at_rest) for value, at_rest in zip(signals, resting, strict=True))
 
 
 def require_resting(resting: Signals, count: int) -> None:
-    """Require a number for each measured signal, or none; raises ConfigError."""
+    """Require a value at rest for each of ``count`` measured signals, or none at all; raises ConfigError."""
     if resting and len(resting) != count:
         rule = f"must have a number for each of the {count} measured signals, got {len(resting)}"
         raise ConfigError("resting_signals", rule if count else "belongs to measured signals, and there are none")

@@ -67,14 +67,21 @@ class PidInfo(NamedTuple):
 
 
 def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -> PidState:
-    """No integral, and a derivative at rest."""
+    """No integral, and a derivative at rest.
+
+    So the controller begins as if reference and measurement had been constant before the first sample.
+    """
     return PidState(0.0, 0.0, gains.derivative_weight * reference.y - measurement.y)
 
 
 def step(
     gains: PidGains, state: PidState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[PidState, Command, PidInfo]:
-    """One sample of the PID controller."""
+    """One sample of the PID controller.
+
+    ``v`` is the command before its limits. ``weighted`` is c y_m - y, whose change since the last sample drives the
+    filtered derivative. The integral takes the error of this sample from the next sample on.
+    """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     weighted = gains.derivative_weight * reference.y - measurement.y
     change = gains.k_d * (weighted - state.weighted)
@@ -91,7 +98,10 @@ def step(
 def transfer(
     gains: PidGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
 ) -> PidState:
-    """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action."""
+    """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action.
+
+    The first step from the returned state gives the command, for a bumpless start.
+    """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     integral = jnp.where(gains.k_i > 0.0, command - proportional, 0.0)
     return init(gains, measurement, reference)._replace(integral=integral)

@@ -52,7 +52,8 @@ def levant_step(
 ) -> tuple[LevantState, Measurement]:
     """Backward Euler with the set-valued sign, solved exactly.
 
-    With the error x = z0+ - y after the sample, the error b = z0 + dt z1 - y of the prediction and xi in Sgn x: x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+    With the error x = z0+ - y after the sample, the error b = z0 + dt z1 - y of the prediction and xi in Sgn x,
+    x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
     For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
     rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
     L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =

@@ -21,6 +21,7 @@ from dssc_jax.core.native.fmu_tables import (
     params_type,
     reported_outputs,
     require_distinct,
+    value_references,
     values_of,
 )
 from dssc_jax.core.quantities import Quantity
@@ -146,11 +147,6 @@ class FmuPlant:
             begin=self.begin,
             native=self.fmu.file,
         )
-
-
-def value_references(connected: tuple[Connection, ...]) -> tuple[int, ...]:
-    """The FMU's value references of connected variables."""
-    return tuple(variable.reference for _, variable in connected)
 
 
 def input_gain(params: Params) -> Scalar:
