@@ -119,7 +119,10 @@ class FmuController:
         signals = SampledSignals(measurement.y, measurement.y_dot, *reference, error)
         inputs = [getattr(signals, signal) for signal, _ in self.inputs]
         words, (command, *outputs) = self.functions.step(state, dt, inputs)
-        info = report_type(tuple(signal for signal, _ in self.outputs))(*outputs) if outputs else ()
+        info: Info = ()
+        if outputs:
+            report = report_type(tuple(signal for signal, _ in self.outputs))
+            info = report(*outputs)
         return words, Command(command, jnp.zeros_like(command)), info
 
     def controller(self) -> Controller:

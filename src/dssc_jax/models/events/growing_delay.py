@@ -15,7 +15,7 @@ MOST_SAMPLES = 200
 
 
 class GrowingParams(NamedTuple):
-    """A delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
+    """The growth of a delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
 
     at: Annotated[Scalar, AT]
     rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
@@ -25,12 +25,12 @@ class GrowingParams(NamedTuple):
 
 
 class GrowingState(NamedTuple):
-    """State of the delay.
+    """Memory of the delay.
 
     Args:
         t: Time of the next sample [s].
-        commands: The last commands, newest first.
-        delayed: The command that reaches the plant in this sample.
+        commands: The present command and the ``memory`` commands before it, newest first [u].
+        delayed: The command that reaches the plant during the present sample [u].
     """
 
     t: Scalar
@@ -39,7 +39,7 @@ class GrowingState(NamedTuple):
 
 
 def prepare(params: GrowingParams) -> GrowingParams:
-    """Require a memory of whole samples; raises ConfigError."""
+    """The parameters themselves, whose memory must be a whole number of samples; raises ConfigError."""
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     return params
@@ -51,12 +51,12 @@ def init(params: GrowingParams) -> GrowingState:
 
 
 def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax.Array, dt: Scalar) -> GrowingState:
-    """The state after a new command.
+    """The memory after a new command, with the delayed command that the plant gets until the next one.
 
-    With a delay of n + f samples the plant gets the mean of the delayed command over the sample, (1 - f) u_n +
-    f u_(n+1), where u_n is the command n samples ago.
+    A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
+    to that of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
     """
-    commands = (command, *state.commands[:-1])
+    commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     samples = clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
     return GrowingState(state.t + dt, commands, dot(delay_weights(samples, len(commands)), commands))
 

@@ -25,8 +25,11 @@ class RotorParams(NamedTuple):
 
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share of the rotor's loss of thrust."""
-    shares = condition.effectiveness or (1.0,) * rotors
+    """The condition of the vehicle with a share, in [0, 1], of the rotor's loss of thrust.
+
+    The number of the rotor may be traced, as in a sweep; then every rotor is compared with it in the program.
+    """
+    shares = condition.effectiveness or (1.0,) * rotors  # (): no earlier event
     remaining_share = 1.0 - share * (1.0 - params.effectiveness)
     effectiveness = []
     for index, value in enumerate(shares, start=1):
