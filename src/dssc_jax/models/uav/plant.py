@@ -68,47 +68,55 @@ def settle(params: UavParams, state: UavState, wind: Vec3) -> UavState:
 
 
 def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
-    """The state at the start, in a trim or in hover in still air."""
+    """The state at the start, in an equilibrium; None: the hover in still air."""
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if params.vehicle.motor_lag is not None:
         thrusts = params.first_thrusts if trimmed is None else trimmed.rotor
-        first = zip(thrusts, params.believed_coefficients, strict=True)
-        speeds = tuple(root_abs(f / coefficient) for f, coefficient in first)
-    level = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
-    phi = level.phi if params.roll is None else params.roll
-    theta = level.theta if params.pitch is None else params.pitch
+        rotors = zip(thrusts, params.believed_coefficients, strict=True)
+        speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
+    angles = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
+    phi = angles.phi if params.roll is None else params.roll
+    theta = angles.theta if params.pitch is None else params.pitch
     attitude = turned(Angles(phi, theta, params.yaw))
-    integrals: State = ()
-    gains = params.inner_loop
-    if isinstance(gains, InnerGains):
-        if trimmed is None:
-            integrals = Integrals(gains.first_velocity_integral(params.craft, params.first_carrying), 0.0)
-        else:
-            integrals = gains.trimmed(params.craft, trimmed)
     state = UavState(
         position=Vec3(*params.position),
         velocity=Vec3(*params.velocity),
         attitude=attitude,
         rate=Vec3(*params.body_rate),
-        inner=integrals,
+        inner=first_integrals_of_article(params, trimmed),
         speeds=speeds,
     )
     if estimator_of(params) is not None:
         state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
     if params.battery is not None:
         state = state._replace(charge=params.battery.charge)
-    return state if sampled_loop(params) is None else state._replace(inner=held_start(params, state, trimmed))
+    if sampled_loop(params) is None:
+        return state
+    return state._replace(inner=held_start(params, state, trimmed))
+
+
+def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integrals | tuple[()]:
+    """The integrals of the article's inner loop at the start, in an equilibrium; () of a sampled inner loop.
+
+    None: the hover in still air.
+    """
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return ()
+    if trimmed is not None:
+        return gains.trimmed(params.craft, trimmed)
+    return Integrals(velocity=gains.first_velocity_integral(params.craft, params.first_carrying), yaw=0.0)
 
 
 class RotorCommands(NamedTuple):
-    """Results of the inner loop and the allocation.
+    """What the inner loop and the allocation demand.
 
     Args:
         thrust: Demanded net thrust [N].
         rotors: Commanded thrusts of the rotors.
-        bounded: Whether the inner loop bounds the lift.
-        slope: Derivative of the inner loop's state; 0 for a sampled one.
+        bounded: Whether the wanted lift is at its lower bound.
+        slope: Derivative of the inner loop's state; zeros for a sampled one, whose state is held.
     """
 
     thrust: Scalar
@@ -118,15 +126,21 @@ class RotorCommands(NamedTuple):
 
 
 def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> RotorCommands:
-    """Inner loop and allocation; those of a sampled inner loop are held."""
+    """The commands that inner loop and allocation give the rotors at the present state.
+
+    The article's inner loop is evaluated. The commands of a sampled one are held since its last tick; the rotors keep
+    their own limit, which the software may know as another.
+    """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held_loop = state.inner
         limit = params.vehicle.thrust_limit
         thrusts = tuple(jnp.minimum(f, limit) for f in held_loop.rotor)
-        rotors = Thrusts(thrusts, held_loop.limited > 0.5)
         return RotorCommands(
-            held_loop.thrust, rotors, held_loop.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held_loop)
+            thrust=held_loop.thrust,
+            rotors=Thrusts(thrusts, held_loop.limited > 0.5),  # a flag of 0.0 or 1.0, as the next one
+            bounded=held_loop.software.bounded > 0.5,
+            slope=jax.tree.map(lambda leaf: 0.0, held_loop),
         )
     model = params.inner_model
     readings = readings_of(state)
@@ -141,12 +155,12 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 
 class Turning(NamedTuple):
-    """Motion of the rotors.
+    """The motion of the rotors, and what supplies it.
 
     Args:
         commanded: Motion that the commands ask for.
         actual: Motion with the battery's voltage and the rotors' faults.
-        supply: Voltage and current of the battery.
+        supply: Voltage and current of the battery; 1 and 0 without a battery.
     """
 
     commanded: RotorMotion
@@ -155,7 +169,7 @@ class Turning(NamedTuple):
 
 
 def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> Turning:
-    """The motion of the rotors, with the battery and with what events have made of them."""
+    """The motion of the rotors at the present state: as commanded, and with the battery and the events' changes."""
     commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
@@ -166,7 +180,10 @@ def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, comman
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
-    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
+    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics.
+
+    Forces and torques of rotors, drag and ground add up, and move a rigid body with or without additional masses.
+    """
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
     rotor_state = turning_rotors(params, state, drive, commands)
@@ -207,7 +224,7 @@ def project(params: UavParams, state: UavState) -> UavState:
 
 
 def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Measurement, ...]:
-    """Position and yaw with their rates, which do not depend on the input; yaw in (-pi, pi]."""
+    """Position and yaw of the four channels with their rates, which do not depend on the input; yaw in (-pi, pi]."""
     del drive
     rotation = state.attitude.matrix()
     angle_rates = euler_rates(trig_of(rotation), state.rate)
@@ -217,7 +234,7 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
 
 
 def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
-    """Attitude and limits at a sample."""
+    """The vehicle's report at a sample: attitude, rotors, limits, wind, battery, and the errors of an estimate."""
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
@@ -251,7 +268,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
 
 
 def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
-    """The signals that the vehicle reports, with the errors of an estimate where there is one."""
+    """The signals that the vehicle reports, with the errors of an estimate if the vehicle has an estimator."""
     quantities = quantities_of(UavInfo)
     if estimator_of(params) is not None:
         quantities |= quantities_of(EstimateErrors)
@@ -264,7 +281,10 @@ def has_flipped(params: UavParams, state: UavState) -> Scalar:
 
 
 def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar, dt: Scalar) -> Scalar | bool:
-    """Whether the vehicle flies into the ground in the sample that begins here; False where there is none."""
+    """Whether the vehicle flies into the ground in the sample that begins with this state; False without a ground.
+
+    Its vertical acceleration at the sample tells how fast a foot touches.
+    """
     ground = params.ground
     if ground is None:
         return False
@@ -274,7 +294,10 @@ def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
-    """k_p of each channel: the velocity loops' proportional gains [1/s]."""
+    """The high-frequency gain k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s].
+
+    For the article's inner loop these are the proportional gains of its velocity loops.
+    """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         return gains.input_gain(params.craft)
@@ -283,7 +306,10 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def smoothness(params: UavParams) -> Smoothness:
-    """Where the vehicle has a derivative; a sampled inner loop, an estimator and a battery are not linearised."""
+    """Where the vehicle has a derivative: except at limits of its rotors and its lift.
+
+    A vehicle with a battery, an estimator or a sampled inner loop is not linearised.
+    """
     if params.battery is not None:
         return not_smooth("has a battery, which is never at rest; leave [plant.battery] out")
     if estimator_of(params) is not None:

@@ -35,7 +35,7 @@ class Guess(NamedTuple):
 
 
 def trim(params: UavParams, wind: Vec3) -> Trim:
-    """The equilibrium of a draw at its initial position and yaw in a steady wind.
+    """The equilibrium of a draw that holds its initial position and yaw in a steady wind.
 
     Args:
         params: The prepared parameters.
@@ -43,6 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def substitution(_: Scalar, guess: Guess) -> Guess:
+        """One round of the loop, whose index does not matter."""
         return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
@@ -53,12 +54,21 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
 
 
 def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
-    """Thrusts of the rotors that the inner loop commands, without their limits [N]."""
+    """The rotors' thrusts that the inner loop commands for a guess of thrust and moment, without their limits [N]."""
     return tuple(dot(row, (guess.thrust, *guess.moment)) for row in params.allocation)
 
 
 def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
-    """The next guess of a fixed-point iteration, nearer to the balance of forces and moments."""
+    """The next guess of the substitution, nearer to the balance of forces and moments.
+
+    Thrust and moment of a guess are what the inner loop wants; the rotors of the draw give others, by a factor. The
+    next thrust makes up for this factor, and the next moment also for the torque of the drag.
+
+    Args:
+        params: The prepared parameters.
+        wind: Velocity of the air, inertial [m/s].
+        guess: The guess before.
+    """
     vehicle = params.vehicle
     rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
     speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
@@ -73,5 +83,5 @@ def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
     if side_force:
         required_force = required_force - rotation @ Vec3(side_force[0], side_force[1], 0.0)
     size = root_abs(required_force.dot(required_force))
-    share = guess.thrust / thrust
+    share = guess.thrust / thrust  # wanted over given thrust
     return Guess(required_force / size, share * size, guess.moment - (moment + drag_effect.torque) * share)
