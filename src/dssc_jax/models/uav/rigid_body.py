@@ -83,7 +83,7 @@ def loaded_derivative(
     jzx = total * c.z * c.x - zx
     tensor = Mat3(Vec3(diagonal.x, jxy, jzx), Vec3(jxy, diagonal.y, jyz), Vec3(jzx, jyz, diagonal.z))
     moment = torque - c.cross(force) - state.rate.cross(tensor @ state.rate)
-    # J_c^-1 moment: the inverse of a symmetric matrix has the cross products of its rows for columns
+    # J_c^-1 moment: the columns of the inverse are the cross products of the rows over the determinant
     columns = (tensor.b.cross(tensor.c), tensor.c.cross(tensor.a), tensor.a.cross(tensor.b))
     determinant = tensor.a.dot(columns[0])
     rate_dot = (columns[0] * moment.x + columns[1] * moment.y + columns[2] * moment.z) / determinant

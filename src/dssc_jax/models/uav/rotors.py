@@ -88,8 +88,8 @@ def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
     """The torque of spinning rotors with vertical axes on the body, tau_dist = -d/dt(h e3) - Omega x (h e3) [N m].
 
-    h = I_z sum thetadot_i is their angular momentum about body z. The article prints the opposite sign; with s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h
-    e3).
+    h = I_z sum thetadot_i is their angular momentum about body z. The article prints the opposite sign; with
+    s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h e3).
 
     Args:
         rate: Body rate Omega [rad/s].

@@ -61,8 +61,9 @@ def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
 def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
     """The next guess of the substitution, nearer to the balance of forces and moments.
 
-    Thrust and moment of a guess are what the inner loop wants; the rotors of the draw give others, by a factor. The
-    next thrust makes up for this factor, and the next moment also for the torque of the drag.
+    Thrust and moment of a guess are what the inner loop wants; the rotors of the draw give others. The next thrust is
+    the required force times the ratio of wanted and given thrust. The next moment takes away what the moments of rotors
+    and drag leave over, times the same ratio.
 
     Args:
         params: The prepared parameters.

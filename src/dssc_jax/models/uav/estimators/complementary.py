@@ -60,12 +60,20 @@ class ComplementaryFilter(NamedTuple):
     def step(
         self, memory: ComplementaryMemory, motion: Motion, random: Random, k: Scalar, dt: float
     ) -> ComplementaryMemory:
-        """Integrate the inertial unit, and correct the result with the other sensors."""
+        """The memory after a sample: the inertial unit is integrated, and the other sensors correct the result.
+
+        Args:
+            memory: The memory after the sample before.
+            motion: The true motion at the sample.
+            random: Noise of the sample.
+            k: Index of the sample.
+            dt: Length of a sample [s].
+        """
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         attitude = memory.estimate.attitude
-        rotation = attitude.matrix()
+        rotation = attitude.matrix()  # its last row, c, is the vertical in body axes
         position, velocity = strapdown_step(memory.estimate, rotation, increments.velocity, increments.position, dt)
-        size = jnp.maximum(increments.velocity.norm(), 1e-9)
+        size = jnp.maximum(increments.velocity.norm(), 1e-9)  # not 0, in free fall
         correction = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
         if self.sensors.heading is not None:
             innovation = wrap_angle(aids.heading - heading_of(attitude))
