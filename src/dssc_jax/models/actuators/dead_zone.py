@@ -10,7 +10,7 @@ from dssc_jax.core.smoothness import not_smooth
 
 
 class DeadZoneParams(NamedTuple):
-    """Parameters of a dead zone; a half-width of 0 makes it an ideal actuator."""
+    """The half-width of a dead zone; 0 makes it an ideal actuator."""
 
     half_width: Annotated[Scalar, Quantity("u", "largest command that has no effect", at_least=0.0)]
 

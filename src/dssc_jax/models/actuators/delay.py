@@ -58,7 +58,7 @@ def prepare(params: DelayParams) -> DelayParams:
 
 def init(params: DelayParams) -> DelayState:
     """The state at t = 0: all earlier commands were zero."""
-    return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
+    return DelayState(commands=(0.0,) * (int(params.memory) + 1), delayed=0.0)
 
 
 def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Array, dt: Scalar) -> DelayState:

@@ -46,7 +46,7 @@ def system(params: LagParams, order: Order) -> LinearSystem:
 
 
 def lag(order: Order) -> Unmodelled:
-    """The actuator 1/(mu s + 1)^order, at rest at t = 0."""
+    """Make the actuator 1/(mu s + 1)^order, which is at rest at t = 0."""
     return linear_unmodelled(
         LagParams, lambda params: (0.0,) * order, lambda params: system(params, order), time_constant="mu"
     )

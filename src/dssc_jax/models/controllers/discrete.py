@@ -76,7 +76,7 @@ class DiscreteState(NamedTuple):
 
 
 class DiscreteInfo(NamedTuple):
-    """The command before its limits."""
+    """What the controller reports at each sample: the command before its limits."""
 
     unlimited: Annotated[Scalar, Quantity("u", "command u before its limits")]
 
@@ -109,7 +109,7 @@ def fraction_step(
     for i, (b, a) in enumerate(zip(following, lower, strict=True)):
         successor = state.x[i + 1] if i + 1 < len(state.x) else 0.0
         after.append(b * error - a * u + successor)
-    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+    return DiscreteState(tuple(after)), Command(robust=u, nominal=0.0), DiscreteInfo(v)
 
 
 def prepare_fraction(gains: FractionGains) -> FractionGains:
@@ -146,7 +146,7 @@ def matrix_step(
     for row, entries in zip(gains.a, gains.b, strict=True):
         after.append(dot((*row, *entries), (*state.x, *signals)))
     u = within_limits(v, gains.low, gains.high)
-    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+    return DiscreteState(tuple(after)), Command(robust=u, nominal=0.0), DiscreteInfo(v)
 
 
 def require_rows(name: str, rows: Rows, shape: tuple[int, int]) -> None:

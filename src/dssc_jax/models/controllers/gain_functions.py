@@ -73,6 +73,8 @@ def super_twisting(functions: State) -> SuperTwisting:
 def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
     """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma.
 
+    ``defect`` is (x - ln(1 + x))/x^2 at x = r/delta, so that phi_1/sigma = kappa defect/delta, without cancellation.
+
     Args:
         kappa: Gain kappa_1.
         r: |sigma|^(1/2).
@@ -103,12 +105,12 @@ class Factored(Protocol):
 
     @property
     def k_o(self) -> Scalar | None:
-        """Predictor gain [y/(s^2 u)], or None."""
+        """Predictor gain [y/(s^2 u)]; None: it follows from tau_av."""
         ...
 
     @property
     def tau_av(self) -> Scalar | None:
-        """Averaging time constant [s], or None."""
+        """Averaging time constant [s]; None: it follows from k_o."""
         ...
 
 
@@ -143,7 +145,10 @@ class Constant(NamedTuple):
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """PI: phi_1 = sigma/(k_o tau_av), phi_2 = phi_1/tau_m."""
+        """PI: phi_1 = sigma/(k_o tau_av), phi_2 = phi_1/tau_m.
+
+        The gain phi_1/sigma and the rate phi_2/phi_1 are constant.
+        """
         return IntegratedLaw(1.0 / (at.k_o * at.tau_av), 1.0 / at.tau_m)
 
 
@@ -174,7 +179,10 @@ class StandardSta(NamedTuple):
         return SuperTwisting(self.kappa1, self.kappa2, 0.0)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma."""
+        """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma.
+
+        The gain is phi_1/sigma = kappa1/r, and the rate is phi_2/phi_1 = 1/(2 tau_m).
+        """
         return IntegratedLaw(self.kappa1 / root_abs(sigma, ROOT_FLOOR), 0.5 / at.tau_m)
 
 

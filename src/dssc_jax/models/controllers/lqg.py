@@ -288,7 +288,7 @@ def plain_rows(matrix: np.ndarray) -> Rows:
 
 def init(gains: LqgGains, measurement: Measurement, reference: ReferencePoint) -> LqgState:
     """The state at the first sample: predicted state, integral and last command are 0."""
-    return LqgState((0.0,) * len(gains.input), 0.0, 0.0)
+    return LqgState(predicted=(0.0,) * len(gains.input), integral=0.0, command=0.0)
 
 
 def step(
@@ -325,7 +325,7 @@ def step(
     for row, entry in zip(gains.transition, gains.input, strict=True):
         predicted.append(dot((*row, entry), (*estimate, difference(u, gains.resting_command))))
     after = LqgState(tuple(predicted), state.integral + change, u)
-    return after, Command(u, 0.0), LqgInfo(integral_part, innovations[0])
+    return after, Command(robust=u, nominal=0.0), LqgInfo(integral_part, innovations[0])
 
 
 def transfer(

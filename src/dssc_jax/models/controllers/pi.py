@@ -60,9 +60,9 @@ def pi(implicit: bool) -> Controller:
     def step(
         gains: PiGains, state: PiState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[PiState, Command, PiInfo]:
-        # one sample; PI has no predictor, whose pole would be the last argument
+        # one sample
         error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         after = state.integral + dt * error.sigma
         integral = -gains.k_i * (after if implicit else state.integral)
         return PiState(after), Command(integral - gains.k_p * error.sigma, u_nominal), PiInfo(integral)
@@ -70,9 +70,12 @@ def pi(implicit: bool) -> Controller:
     def transfer(
         gains: PiGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
     ) -> PiState:
-        """The integral that leaves the command as it is; 0 without integral action."""
+        """The integral that leaves the command as it is; 0 without integral action.
+
+        The first step from the returned state gives the command, for a bumpless start.
+        """
         error = tracking_error(measurement, reference, gains.l0)
-        robust = command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        robust = command - nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         integrates = gains.k_i > 0.0
         needed = -(robust + gains.k_p * error.sigma) / jnp.where(integrates, gains.k_i, 1.0)
         return PiState(jnp.where(integrates, needed - (dt * error.sigma if implicit else 0.0), 0.0))

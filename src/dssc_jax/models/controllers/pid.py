@@ -51,7 +51,7 @@ class PidGains(NamedTuple):
 
 
 class PidState(NamedTuple):
-    """The integral part and the derivative part [u], and c y_m - y at the sample before [y]."""
+    """Integral part and derivative part of the command [u], and ``weighted`` = c y_m - y at the last sample [y]."""
 
     integral: Scalar
     derivative: Scalar
@@ -71,7 +71,8 @@ def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -
 
     So the controller begins as if reference and measurement had been constant before the first sample.
     """
-    return PidState(0.0, 0.0, gains.derivative_weight * reference.y - measurement.y)
+    weighted = gains.derivative_weight * reference.y - measurement.y
+    return PidState(integral=0.0, derivative=0.0, weighted=weighted)
 
 
 def step(
@@ -92,7 +93,7 @@ def step(
     if gains.low is not None or gains.high is not None:
         integral = integral + dt * tracking_rate(gains.k_p, gains.k_i, gains.tracking, dt) * (u - v)
     info = PidInfo(proportional, state.integral, derivative)
-    return PidState(integral, derivative, weighted), Command(u, 0.0), info
+    return PidState(integral, derivative, weighted), Command(robust=u, nominal=0.0), info
 
 
 def transfer(

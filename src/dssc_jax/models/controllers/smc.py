@@ -67,9 +67,9 @@ def smc(implicit: bool) -> Controller:
     def step(
         gains: SmcGains, state: tuple[()], measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[tuple[()], Command, SmcInfo | NoInfo]:
-        # one sample; the relay has no predictor, whose pole would be the last argument of the nominal control
+        # one sample
         error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         u_eq = -error.sigma / (dt * gains.k_n)
         if implicit:
             return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))

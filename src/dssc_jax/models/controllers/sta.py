@@ -36,7 +36,8 @@ from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_contro
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
 LIMIT = Quantity("u", "limit of |u|", above=0.0)
-ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # factor of |x|^(1/2) sgn x: 1.1128
+ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)
+"""Factor c of the describing function c A^(-1/2) of |x|^(1/2) sgn x: 1.1128."""
 
 
 class StaGains(NamedTuple):
@@ -110,18 +111,27 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], Scalar]
 
 
 def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`explicit_update` in v."""
+    """The inverse of :func:`explicit_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     return w + k1 * root_abs(x) * sign(x)
 
 
 def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     after = x + h * w
     return w + (k1 * root_abs(after) + h * k2) * sign(after)
 
 
 def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`proper_update` in v."""
+    """The inverse of :func:`proper_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)
     return w + (2.0 * h * k2 + k1 * s) * xi
@@ -166,9 +176,9 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
     def step(
         gains: Params, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[IntegralState, Command, IntegralInfo]:
-        # one sample; there is no predictor, whose pole would be the last argument of the nominal control
+        # one sample
         error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         w, v = sampled(gains, error, state.v, dt)
         u = w / gains.k_n
         if gains.limit is not None:
@@ -178,9 +188,12 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
     def transfer(
         gains: Params, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
     ) -> IntegralState:
-        """The integral term that leaves the command as it is."""
+        """The integral term that leaves the command as it is.
+
+        The first step from the returned state gives the command, for a bumpless start.
+        """
         error = tracking_error(measurement, reference, gains.l0)
-        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
+        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0))
         return IntegralState(inverse(gains, error, w, dt))
 
     return Controller(
@@ -203,9 +216,11 @@ def sta(update: Update, inverse_update: Carried) -> Controller:
     """
 
     def sampled(gains: StaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+        # k_1 = k_n kappa_1 and k_2 = k_n kappa_2/2, as Table 2 has it
         return update(error.sigma, v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     def inverse(gains: StaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        # the v before the sample that gives w
         return inverse_update(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     controller = twisting_controller(StaGains, sampled, inverse)

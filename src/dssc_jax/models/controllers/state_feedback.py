@@ -101,7 +101,7 @@ def step(
     integral = state.integral - dt * gains.k_i * error
     if gains.low is not None or gains.high is not None:
         integral = integral + dt * tracking_rate(gains.k_1, gains.k_i, gains.tracking, dt) * (u - v)
-    return FeedbackState(integral), Command(u, 0.0), FeedbackInfo(state.integral)
+    return FeedbackState(integral), Command(robust=u, nominal=0.0), FeedbackInfo(state.integral)
 
 
 def transfer(

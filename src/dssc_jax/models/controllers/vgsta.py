@@ -132,12 +132,18 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Sca
 
 
 def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`explicit_update` in v."""
+    """The inverse of :func:`explicit_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     return w + k_n * at.kappa1 * phi_at(x, shape).first
 
 
 def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     phi_1, phi_2 = phi_at(x + h * w, shape)
     return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)
 
@@ -176,6 +182,7 @@ def vgsta(update: Update, inverse_update: Carried) -> Controller:
         return update(error.sigma, v, shape, gains_of_sample(gains, error), gains.k_n, dt)
 
     def inverse(gains: VgstaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        # the v before the sample that gives w
         shape = shape_at(gains, error.sigma)
         return inverse_update(error.sigma, w, shape, gains_of_sample(gains, error), gains.k_n, dt)
 

@@ -18,7 +18,7 @@ VALUE = Quantity("u", "value of d")
 
 
 class ConstantParams(NamedTuple):
-    """A constant disturbance."""
+    """The value of a constant disturbance."""
 
     value: Annotated[Scalar, VALUE]
 
@@ -72,7 +72,7 @@ def sine_value(
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """Require at least one knot; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot; raises ConfigError."""
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params

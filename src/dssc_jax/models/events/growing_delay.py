@@ -11,7 +11,7 @@ from dssc_jax.core.numerics import clip, delay_weights, dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
-MOST_SAMPLES = 200
+MOST_SAMPLES = 200  # samples: the state holds a scalar for each, as that of the constant delay
 
 
 class GrowingParams(NamedTuple):
@@ -47,7 +47,7 @@ def prepare(params: GrowingParams) -> GrowingParams:
 
 def init(params: GrowingParams) -> GrowingState:
     """The state at t = 0: all earlier commands were zero."""
-    return GrowingState(0.0, (0.0,) * (int(params.memory) + 1), 0.0)
+    return GrowingState(t=0.0, commands=(0.0,) * (int(params.memory) + 1), delayed=0.0)
 
 
 def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax.Array, dt: Scalar) -> GrowingState:

@@ -129,8 +129,8 @@ def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> Held
     loop = required_loop(params)
     software = loop.init(params.craft, readings_of(state), params.first_carrying)
     if trimmed is None:
-        return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
-    return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, 0.0)
+        return HeldLoop(software, params.first_thrust, params.first_thrusts, limited=0.0)
+    return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, limited=0.0)
 
 
 def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], dt: float) -> tuple[HeldLoop, Scalar]:

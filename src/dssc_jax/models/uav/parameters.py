@@ -41,15 +41,19 @@ class InnerModel(NamedTuple):
 
 
 class UavParams(NamedTuple):
-    """Parameters of the UAV.
+    """Parameters of the UAV: the vehicle, its software, and its state at the start.
 
     The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or those of the equilibrium
     in the wind if the integrals start settled.
 
-    The fields after ``battery`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
-    (f, M) -> f_i; ``moments``, rows f_i -> M; ``hover_shares``, each rotor's share of the weight in hover, of rotors on
-    a circle only where they differ; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a circle
-    share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
+    The fields after ``battery`` follow from the vehicle's nominal values before tracing:
+
+    * ``allocation``: rows from net thrust and moments (f, M) to the thrust f_i of each rotor;
+    * ``moments``: rows from the thrusts f_i to the moments M_x, M_y, M_z;
+    * ``hover_shares``: each rotor's share of the weight in hover; () for equal shares of rotors on a circle;
+    * ``believed_rotors``: the k_T that the inner loop believes of each rotor with a given place; () for rotors on a
+      circle, which share the one of ``believed``;
+    * ``rotor_limit``: a rotor's largest thrust as the inner loop knows it [N].
     """
 
     vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]

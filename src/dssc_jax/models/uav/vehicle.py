@@ -76,7 +76,7 @@ class Vehicle(NamedTuple):
 
     @property
     def thrust_coefficients(self) -> tuple[Scalar, ...]:
-        """k_T of each rotor [N s^2/rad^2]."""
+        """Thrust coefficient k_T of each rotor [N s^2/rad^2]; a rotor without a value has the vehicle's."""
         common = self.thrust_coefficient
         if not self.rotor:
             return (common,) * self.rotors
@@ -85,7 +85,7 @@ class Vehicle(NamedTuple):
 
     @property
     def torque_coefficients(self) -> tuple[Scalar, ...]:
-        """c_tau of each rotor [m]."""
+        """Torque over thrust c_tau of each rotor [m]; a rotor without a value has the vehicle's."""
         common = self.torque_coefficient
         if not self.rotor:
             return (common,) * self.rotors
