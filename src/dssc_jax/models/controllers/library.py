@@ -30,7 +30,8 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.core.smoothness import not_smooth
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace, call
+from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace
+from dssc_jax.lanes.foreign import call as call_foreign
 from dssc_jax.models.controllers.nominal import L0
 
 KIND = "library"
@@ -132,7 +133,7 @@ class NativeCalls:
         size = self.controller.exchange + self.controller.real  # the last word may end after the exchange
         return ForeignFunction(symbol, size, operands, results)
 
-    def values(self, gains: Params) -> list[Scalar]:
+    def parameter_values(self, gains: Params) -> list[Scalar]:
         """The values of the library's parameters, in its order."""
         return [getattr(gains, number.name) for number in self.controller.parameters]
 
@@ -145,7 +146,7 @@ class NativeCalls:
         bits = 8 * self.controller.real
         if bits > 8 * jnp.result_type(float).itemsize:
             raise ConfigError("loop.precision", f"must be {bits}, the precision of {self.label}")
-        return call(function, *operands)
+        return call_foreign(function, *operands)
 
     def sample(self, *operands: Scalar) -> list[jax.Array]:
         """Compute one sample: return the words of the state, u, u_n, the flag, and then the telemetry.
@@ -176,7 +177,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
 
     def init(gains: Params, measurement: Measurement, reference: ReferencePoint) -> Words:
         """The state after ``init`` and ``reset`` with the draw's parameters."""
-        return tuple(calls.call(calls.reset, *calls.values(gains), *calls.begin))
+        return tuple(calls.call(calls.reset, *calls.parameter_values(gains), *calls.begin))
 
     def step(
         gains: Params, state: Words, measurement: Measurement, reference: ReferencePoint, dt: Scalar
@@ -186,7 +187,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
         signals = (measurement.y, measurement.y_dot, *reference, *measurement.signals[: len(controller.measured)])
-        results = calls.sample(*calls.values(gains), *state, *signals)
+        results = calls.sample(*calls.parameter_values(gains), *state, *signals)
         words = tuple(results[: len(state)])
         numbers = [result.astype(jnp.result_type(float)) for result in results[len(state) :]]
         robust, nominal, flag, *telemetry = numbers

@@ -112,7 +112,7 @@ def parameters_in(text: str) -> dict[str, float]:
         except ValueError:
             if name.startswith(PREFIXES) and not value.startswith("$"):  # $ marks a variable of the shell
                 raise ConfigError(name, f"must be a number, got {value!r} in line {number}") from None
-            values.pop(name, None)
+            values.pop(name, None)  # its last setting is no number, so it has none
     return values
 
 
@@ -209,6 +209,30 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
     return {"max_thrust": lift / hover_command}
 
 
+def rotors_of(geometry: TomlTable) -> int:
+    """The number of rotors that entries of the vehicle place: in a list, or on a circle."""
+    return len(geometry.get("rotor") or geometry["spins"])
+
+
+def hover_thrust(mass: float, geometry: TomlTable) -> float:
+    """The thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
+    upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
+    for entry in geometry.get("rotor", []):
+        if "axis" in entry:
+            upward += entry["axis"][2] / math.hypot(*entry["axis"])
+    return mass * GRAVITY / (upward if upward > 0.0 else rotors_of(geometry))
+
+
+def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
+    """Entries of the vehicle for the drag: SIH_KDV v as that of the propellers of ``rotors`` rotors in hover."""
+    if "SIH_KDV" in parameters:
+        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
+    else:
+        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    propeller_drag = parameters.get("SIH_KDV", 0.0) / (rotors * HOVER_SPEED)
+    return {"structure_drag": [0.0, 0.0, 0.0], "propeller_drag": propeller_drag}
+
+
 def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
     """Entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
 
@@ -225,25 +249,14 @@ def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: l
         ConfigError: MPC_THR_HOVER is not in (0, 1].
     """
     mass = parameters["SIH_MASS"]
-    listed_rotors = geometry.get("rotor", [])  # empty for rotors on a circle
-    count = len(listed_rotors or geometry["spins"])
-    upward = 0.0  # sum of the axes' vertical parts, if the axes are tilted
-    for entry in listed_rotors:
-        if "axis" in entry:
-            upward += entry["axis"][2] / math.hypot(*entry["axis"])
-    lift = mass * GRAVITY / (upward if upward > 0.0 else count)  # of each rotor; tilted ones push more than they lift
+    lift = hover_thrust(mass, geometry)
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
     properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
     properties["thrust_coefficient"] = lift / HOVER_SPEED**2
     notes.append(
         f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
     )
-    properties["structure_drag"] = [0.0, 0.0, 0.0]
-    properties["propeller_drag"] = parameters.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
-    if "SIH_KDV" in parameters:
-        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
-    else:
-        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    properties |= drag_entries(parameters, rotors_of(geometry), notes)
     properties |= thrust_entries(parameters, lift, notes)
     if "SIH_T_TAU" in parameters:
         properties["motor_lag"] = parameters["SIH_T_TAU"]
@@ -271,16 +284,18 @@ def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
     """The table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
 
-    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
-    fast rate loop; the model's second-order loop with p = k_p/k_d and a double pole has k_d = 4 p and k_p = 4 p^2.
+    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. PX4 makes an error of roll into a desired rate, p =
+    MC_ROLL_P times the error. The model's attitude loop is of second order; with k_p/k_d = p and a double pole it has
+    k_d = 4 p and k_p = 4 p^2.
     """
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in parameters:
         gains["kd_velocity"] = parameters["MPC_XY_VEL_P_ACC"]
-        gains["kp_velocity"] = parameters.get("MPC_XY_VEL_I_ACC", 0.4)
+        gains["kp_velocity"] = parameters.get("MPC_XY_VEL_I_ACC", 0.4)  # PX4's default
         notes.append("kd_velocity and kp_velocity are those of x and y; the model has the same for z (MPC_Z_VEL_..)")
     if "MC_ROLL_P" in parameters:
-        gains |= {"kp_attitude": 4.0 * parameters["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * parameters["MC_ROLL_P"]}
+        p = parameters["MC_ROLL_P"]
+        gains |= {"kp_attitude": 4.0 * p**2, "kd_attitude": 4.0 * p}
         notes.append("kp_attitude and kd_attitude follow from MC_ROLL_P; MC_.._RATE gains have no counterpart")
     return gains
 

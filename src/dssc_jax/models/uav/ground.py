@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
-from dssc_jax.models.uav.vehicle import GRAVITY
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 SINK = 0.01
 """Depth by which the feet of a standing vehicle sink in if no stiffness is given [m]; assumed."""
@@ -94,6 +94,24 @@ def lift_factor(ground: Ground, height: Scalar) -> Scalar:
     assert radius is not None
     share = radius / (4.0 * jnp.maximum(height - ground.height, LOWEST_HEIGHT * radius))
     return 1.0 / (1.0 - share * share)
+
+
+def rotor_thrusts(
+    vehicle: Vehicle, ground: Ground | None, height: Scalar, speeds: tuple[Scalar, ...]
+) -> tuple[Scalar, ...]:
+    """Thrusts of the rotors at their speeds [N], with the effect of the ground.
+
+    Args:
+        vehicle: The thrust coefficients of the rotors.
+        ground: The ground; None: there is none. Without a radius of the rotors it has no effect.
+        height: Height z of the centre of mass [m].
+        speeds: Speed of each rotor [rad/s].
+    """
+    thrusts = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    if ground is None or ground.rotor_radius is None:
+        return thrusts
+    factor = lift_factor(ground, height)
+    return tuple(factor * f for f in thrusts)
 
 
 def lowest_foot(ground: Ground, rotation: Mat3) -> Scalar:

@@ -22,7 +22,7 @@ from dssc_jax.models.uav.allocation import Thrusts, allocate
 from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
 from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
-from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor, lowest_foot
+from dssc_jax.models.uav.ground import contact, has_crashed, lowest_foot, rotor_thrusts
 from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
@@ -189,18 +189,15 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     rotor_state = turning_rotors(params, state, drive, commands)
     motion = rotor_state.actual
     speeds = motion.speeds
-    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     ground = params.ground
-    if ground is not None and ground.rotor_radius is not None:
-        factor = lift_factor(ground, state.position.z)
-        lift = tuple(factor * f for f in lift)
-    thrust, moment, side_force = wrench(vehicle, lift)
+    thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, ground, state.position.z, speeds))
     rotation = state.attitude.matrix()
     wind = wind_at(drive.wind, state.position.z, drive.condition)
     drag_effect = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
     force = drag_effect.force
-    if side_force:
-        force = force + rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    if side_force:  # () where all rotors point along body z
+        x, y = side_force
+        force = force + rotation @ Vec3(x, y, 0.0)
     torque = moment + drag_effect.torque + rotor_torque(vehicle, state.rate, motion)
     if ground is not None:
         contact_effect = contact(ground, state.position, state.velocity, rotation, state.rate)

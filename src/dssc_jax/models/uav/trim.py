@@ -16,7 +16,7 @@ from dssc_jax.core.numerics import as_arrays, dot, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.ground import lift_factor
+from dssc_jax.models.uav.ground import rotor_thrusts
 from dssc_jax.models.uav.inner_loops.sampled import Trim, body_angles, turned
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.rotors import wrench
@@ -73,16 +73,14 @@ def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
     vehicle = params.vehicle
     rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
     speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
-    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
-    if params.ground is not None and params.ground.rotor_radius is not None:
-        factor = lift_factor(params.ground, params.position[2])
-        lift = tuple(factor * f for f in lift)
-    thrust, moment, side_force = wrench(vehicle, lift)
+    _, _, height = params.position
+    thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, params.ground, height, speeds))
     rotation = turned(body_angles(guess.upward, params.yaw)).matrix()
     drag_effect = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
     required_force = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - drag_effect.force
-    if side_force:
-        required_force = required_force - rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    if side_force:  # () where all rotors point along body z
+        x, y = side_force
+        required_force = required_force - rotation @ Vec3(x, y, 0.0)
     size = root_abs(required_force.dot(required_force))
     share = guess.thrust / thrust  # wanted over given thrust
     return Guess(required_force / size, share * size, guess.moment - (moment + drag_effect.torque) * share)

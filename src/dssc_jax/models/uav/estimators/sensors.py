@@ -191,8 +191,7 @@ def sense(
 ) -> tuple[SensorMemory, Increments, Aids]:
     """The readings of all sensors at sample k, from the true motion.
 
-    The increments of the inertial unit are those of the true motion since the sample before, with scale errors, biases
-    and noise. A reading that is not taken at this sample has a value all the same, beside the flag that says so.
+    A reading that is not taken at this sample has a value all the same, beside the flag that says so.
 
     Args:
         sensors: Parameters of the sensors.
@@ -205,43 +204,71 @@ def sense(
     Returns:
         The state of the sensors, the increments since the sample before, and the other readings.
     """
-    previous = memory.previous
-    to_body = previous.attitude.matrix().transpose
-    # the true increments
-    rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
-    velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
-    position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
-    rotation_error = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
-    velocity_error = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
-    increments = Increments(
-        rotation * (1.0 + sensors.gyro_scale) + rotation_error,
-        velocity * (1.0 + sensors.accel_scale) + velocity_error,
-        position * (1.0 + sensors.accel_scale) + velocity_error * (0.5 * dt),
-        motion.rate * (1.0 + sensors.gyro_scale) + rotation_error / dt,
-    )
+    increments = measured_increments(sensors, memory, motion, random, dt)
     *later_positions, delayed_position = (motion.position, *memory.positions)
-    measured_position = delayed_position + random.vector(2, sensors.position)
     next_memory = SensorMemory(
         previous=motion,
         gyro_bias=memory.gyro_bias + random.vector(3, sensors.gyro_walk) * math.sqrt(dt),
         accel_bias=memory.accel_bias + random.vector(4, sensors.accel_walk) * math.sqrt(dt),
         positions=tuple(later_positions),
     )
+    return next_memory, increments, measured_aids(sensors, motion, delayed_position, random, k, dt)
+
+
+def measured_increments(
+    sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, dt: float
+) -> Increments:
+    """The readings of the inertial unit: the true increments since the sample before, with its errors.
+
+    Args:
+        sensors: Parameters of the sensors.
+        memory: State of the sensors at the sample before.
+        motion: The true motion at the sample.
+        random: Noise of the sample.
+        dt: Length of a sample [s].
+    """
+    previous = memory.previous
+    to_body = previous.attitude.matrix().transpose
+    rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
+    velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
+    position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
+    rotation_error = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
+    velocity_error = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
+    return Increments(
+        rotation=rotation * (1.0 + sensors.gyro_scale) + rotation_error,
+        velocity=velocity * (1.0 + sensors.accel_scale) + velocity_error,
+        position=position * (1.0 + sensors.accel_scale) + velocity_error * (0.5 * dt),
+        rate=motion.rate * (1.0 + sensors.gyro_scale) + rotation_error / dt,
+    )
+
+
+def measured_aids(
+    sensors: Sensors, motion: Motion, delayed_position: Vec3, random: Random, k: Scalar, dt: float
+) -> Aids:
+    """The readings of position, height and heading with their noise, and whether each is taken at sample k.
+
+    Args:
+        sensors: Parameters of the sensors.
+        motion: The true motion at the sample.
+        delayed_position: The true position one delay before [m].
+        random: Noise of the sample.
+        k: Index of the sample.
+        dt: Length of a sample [s].
+    """
     has_position = is_reading_time(k, sensors.position_period)
     if sensors.outage_start is not None:
         t = k * dt
         has_begun = t >= sensors.outage_start
         is_outage = jnp.logical_and(has_begun, t < sensors.outage_start + sensors.outage_duration)
         has_position = jnp.logical_and(has_position, jnp.logical_not(is_outage))
-    aids = Aids(
-        position=measured_position,
+    return Aids(
+        position=delayed_position + random.vector(2, sensors.position),
         has_position=has_position,
         height=motion.position.z + random.number(5, sensors.height),
         has_height=is_reading_time(k, sensors.height_period),
         heading=heading_of(motion.attitude) + random.number(6, sensors.heading),
         has_heading=is_reading_time(k, sensors.heading_period),
     )
-    return next_memory, increments, aids
 
 
 def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec3, dt: float) -> tuple[Vec3, Vec3]:
