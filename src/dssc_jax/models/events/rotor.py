@@ -34,9 +34,11 @@ def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int
     effectiveness = []
     for index, value in enumerate(shares, start=1):
         if is_known(params.rotor):
-            effectiveness.append(value * remaining_share if round(float(params.rotor)) == index else value)
+            is_affected = round(float(params.rotor)) == index
+            effectiveness.append(value * remaining_share if is_affected else value)
         else:
-            effectiveness.append(jnp.where(jnp.abs(params.rotor - index) < 0.5, value * remaining_share, value))
+            is_affected = jnp.abs(params.rotor - index) < 0.5
+            effectiveness.append(jnp.where(is_affected, value * remaining_share, value))
     return condition._replace(effectiveness=tuple(effectiveness))
 
 

@@ -113,7 +113,7 @@ def check_path(params: WaypointParams) -> None:
     """Check the numbers of the waypoints, and that these are distinct and near each other; raises ConfigError."""
     check_numbers(params)
     points = enu(params)
-    distances = np.linalg.norm(points, axis=1)
+    distances = np.linalg.norm(points, axis=1)  # from the ground at the first waypoint
     spacings = np.linalg.norm(np.diff(points, axis=0), axis=1)
     if distances.max() > FRAME_RADIUS:
         i = int(distances.argmax())
@@ -181,13 +181,16 @@ def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.nda
 
 
 def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
-    """Check that the path is long and smooth enough to be flown at the speed; raises ConfigError.
+    """Require a path that is long and smooth enough to be flown at the speed, and does not turn back on itself.
 
     Args:
         params: Speed and acceleration.
         path: The path.
         u: Parameters at which the path is checked, rising.
         total: Length of the path [m].
+
+    Raises:
+        ConfigError: It turns back on itself, or the speed is too high for its length or its turns.
     """
     slope = path(u, 1)[:, :3]
     bend = path(u, 2)[:, :3]
@@ -233,8 +236,9 @@ def rest_to_rest(t: np.ndarray, total: float, speed: float, ramp: float) -> tupl
     x = np.clip(sooner / ramp, 0.0, 1.0)
     distance = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
     rate = speed * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    gain = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
-    return np.where(is_first_half, distance, total - distance), rate, np.where(is_first_half, gain, -gain)
+    acceleration = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
+    travelled = np.where(is_first_half, distance, total - distance)
+    return travelled, rate, np.where(is_first_half, acceleration, -acceleration)
 
 
 def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) -> np.ndarray:
@@ -294,9 +298,9 @@ def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -
     powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T  # of 17 times in each segment, shape (5, 17)
     slope = polyder(coefficients[:, :3], axis=-1)
     velocity = slope @ powers / step
-    gain = polyder(slope, axis=-1) @ powers[:4] / step**2
+    acceleration = polyder(slope, axis=-1) @ powers[:4] / step**2
     speed = np.linalg.norm(velocity, axis=1)
-    tangential = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
+    tangential = np.abs(np.sum(velocity * acceleration, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
     root_ratio = math.sqrt(tangential.max() / float(params.acceleration))
     factor = max(1.0, speed.max() / float(params.speed), root_ratio)
     return float(step * (factor + 0.01 * (factor - 1.0) + 1e-5))  # a little more, for peaks between the 17 points
@@ -305,8 +309,8 @@ def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -
 def curve(params: WaypointParams) -> Curve:
     """Compute the table of the motion along the path on the host, before tracing; :func:`at` evaluates it.
 
-    With the distance s(t) along the path and its parameter u(t), the chain rule gives the derivatives of position and
-    yaw at the nodes of the table: r' = r_u u' and r'' = r_uu u'^2 + r_u u''.
+    The path gets a motion from rest to rest; position and yaw at equal time steps make the table. Finally the motion is
+    slowed down where the table exceeds the bounds between its nodes.
 
     Raises:
         ConfigError: Waypoints are too few, repeated or scattered, numbers are out of range, or the speed is impossible.
@@ -314,10 +318,7 @@ def curve(params: WaypointParams) -> Curve:
     check_path(params)
     path = path_through(params)
     cruise = float(params.speed)
-    waypoints = len(path.x)
-    leg_positions = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second
-    grid = np.interp(leg_positions, np.arange(waypoints), path.x)
-    lengths = np.concatenate([[0.0], np.cumsum(path_length(path, grid[:-1], grid[1:]))])
+    grid, lengths = path_grid(path)
     total = lengths[-1]
     check_flyable(params, path, grid, total)
     ramp = RAMP * cruise / float(params.acceleration)
@@ -325,16 +326,41 @@ def curve(params: WaypointParams) -> Curve:
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
     ramp = max(ramp, STEPS_OF_A_RAMP * (flight + ramp) / count)
     duration = flight + ramp
-    distances, speed, gain = rest_to_rest(np.linspace(0.0, duration, count + 1), total, cruise, ramp)
+    distances, speed, acceleration = rest_to_rest(np.linspace(0.0, duration, count + 1), total, cruise, ramp)
     u = parameters_at_length(path, grid, lengths, distances)
+    y_dot, y_ddot = path_derivatives(path, u, speed, acceleration)
+    coefficients = quintics(path(u), y_dot, y_ddot, duration / count)
+    return Curve(slowed_step(duration / count, coefficients, params), coefficients)
+
+
+def path_grid(path: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters of the path, ``LEG_PARTS`` to a leg, and the length of the path up to each [m], shape (n,) each."""
+    waypoints = len(path.x)
+    legs = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second, ..
+    grid = np.interp(legs, np.arange(waypoints), path.x)
+    lengths = np.concatenate([[0.0], np.cumsum(path_length(path, grid[:-1], grid[1:]))])
+    return grid, lengths
+
+
+def path_derivatives(
+    path: CubicSpline, u: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """First and second time derivatives of position and yaw on the path, shape (n, 4) each.
+
+    They follow by the chain rule, r' = r_u u' and r'' = r_uu u'^2 + r_u u'', from the parameter u(t).
+
+    Args:
+        path: The path.
+        u: Parameters of the path, shape (n,).
+        speed: Speed along the path at each of them [m/s], shape (n,).
+        acceleration: Rate of change of the speed [m/s^2], shape (n,).
+    """
     size = path_speed(path, u)
     slope = path(u, 1)
     bend = path(u, 2)
     u_dot = speed / size
-    u_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * u_dot**2) / size
-    y_ddot = bend * u_dot[:, None] ** 2 + slope * u_ddot[:, None]
-    coefficients = quintics(path(u), slope * u_dot[:, None], y_ddot, duration / count)
-    return Curve(slowed_step(duration / count, coefficients, params), coefficients)
+    u_ddot = (acceleration - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * u_dot**2) / size
+    return slope * u_dot[:, None], bend * u_dot[:, None] ** 2 + slope * u_ddot[:, None]
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:

@@ -87,8 +87,9 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
         inner=first_integrals_of_article(params, trimmed),
         speeds=speeds,
     )
-    if estimator_of(params) is not None:
-        state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
+    if estimator_of(params) is not None:  # no error until the first estimate
+        no_turn = Quaternion(1.0, 0.0, 0.0, 0.0)
+        state = state._replace(error=EstimationError(zero, zero, no_turn, zero, nees=0.0))
     if params.battery is not None:
         state = state._replace(charge=params.battery.charge)
     if sampled_loop(params) is None:
@@ -97,9 +98,9 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
 
 
 def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integrals | tuple[()]:
-    """The integrals of the article's inner loop at the start, in an equilibrium; () of a sampled inner loop.
+    """The integrals of the article's inner loop at the start; () for a sampled inner loop, which has its own.
 
-    None: the hover in still air.
+    They hold an equilibrium; None: the hover in still air.
     """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
@@ -173,10 +174,11 @@ def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, comman
     commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
-        return Turning(commanded, actual, Supply(1.0, 0.0))
+        return Turning(commanded, actual, Supply(voltage=1.0, current=0.0))
     power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
     battery_supply = supply(params.battery, state.charge, power)
-    return Turning(commanded, scaled_motion(actual, (battery_supply.voltage,) * len(actual.speeds)), battery_supply)
+    factors = (battery_supply.voltage,) * len(actual.speeds)
+    return Turning(commanded, scaled_motion(actual, factors), battery_supply)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
@@ -185,16 +187,16 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     Forces and torques of rotors, drag and ground add up, and move a rigid body with or without additional masses.
     """
     vehicle = params.vehicle
+    ground = params.ground
     commands = rotor_commands(params, state, drive)
     rotor_state = turning_rotors(params, state, drive, commands)
     motion = rotor_state.actual
     speeds = motion.speeds
-    ground = params.ground
     thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, ground, state.position.z, speeds))
     rotation = state.attitude.matrix()
     wind = wind_at(drive.wind, state.position.z, drive.condition)
     drag_effect = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
-    force = drag_effect.force
+    force = drag_effect.force  # all forces but thrust and weight, inertial
     if side_force:  # () where all rotors point along body z
         x, y = side_force
         force = force + rotation @ Vec3(x, y, 0.0)
@@ -210,9 +212,13 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
         slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    constant_error = jax.tree.map(lambda leaf: 0.0, state.error)
-    discharge = () if params.battery is None else -rotor_state.supply.current / params.battery.capacity
-    return UavState(*slope, commands.slope, rotor_state.commanded.accelerations, constant_error, discharge)
+    return UavState(
+        *slope,  # of position, velocity, attitude and rate
+        inner=commands.slope,
+        speeds=rotor_state.commanded.accelerations,
+        error=jax.tree.map(lambda leaf: 0.0, state.error),  # an estimate's error is held between samples
+        charge=() if params.battery is None else -rotor_state.supply.current / params.battery.capacity,
+    )
 
 
 def project(params: UavParams, state: UavState) -> UavState:

@@ -165,9 +165,8 @@ class KalmanFilter(NamedTuple):
             difference = wrap_angle(aids.heading - heading_of(estimate.attitude))
             row = heading_row(estimate.attitude.matrix())
             update = update.with_reading(row, difference, self.sensors.heading, aids.has_heading)
-        position, velocity, attitude, gyro_bias, accel_bias = (
-            Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3)
-        )
+        parts = (Vec3(*update.error[first : first + 3]) for first in range(0, STATES, 3))
+        position, velocity, attitude, gyro_bias, accel_bias = parts
         corrected = Motion(
             estimate.position + position,
             estimate.velocity + velocity,
@@ -248,7 +247,7 @@ def heading_row(rotation: Mat3) -> Sparse:
 
 
 class Update(NamedTuple):
-    """The covariance and the estimated error state while the readings of a sample are taken in."""
+    """The covariance P and the estimated error state, while the readings of a sample are taken in one after another."""
 
     covariance: Covariance
     error: tuple[Scalar, ...]
@@ -257,7 +256,7 @@ class Update(NamedTuple):
         """The update by one measured number; without a reading at this sample, nothing changes.
 
         Args:
-            row: Derivative h of the number by the error state: the entries that are not 0.
+            row: Derivative h of the number by the error state, as a row.
             difference: The reading minus the estimate.
             std: Standard deviation of the reading's noise.
             is_taken: Whether there is a reading at this sample.
