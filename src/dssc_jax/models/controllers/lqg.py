@@ -115,6 +115,7 @@ class LqgGains(NamedTuple):
     resting_signals: Annotated[Row, RESTING_SIGNALS] = ()
     model: LqgModel | None = None
     l0: Annotated[Scalar, L0] = 1.0
+    # computed
     transition: Rows = ()
     input: Row = ()
     signals: Rows = ()
@@ -159,9 +160,10 @@ def feedback_row(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sampl
     weights = numbers_or_zeros("state_weights", gains.state_weights, order)
     q = np.diag(weights) + gains.output_weight * np.outer(output, output)
     if gains.integral_weight:  # one more state, z(k+1) = z + T_s y
-        a = np.block([[a, np.zeros((order, 1))], [sample_time * output[None, :], np.ones((1, 1))]])
+        column = np.zeros((order, 1))
+        a = np.block([[a, column], [sample_time * output[None, :], np.ones((1, 1))]])
         b = np.vstack([b, [[0.0]]])
-        q = np.block([[q, np.zeros((order, 1))], [np.zeros((1, order)), gains.integral_weight * np.ones((1, 1))]])
+        q = np.block([[q, column], [column.T, gains.integral_weight * np.ones((1, 1))]])
     return regulator_gain(a, b, q, float(gains.command_weight))
 
 
@@ -300,6 +302,7 @@ def step(
     and the reference, within its limits; the model predicts the state at the next sample. The integral does not take an
     error that drives the command further beyond a limit.
     """
+    # signals and the last command as deviations from the operating point
     shown = (difference(measurement.y, gains.resting_output),)
     if measurement.signals:
         shown = deviations(measurement.signals, gains.resting_signals)
@@ -314,11 +317,12 @@ def step(
     integral_part = -gains.integral_gain * state.integral
     desired = difference(reference.y, gains.resting_output)
     v = integral_part + gains.feedforward * desired - dot(gains.feedback, estimate)
-    if not is_zero(gains.resting_command):
+    if not is_zero(gains.resting_command):  # from the deviation to the command itself
         v = v + gains.resting_command
     u = within_limits(v, gains.low, gains.high)
     change = dt * error
     if gains.low is not None or gains.high is not None:
+        # integrating the error changes v by -k_i error; at a limit, away from u if the product is positive
         drives_further = gains.integral_gain * error * (u - v) > 0.0
         change = jnp.where(drives_further, 0.0, change)
     predicted = []

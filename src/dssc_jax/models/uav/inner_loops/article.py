@@ -104,20 +104,20 @@ class InnerGains(NamedTuple):
         share = trim.thrust / craft.mass
         surplus = trim.upward * share - Vec3(0.0, 0.0, GRAVITY)  # acceleration that the inner loop takes for real
         feeds = self.attitude is AttitudeReference.RATE_FEED_FORWARD
-        turning = (0.0, 0.0)  # rates of the desired roll and pitch [rad/s]
+        phi_rate: Scalar = 0.0  # rates of the desired roll and pitch [rad/s]
+        theta_rate: Scalar = 0.0
         desired = Vec3(0.0, 0.0, GRAVITY)  # desired acceleration, with g
         for _ in range(FEED_FORWARD_ROUNDS if feeds else 1):
-            phi = trim.angles.phi + (wanted.phi - self.kd_attitude * turning[0]) / self.kp_attitude
-            theta = trim.angles.theta + (wanted.theta - self.kd_attitude * turning[1]) / self.kp_attitude
+            phi = trim.angles.phi + (wanted.phi - self.kd_attitude * phi_rate) / self.kp_attitude
+            theta = trim.angles.theta + (wanted.theta - self.kd_attitude * theta_rate) / self.kp_attitude
             by_norm = self.thrust is ThrustRule.NORM
             up = share * (jnp.cos(phi) * jnp.cos(theta) if by_norm else rotation.c.z)
-            forward = up * jnp.tan(theta)
-            left = up * jnp.tan(phi) / jnp.cos(theta)
-            desired = Vec3(forward * at.cpsi + left * at.spsi, forward * at.spsi - left * at.cpsi, up)
+            desired = acceleration_for_tilt(phi, theta, up, at)
             if feeds:
                 heading = (at.cpsi, at.spsi)
-                moving = (surplus * -self.kd_velocity, (jnp.zeros_like(at.cpsi), jnp.zeros_like(at.spsi)))
-                turning = jax.jvp(desired_tilt, (desired, heading), moving)[1]
+                heading_dot = (jnp.zeros_like(at.cpsi), jnp.zeros_like(at.spsi))
+                slope = surplus * -self.kd_velocity  # of the desired acceleration
+                _, (phi_rate, theta_rate) = jax.jvp(desired_tilt, (desired, heading), (slope, heading_dot))
         held = (desired - Vec3(0.0, 0.0, GRAVITY)) / self.kp_velocity
         yaw = 0.0 if is_zero(self.kp_yaw) else wanted.psi / self.kp_yaw
         return Integrals(Vec3(*self.velocity_integral) + held, yaw)
@@ -240,6 +240,20 @@ def desired_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Sc
     """The desired roll and pitch (phi_d, theta_d) [rad]; arguments as for :func:`lean`."""
     sides = lean(acceleration, heading)
     return atan2(sides.left, sides.slant), atan2(sides.forward, sides.up)
+
+
+def acceleration_for_tilt(phi: Scalar, theta: Scalar, up: Scalar, at: Trig) -> Vec3:
+    """The desired acceleration, with g, that gives a desired roll and pitch: the inverse of :func:`desired_tilt`.
+
+    Args:
+        phi: Desired roll [rad].
+        theta: Desired pitch [rad].
+        up: Vertical part of the acceleration, with g [m/s^2].
+        at: Cosine and sine of the present yaw.
+    """
+    forward = up * jnp.tan(theta)
+    left = up * jnp.tan(phi) / jnp.cos(theta)
+    return Vec3(forward * at.cpsi + left * at.spsi, forward * at.spsi - left * at.cpsi, up)
 
 
 def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
