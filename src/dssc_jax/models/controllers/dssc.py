@@ -162,7 +162,7 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
     def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
         """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about phi_1(sigma) to the command.
 
-        ``earlier`` is the age of the predictor's state before the first sample, in samples.
+        With the start ``midpoint`` the predictor's state belongs to half a sample before the first sample.
         """
         error = tracking_error(measurement, reference, gains.l0)
         predictor = 0.0 if gains.predictor_start == PredictorStart.ZERO else form.predictor(gains, error)

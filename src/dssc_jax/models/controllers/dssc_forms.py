@@ -85,8 +85,8 @@ class DsscState(NamedTuple):
         predictor: sigma_hat [y/s]; in the conservative form, phi_1(sigma_hat) [u].
         sigma: sigma at the sample before [y/s].
         modulation: State of the modulation.
-        earlier: Age of ``predictor`` before the first sample [samples], with the start ``midpoint``; 0 after that
-            sample, and () with another start.
+        earlier: With the start ``midpoint`` 0.5 at the first sample, where ``predictor`` is half a sample old instead of
+            one, and 0 after it; () with another start.
     """
 
     u_av: Scalar
@@ -115,7 +115,7 @@ class Sampled(NamedTuple):
 
 
 class SampleRatios(NamedTuple):
-    """Ratios of the functions' values and T_s at one sample.
+    """What filter and predictor need of the functions' values and T_s at one sample.
 
     Args:
         pole: 1/tau_m [1/s].
@@ -134,7 +134,7 @@ class SampleRatios(NamedTuple):
 
 
 class ControlSample(NamedTuple):
-    """Inputs of filter and predictor at one sample.
+    """What filter and predictor get at one sample.
 
     Args:
         error: Tracking error e and sigma.
@@ -156,8 +156,8 @@ class SampledForm(NamedTuple):
         predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
         rate: (gains, sample) -> the rate [1/s] at which that state decays.
         update: (gains, state, sample, T_s) -> filter and predictor after the sample.
-        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, with which it ends at
-            u_av+ and slides.
+        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, from which the sample
+            leads to u_av+ and slides.
     """
 
     predictor: Callable[[DsscGains, TrackingError], Scalar]

@@ -106,7 +106,8 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
         age: Age in [0, dt] [s].
         dt: Length of a sample [s].
     """
-    s = 1.0 - age / dt  # from 0 at the sample before to 1 at the present one
+    # y = previous.y + first s + second s^2 + third s^3, with s from 0 at the sample before to 1 at the present one
+    s = 1.0 - age / dt
     rise = present.y - previous.y
     first = dt * previous.y_dot
     increment = dt * present.y_dot
@@ -120,8 +121,12 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
     """The state at the first measurement: a reading of it fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
     period = sample_count("period_samples", params.period_samples)
-    previous = () if params.jitter is None else (measurement,)
-    return NoisyState(float(period), first, (first,) * sample_count("delay_samples", params.delay_samples), previous)
+    return NoisyState(
+        age=float(period),
+        held=first,
+        queue=(first,) * sample_count("delay_samples", params.delay_samples),
+        previous=() if params.jitter is None else (measurement,),
+    )
 
 
 def noisy_step(
@@ -137,15 +142,21 @@ def noisy_step(
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)  # of a loss, and of the largest age
         if params.jitter is not None:
-            true = aged_reading(measurement, state.previous[0], params.jitter * share, dt)
+            (last_true,) = state.previous
+            true = aged_reading(measurement, last_true, params.jitter * share, dt)
         if params.loss is not None and not is_zero(params.loss):
             is_received = is_due & (chance >= params.loss)
     fresh = reading(params, true, key)
     y = jnp.where(is_received, fresh.y, state.held.y)
     held_reading = Measurement(y, jnp.where(is_received, fresh.y_dot, state.held.y_dot))
     delivered, *queue = (*state.queue, held_reading)
-    previous = () if params.jitter is None else (measurement,)
-    return NoisyState(jnp.where(is_due, 1.0, state.age + 1.0), held_reading, tuple(queue), previous), delivered
+    next_state = NoisyState(
+        age=jnp.where(is_due, 1.0, state.age + 1.0),
+        held=held_reading,
+        queue=tuple(queue),
+        previous=() if params.jitter is None else (measurement,),
+    )
+    return next_state, delivered
 
 
 def largest_value(number: Scalar | None) -> float:
