@@ -85,8 +85,8 @@ class DsscState(NamedTuple):
         predictor: sigma_hat [y/s]; in the conservative form, phi_1(sigma_hat) [u].
         sigma: sigma at the sample before [y/s].
         modulation: State of the modulation.
-        earlier: With the start ``midpoint`` 0.5 at the first sample, where ``predictor`` is half a sample old instead of
-            one, and 0 after it; () with another start.
+        earlier: With the start ``midpoint`` 0.5 at the first sample, where ``predictor`` is half a sample old and not
+            one sample, and 0 after it; () with another start.
     """
 
     u_av: Scalar
