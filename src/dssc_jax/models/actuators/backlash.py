@@ -3,6 +3,8 @@
 The play is solved implicitly: after a monotone change of the command, the output is that of the play in continuous
 time, whatever the step, and it cannot chatter.
 
+In units, u stands for the unit of the command.
+
 Reference:
     M. Brokate, J. Sprekels, Hysteresis and Phase Transitions (1996), section 2.3.
 """

@@ -1,4 +1,7 @@
-"""A dead zone in series with the plant input, as of a valve with overlap: small commands have no effect."""
+"""A dead zone in series with the plant input, as of a valve with overlap: small commands have no effect.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

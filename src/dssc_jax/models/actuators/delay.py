@@ -1,4 +1,7 @@
-"""A pure delay of a real number of controller samples, in series with the plant input."""
+"""A pure delay of a real number of controller samples, in series with the plant input.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,7 @@
-"""Commands that are lost at random on their way to the actuator, which then holds the last one that arrived."""
+"""Commands that are lost at random on their way to the actuator, which then holds the last one that arrived.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

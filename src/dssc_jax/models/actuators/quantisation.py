@@ -1,4 +1,7 @@
-"""A plant input that is a multiple of a resolution, as behind a digital-to-analogue converter."""
+"""A plant input that is a multiple of a resolution, as behind a digital-to-analogue converter.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,7 @@
-"""A saturation in series with the plant input."""
+"""A saturation in series with the plant input.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

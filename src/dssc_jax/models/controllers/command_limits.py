@@ -1,4 +1,7 @@
-"""Limits ``low`` and ``high`` of a controller's command, which several laws have in common."""
+"""Limits ``low`` and ``high`` of a controller's command, which several laws have in common.
+
+In units, u stands for the unit of the command.
+"""
 
 from collections.abc import Callable
 

@@ -6,6 +6,8 @@ limit the denominator acts on the limited command, so that the controller does n
 The state-space model is x(k+1) = A x + B w, u = C x + D w within its limits, where w holds y_m - y and then the
 measured signals, in the order of the study's ``measures``. It has no anti-windup.
 
+In units, u stands for the unit of the command.
+
 References:
     K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), sections 9.4 and 9.5.
 """

@@ -1,6 +1,8 @@
 """Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
 The sampled forms of filter and predictor are in :mod:`dssc_jax.models.controllers.dssc_forms`.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from typing import Annotated, NamedTuple

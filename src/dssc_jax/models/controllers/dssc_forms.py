@@ -8,6 +8,8 @@ With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u
 exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
 (22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
 T_s > 2 tau_av.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from collections.abc import Callable

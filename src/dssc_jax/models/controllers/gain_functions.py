@@ -6,6 +6,8 @@ follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, inte
 which DSSC is sampled unless the study says otherwise. ``tunable`` names the two constants that a comparison tunes,
 ``finite_slope`` tells whether phi_1 has a finite slope at 0, and ``super_twisting()`` is the STA that the row
 approximates. r = |sigma|^(1/2) throughout.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from typing import Annotated, NamedTuple, Protocol, TypeVar
@@ -205,7 +207,10 @@ class ApproximateSta1(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
+        """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)].
+
+        With x = r/delta the quotient is delta x^2/(x - ln(1 + x)), which is 2 delta at r = 0.
+        """
         r = root_abs(sigma)
         tau_m = self.kappa1 * self.delta / (self.kappa2 * log_defect(r / self.delta))
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)

@@ -15,6 +15,8 @@ equation when the study is built, with the median in place of each law, so that 
 nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero there, N is 0. While the
 command is at a limit, z does not integrate errors that drive it further.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapters 8 and 9.
     K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), chapter 11.

@@ -1,6 +1,8 @@
 """The modulation function rho: constant, or the norm bound (33)-(34) with its norm observer.
 
 Each is a NamedTuple of its constants with ``init()`` and ``at(state, signals, dt) -> (state, rho)``.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 import math

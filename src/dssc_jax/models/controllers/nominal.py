@@ -1,4 +1,7 @@
-"""The nominal control (37), shared by all controllers."""
+"""The nominal control (37), shared by all controllers.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from typing import Annotated, NamedTuple
 

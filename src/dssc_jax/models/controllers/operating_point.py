@@ -3,6 +3,8 @@
 A linear law is a law of deviations. About an equilibrium other than 0, the reference's feedforward must act on
 y_m - y_0, the feedback of signals on s - s_0, and u_0 holds the plant. A feedforward of the whole y_m would ask for a
 command that the integral then has to take back.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from dssc_jax.core.errors import ConfigError

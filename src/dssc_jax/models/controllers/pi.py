@@ -1,4 +1,7 @@
-"""The PI controller u = -K_P sigma - K_I int sigma dt, which SSC synthesises in sliding."""
+"""The PI controller u = -K_P sigma - K_I int sigma dt, which SSC synthesises in sliding.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from typing import Annotated, NamedTuple
 

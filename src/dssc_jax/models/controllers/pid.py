@@ -7,6 +7,8 @@
 Sampled as is usual: the integral by forward Euler, so that I does not depend on the present command, and the derivative
 by backward Euler, which is stable for every T_f >= 0.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), sections 11.4 and 11.5.
     K. J. Astrom, T. Hagglund, Advanced PID Control (2006), sections 3.5 and 13.4.

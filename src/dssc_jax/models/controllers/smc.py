@@ -1,4 +1,7 @@
-"""First-order sliding mode u = -K sgn(sigma)."""
+"""First-order sliding mode u = -K sgn(sigma).
+
+In units, u stands for the unit of the command.
+"""
 
 import math
 from typing import Annotated, NamedTuple

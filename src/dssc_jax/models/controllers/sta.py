@@ -3,6 +3,8 @@
 u = -kappa1 |sigma|^(1/2) sgn sigma + v, v' = -(kappa2/2) sgn sigma: Table 2's normalisation. With x = sigma,
 h = T_s, k2 = kappa2/2 and the nominal input gain k_n, w = k_n u is computed for x+ = x + h (w + d).
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     B. Brogliato, A. Polyakov, D. Efimov, "The implicit discretization of the supertwisting sliding-mode control
     algorithm", IEEE Trans. Automatic Control 65 (2020).

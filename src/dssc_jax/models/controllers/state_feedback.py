@@ -6,6 +6,8 @@ Without measured signals s the state is (y, y'), what the class (5)-(8) measures
 state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
 those of the PID controller.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), section 7.4.
 """

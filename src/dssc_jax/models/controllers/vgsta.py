@@ -6,6 +6,8 @@ kappa_3 = phi_b when phi_a = 1. kappa_1, kappa_2 as in Table 1.
 The implicit form evaluates the gains, and the factors of (26) that depend on delta, at the sampled (sigma, e), as
 DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and delta = 0 it
 equals the implicit STA.
+
+In units, y stands for the unit of the plant's output.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""A disturbance that is coloured Gaussian noise."""
+"""A disturbance that is coloured Gaussian noise.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

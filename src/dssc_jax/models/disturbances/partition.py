@@ -1,4 +1,7 @@
-"""A disturbance of the class (30), which depends on the output and attains the bounds of the class."""
+"""A disturbance of the class (30), which depends on the output and attains the bounds of the class.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 import math
 from typing import Annotated, NamedTuple

@@ -1,4 +1,7 @@
-"""Disturbances prescribed over time: constant, step, sine, spline."""
+"""Disturbances prescribed over time: constant, step, sine, spline.
+
+In units, u stands for the unit of the command.
+"""
 
 import math
 from typing import Annotated, NamedTuple

@@ -1,4 +1,7 @@
-"""A recorded disturbance."""
+"""A recorded disturbance.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

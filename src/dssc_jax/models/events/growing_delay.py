@@ -1,4 +1,7 @@
-"""A delay of the commands that grows from a time on."""
+"""A delay of the commands that grows from a time on.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,7 @@
-"""A plant in an FMU, which makes a step between two samples by its own solver, with constant command."""
+"""A plant in an FMU, which makes a step between two samples by its own solver, with constant command.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from math import nan
 from typing import Annotated, Any, NamedTuple, NoReturn

@@ -1,4 +1,7 @@
-"""The one-degree-of-freedom class (5)-(8), of any order n >= 2, in normal form."""
+"""The one-degree-of-freedom class (5)-(8), of any order n >= 2, in normal form.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,5 +1,7 @@
 """A chirp: a sine whose frequency moves from one value to another.
 
+In units, y stands for the unit of the plant's output.
+
 Reference:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
 """

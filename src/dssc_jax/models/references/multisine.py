@@ -1,5 +1,7 @@
 """A multisine: a sum of sines, with phases that keep its peak low.
 
+In units, y stands for the unit of the plant's output.
+
 References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
     M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low autocorrelation, IEEE Trans.

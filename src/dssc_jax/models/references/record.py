@@ -1,4 +1,7 @@
-"""A recorded signal as desired output."""
+"""A recorded signal as desired output.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,7 @@
-"""Sines as desired outputs, and the four axes of the article's mission."""
+"""Sines as desired outputs, and the four axes of the article's mission.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 import math
 from enum import StrEnum

@@ -2,6 +2,8 @@
 
 A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are those on the right: a controller
 that uses them sees a change of y_m and no impulse.
+
+In units, y stands for the unit of the plant's output.
 """
 
 from typing import Annotated, NamedTuple

@@ -1,4 +1,7 @@
-"""A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter."""
+"""A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from typing import Annotated, NamedTuple
 

@@ -1,4 +1,7 @@
-"""A sensor whose noise is a record."""
+"""A sensor whose noise is a record.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from enum import StrEnum
 from typing import Annotated, NamedTuple
