@@ -49,9 +49,10 @@ from dssc_jax.models.controllers.dssc_forms import (
     sigma_rate,
     switching_gain,
 )
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant
 from dssc_jax.models.controllers.modulation import ModulationSignals
 from dssc_jax.models.controllers.nominal import nominal_control
+from dssc_jax.models.controllers.state_functions import StateFunctions
 
 
 class DsscInfo(NamedTuple):

@@ -24,9 +24,10 @@ from dssc_jax.core.numerics import clip, newton, sign
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar, State, TrackingError
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, StateFunctions
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import MODULATIONS, ConstantModulation
 from dssc_jax.models.controllers.nominal import L0, NominalGains
+from dssc_jax.models.controllers.state_functions import StateFunctions
 
 NEWTON_STEPS = 12
 

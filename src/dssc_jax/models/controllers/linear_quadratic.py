@@ -18,12 +18,12 @@ LARGEST_CONDITION = 1e12
 
 
 class SampledPlant(NamedTuple):
-    """A linear plant in discrete time, with inputs that are constant over a sample.
+    """The linear plant x(k+1) = A x(k) + B u(k) + E w(k), whose inputs are constant over each sample.
 
     Args:
         a: A, shape (n, n).
-        b: Column of the command, shape (n,).
-        disturbances: Columns of the disturbances, shape (n, q).
+        b: B, the column of the command, shape (n,).
+        disturbances: E, the columns of the disturbances, shape (n, q).
     """
 
     a: np.ndarray

@@ -33,8 +33,8 @@ from dssc_jax.core.signals import (
 )
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
-from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2, super_twisting
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+from dssc_jax.models.controllers.state_functions import KAPPA_1, KAPPA_2, super_twisting
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
 LIMIT = Quantity("u", "limit of |u|", above=0.0)

@@ -23,15 +23,14 @@ from dssc_jax.core.signals import Scalar, TrackingError
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
 from dssc_jax.models.controllers.gain_functions import (
     KAPPA_ABC,
-    ROOT_FLOOR,
     TABLE_1_EXAMPLE,
     VariableGains,
     Vgsta,
-    super_twisting,
     variable_gains,
 )
 from dssc_jax.models.controllers.nominal import L0, NominalGains
 from dssc_jax.models.controllers.sta import K_N, LIMIT, twisting_controller
+from dssc_jax.models.controllers.state_functions import ROOT_FLOOR, super_twisting
 
 
 class VgstaGains(NamedTuple):

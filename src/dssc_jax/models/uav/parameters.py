@@ -33,7 +33,7 @@ class Believed(NamedTuple):
 
 
 class InnerModel(NamedTuple):
-    """The inner loop's model of the vehicle: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
+    """The vehicle as the inner loop believes it: mass M [kg], diagonal of its inertia J [kg m^2], k_T [N s^2/rad^2]."""
 
     mass: Scalar
     inertia: Vec3

@@ -370,7 +370,7 @@ class Px4State(NamedTuple):
     Args:
         velocity_integral: I of the velocity loops [m/s^2].
         velocity: The last measured velocity [m/s].
-        acceleration: Its filtered slope [m/s^2].
+        acceleration: Filtered slope of the measured velocity [m/s^2].
         thrust: Held thrust, inertial, in shares of the full one.
         attitude: Held attitude.
         yaw_rate: Held rate of yaw [rad/s].
@@ -378,7 +378,7 @@ class Px4State(NamedTuple):
         unallocated: Moment that the rotors did not give at the last tick [N m].
         gyro: State of the rate's low-pass filter; () without one.
         rate: The last filtered rate [rad/s].
-        turning: Its filtered slope [rad/s^2].
+        turning: Filtered slope of the filtered rate [rad/s^2].
         bounded: Whether the thrust is at its lower limit.
     """
 

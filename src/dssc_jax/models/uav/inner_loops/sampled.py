@@ -147,7 +147,10 @@ def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
 
 
 def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
-    """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those."""
+    """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those.
+
+    The thrust is the first row of the allocation's pseudo-inverse times the rotor thrusts.
+    """
     rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
     return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
 
