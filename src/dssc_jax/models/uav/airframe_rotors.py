@@ -128,7 +128,8 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
 def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     """The entries of the vehicle that place its rotors: angles for equal rotors on a level circle, else a list."""
     moments = [rotor.moment for rotor in rotors]
-    is_upright = all(x == 0.0 and y == 0.0 and z > 0.0 for x, y, z in (rotor.axis for rotor in rotors))
+    axes = [rotor.axis for rotor in rotors]
+    is_upright = all(x == 0.0 and y == 0.0 and z > 0.0 for x, y, z in axes)
     distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
     arm = sum(distances) / len(distances)
     mean_moment = sum(map(abs, moments)) / len(moments)

@@ -42,7 +42,7 @@ def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
 
 def first_wind(records: tuple[HeldRecord, ...], key: jax.Array) -> Vec3:
     """The state before the first sample: the wind of a held record at t = 0 [m/s]."""
-    return wind_at(pieces_of(records), (), 0.0)
+    return wind_at(pieces_of(records), state=(), t=0.0)
 
 
 def wind_mean(records: tuple[HeldRecord, ...], state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
