@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.metrics.margin_measures import margins_of
-from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, Recorded, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import Lane, lane_numbers, lane_of_study

@@ -10,8 +10,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.break_points import place_names, sample_map, undisturbed
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values

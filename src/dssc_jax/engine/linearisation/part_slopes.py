@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Params
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
