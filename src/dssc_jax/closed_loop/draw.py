@@ -10,10 +10,11 @@ import numpy as np
 
 from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.metrics.accumulation import final_values, initial_accumulators, update_accumulators
 from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.margin_kinds import NO_MARGINS
 from dssc_jax.closed_loop.metrics.requirements import Requirement, certain_violations, judge, violated, watch
-from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure, starts, update_all, values
+from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure
 from dssc_jax.closed_loop.metrics.window import first_sample, periods_lasting
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
@@ -94,7 +95,7 @@ def initial_progress(
     return Progress(
         k=zero,
         state=state,
-        accumulators=as_arrays(starts(measures, margins)),
+        accumulators=as_arrays(initial_accumulators(measures, margins)),
         outcome=no_samples,
         steps=no_samples,
         in_band=in_band,
@@ -161,7 +162,7 @@ def sampler(
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         """The carry after one sample, and the signals of that sample."""
         state, recorded = step(loop, params, key, at.state, at.k, advance)
-        accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
+        accumulators = update_accumulators(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         outcome_now, is_ended = outcome_at_sample(recorded)
         is_active = is_running(loop, at)
         outcome = jnp.where(is_active, outcome_now, at.outcome)
@@ -301,7 +302,7 @@ def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requ
     """
     ok = end.outcome == Outcome.OK
     completed = loop.steps if loop.settled is None else end.steps  # a plain number unless draws may settle
-    metrics = values(measures, end.accumulators, completed, loop.sample_time)
+    metrics = final_values(measures, end.accumulators, completed, loop.sample_time)
     outcome, slacks = judge(requirements, metrics, end.outcome)
     certain = certain_violations(requirements, measures, end.accumulators, end.violations, completed, loop.sample_time)
     failed_at = jnp.where(ok, jnp.nan, (end.steps + 1) * loop.sample_time)
