@@ -169,7 +169,7 @@ def separate_step(
 
 
 def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
-    """The sum of several winds; its parameters and its state are the tuples of those of the parts."""
+    """The sum of several winds; its parameters and its state are tuples with an element for each part."""
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
         """The sum of the parts' velocities at t [m/s]."""
@@ -202,9 +202,10 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place; its parameters and its state are the tuples of those of the parts.
+    """The sum of several disturbances at one place.
 
-    A single disturbance is returned as it is, with its own parameters.
+    Its parameters and its state are tuples with an element for each part. A single disturbance is returned as it is,
+    with its own parameters.
     """
     if len(parts) == 1:
         return parts[0]
@@ -239,9 +240,9 @@ def static_unmodelled(
     Args:
         params: NamedTuple type of the parameters.
         output: ``(params, command) -> command`` received by the plant.
-        smooth: As in :class:`Plant`.
-        continuous: As in :class:`Unmodelled`.
-        prepare: As in :class:`Plant`.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: not declared.
+        continuous: Whether the output is the same for a model in continuous time.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
     """
     return Unmodelled(
         params,
@@ -278,8 +279,8 @@ def linear_unmodelled(
         params: NamedTuple type of the parameters.
         init: ``(params) -> state``, at rest; its leaves are the states of the system.
         linear: ``(params) -> LinearSystem`` from the command to the output.
-        prepare: As in :class:`Plant`.
-        time_constant: As in :class:`Unmodelled`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        time_constant: Name of the parameter that scales all their times, such as mu of a lag; empty: there is none.
     """
 
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:

@@ -93,11 +93,11 @@ class Arrangement(NamedTuple):
 
 
 def arrange(elements: Sequence[Element]) -> Arrangement:
-    """Sort the elements of a chain into those that act at the samples, those between them, and linear ones at the end.
+    """Sort the elements of a chain by how they act: at the samples, between them, or as linear elements at the end.
 
     Raises:
-        ConfigError: An element that acts on the sampled command stands behind one that moves between the samples, or an
-            element both acts at the samples and moves between them.
+        ConfigError: An element that acts on the sampled command stands behind an element that moves between the
+            samples, or an element does both.
     """
     sampled = []
     moving = []

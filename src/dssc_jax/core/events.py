@@ -91,8 +91,8 @@ class SensorEvent(NamedTuple):
     Args:
         params: NamedTuple type of the parameters.
         wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
-        changes: As in :class:`VehicleEvent`.
-        prepare: As in :class:`VehicleEvent`.
+        changes: Name, in words, of the number of the loop that the event changes.
+        prepare: ``(params) -> params`` before tracing; raises ConfigError.
     """
 
     params: type
@@ -106,9 +106,9 @@ class CommandEvent(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        model: Unmodelled dynamics with the event, in series with those of the study.
-        changes: As in :class:`VehicleEvent`.
-        prepare: As in :class:`VehicleEvent`.
+        model: Unmodelled dynamics with the event, in series with the study's own.
+        changes: Name, in words, of the number of the loop that the event changes.
+        prepare: ``(params) -> params`` before tracing; raises ConfigError.
     """
 
     params: type

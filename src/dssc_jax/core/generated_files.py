@@ -19,7 +19,7 @@ def require_replaceable(folder: Path, names: Iterable[str]) -> None:
         names: Names of the files to write.
 
     Raises:
-        ConfigError: A file's digest is not the one that :func:`write_sums` stored, so it may be somebody's work.
+        ConfigError: A file's digest differs from what :func:`write_sums` stored, so it may be somebody's work.
     """
     sums = stored_sums(folder)
     for name in names:

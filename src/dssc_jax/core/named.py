@@ -78,7 +78,7 @@ def __getattr__(name: str) -> type:
     """Make the type of :func:`report_type` from its name, so that pickle can read reports of other processes.
 
     Raises:
-        AttributeError: The name is not that of a report's type.
+        AttributeError: No report's type has this name.
     """
     first, *names = name.split(SEPARATOR)  # Report__speed__current
     if first != REPORT or not all(names):

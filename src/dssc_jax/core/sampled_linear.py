@@ -97,7 +97,7 @@ def scale_column(column: Column, factor: Scalar) -> Column:
 def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
     """Two systems in series: the output of the first is the input of the second.
 
-    The state is that of the first system followed by that of the second.
+    The state is the state of the first system followed by the state of the second.
     """
     rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
     for entry, row in zip(second.b, second.a, strict=True):
@@ -277,7 +277,12 @@ def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[t
     """The places, by row and column, where the exponential may differ from the identity; sorted.
 
     A place (i, j) is among them if nonzero entries of the augmented matrix lead from row i to column j in any number of
-    steps; arguments as of :func:`exponentials`.
+    steps.
+
+    Args:
+        rates: Entries of A h and g h.
+        size: Number of states n.
+        chains: Column of the next term of a polynomial, by the column of a term.
     """
     places = set(rates)
     while True:

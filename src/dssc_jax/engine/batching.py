@@ -313,7 +313,7 @@ def computing() -> JsonObject:
 
 
 def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-    """Compute blocks in turn, each in the background while the caller handles the one before it.
+    """Compute blocks in turn, each in the background while the caller handles the previous block.
 
     The first block starts when this function is called, not when the iterator is first read.
 
@@ -329,7 +329,7 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
         return block, engine(*lanes_of(engine.study, block, values)), values
 
     def collect_all(first: BlockRun) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        """Yield the blocks in turn; the next one starts before the caller gets the one before it."""
+        """Yield the blocks in turn; the next block starts before the caller gets the present one."""
         current_run = first
         for block in blocks[1:]:
             next_run = start_block(block)
@@ -367,7 +367,7 @@ def join_batches(batches: Sequence[Arrays]) -> Arrays:
 
 
 def is_noisy(engine: Engine) -> bool:
-    """Whether the loop has in-loop noise, such as that of sensors.
+    """Whether the loop has in-loop noise, such as the noise of sensors.
 
     It has if draws with equal numbers but other indices have other results: the index alone selects the noise.
     """

@@ -113,7 +113,7 @@ class LaneFunction:
         return {name: column[0] for name, column in columns.items()}, indices[0]
 
     def draws(self, count: int | None = None) -> tuple[Arrays, np.ndarray]:
-        """Values and indices of the first draws, for ``jax.vmap``; the same draws as those of :func:`dssc_jax.run`.
+        """Values and indices of the first draws, for ``jax.vmap``: the same draws as :func:`dssc_jax.run` simulates.
 
         Args:
             count: Number of draws; None: as many as the study has.

@@ -260,7 +260,7 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
 
 @contextmanager
 def connected(address: str, notify: Callable[[str], None], local: str | None = None) -> Iterator[Cluster]:
-    """A context with workers: those of a scheduler, or local ones that are started for its duration.
+    """A context with workers: of a scheduler, or local processes that are started for its duration.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.

@@ -163,7 +163,7 @@ def run(
 
 @dataclass
 class ThisProcess:
-    """This process as the only worker of a run; the methods are those of :class:`dssc_jax.runs.cluster.Cluster`.
+    """This process as the only worker of a run, with the same methods as :class:`dssc_jax.runs.cluster.Cluster`.
 
     Args:
         study: The study.

@@ -52,7 +52,7 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     """The uncertain and swept numbers of one draw at a point of the sweep.
 
     Raises:
-        ConfigError: The draw is not in the study, or the names in ``point`` are not those of the sweep.
+        ConfigError: The draw is not in the study, or ``point`` does not have the names of the sweep.
     """
     require_draw(study, draw, study.source)
     require_swept(study, point)
@@ -101,8 +101,8 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
         every: Number of samples from one recorded sample to the next.
 
     Returns:
-        The signals over ``t`` [s]: y, y_dot, y_ref, e, sigma, u, u_total, and those of the controller's and the plant's
-        infos. Attributes contain the drawn values and how the draw ended.
+        The signals over ``t`` [s]: y, y_dot, y_ref, e, sigma, u, u_total, and the signals that controller and plant
+        report. Attributes contain the drawn values and how the draw ended.
 
     Raises:
         ConfigError: ``draw``, ``point`` or ``every`` is out of range.

@@ -71,7 +71,7 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Size by which slacks are divided, so that those of different requirements compare: usually |bound|.
+        """Size by which a slack is divided, so that the slacks of different requirements compare: usually |bound|.
 
         A bound of 0 has no size; the typical slack then takes its place, or 1 if there is none.
         """
@@ -224,7 +224,7 @@ def judge(
     """Judge a draw by its requirements.
 
     Args:
-        requirements: The requirements; the first one that is violated gives the code.
+        requirements: The requirements; the first violated requirement gives the code.
         values: Value of every measure by name.
         ended: Code of the flight: OK, or the reason of its early end.
 
@@ -260,7 +260,7 @@ def first_violation(
     """The requirement that each draw violates first, and when; violations by an early end do not count.
 
     Args:
-        requirements: The requirements; of two that are violated at the same sample, the one listed first counts.
+        requirements: The requirements; of two that are violated at the same sample, the first in the list counts.
         results: Times of violation by name, and ``failed_at``, all of one shape.
 
     Returns:

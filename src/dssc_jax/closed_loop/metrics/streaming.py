@@ -49,7 +49,8 @@ class Metric(NamedTuple):
     """A number that is computed from a flight sample by sample.
 
     Args:
-        unit: Unit, with the symbols ``y`` and ``u`` of :mod:`dssc_jax.core.units` for those of the channel.
+        unit: Unit, in which the symbols ``y`` and ``u`` stand for the units of the channel's output and command
+            (:mod:`dssc_jax.core.units`).
         meaning: Meaning in words.
         update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
@@ -209,7 +210,15 @@ def largest_absolute(
     needs: tuple[str, ...] = (),
     scope: Scope = Scope.CHANNEL,
 ) -> Metric:
-    """The metric that is a signal's largest absolute value over the window; arguments as of :func:`rms`."""
+    """The metric that is a signal's largest absolute value over the window.
+
+    Args:
+        unit: Unit of the signal.
+        meaning: Meaning of the metric in words.
+        signal: Reads the signal at a sample.
+        needs: As in :class:`Metric`.
+        scope: As in :class:`Metric`.
+    """
     return Metric(unit, meaning, peak_update(signal), final_value, needs, scope, course=Course.RISES, least=0.0)
 
 

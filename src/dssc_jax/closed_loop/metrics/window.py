@@ -23,8 +23,8 @@ class WindowEntry(NamedTuple):
         suffix: Format of the value in the name of a measure.
         words: Format of the value in the text of a requirement.
         bounds: Admissible values, with pydantic's names of bounds.
-        relative: Whether texts omit the value that equals that of ``[metrics]``; False: they omit the value that equals
-            that of :data:`WHOLE_RUN`.
+        relative: Whether texts omit a value that equals the value in ``[metrics]``; False: they omit a value that
+            equals the value of :data:`WHOLE_RUN`.
         absent: Meaning of an absent value in words; empty if the default is a value that a study can contain.
     """
 

@@ -69,7 +69,14 @@ def allow_native(path: str | Path, sha256: str = "") -> Native:
 def loaded_file(path: Path, content: bytes, digest: str) -> Native:
     """Load native code from the content of a file: an FMU or a shared object.
 
-    Arguments and errors are those of :func:`loaded_library`.
+    Args:
+        path: The file, for messages.
+        content: The file's content.
+        digest: SHA-256 digest of the content.
+
+    Raises:
+        ConfigError: The content cannot be loaded, describes no controller or no co-simulation, or keeps numbers outside
+            of the state of a flight.
     """
     if not is_fmu(content):
         return loaded_library(path, content, digest)

@@ -134,7 +134,7 @@ class NativeController:
 
     @property
     def inputs(self) -> tuple[int, ...]:
-        """Places of all signals that a step gets: those of every controller, then the further measured signals."""
+        """Places of all signals that a step gets: y, y', y_m, y_m', y_m'', then the further measured signals."""
         return (*self.signals, *(number.offset for number in self.measured))
 
 

@@ -263,7 +263,7 @@ def require_sum(controller: NativeController) -> None:
 
 
 def require_same_without_telemetry(controller: NativeController) -> None:
-    """Require that a trial flight without telemetry has the same commands as one with telemetry.
+    """Require that a trial flight has the same commands with and without telemetry.
 
     Raises:
         ConfigError: The commands differ.

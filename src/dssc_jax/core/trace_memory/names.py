@@ -141,7 +141,11 @@ def package_of(module: str) -> str:
 
 
 def array_parts(array: Any) -> Iterator[bytes]:
-    """Describe an array by its dtype, shape and numbers; raises Undescribed for a dtype such as that of keys."""
+    """Describe an array by its dtype, shape and numbers.
+
+    Raises:
+        Undescribed: Its dtype is no plain one, as for random keys.
+    """
     if getattr(array.dtype, "kind", "") not in PLAIN:
         raise Undescribed(array.dtype)
     numbers = np.asarray(array)

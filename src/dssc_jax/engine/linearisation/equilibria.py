@@ -69,7 +69,7 @@ def better_equilibria(earlier: Resting, later: Resting) -> Resting:
     is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
     def select(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-        """The rows of ``late`` in draws where it is better, else those of ``early``, shape (n, ...)."""
+        """The rows of ``late`` in draws where it is better, else the rows of ``early``, shape (n, ...)."""
         row_is_better = is_better.reshape(-1, *[1] * (early.ndim - 1))
         return np.where(row_is_better, late, early)
 

@@ -142,7 +142,12 @@ class MarginValues:
         return slopes
 
     def _batch(self, values: Arrays, indices: np.ndarray) -> Arrays:
-        """The margins of at most :data:`BATCH_LANES` lanes; arguments as for a call."""
+        """The required margins of at most :data:`BATCH_LANES` lanes, by the name of their measure, shape (n,) each.
+
+        Args:
+            values: Values of all uncertain and swept numbers, shape (n,) each.
+            indices: Draw index of each lane, shape (n,).
+        """
         states, matrices, is_settled, _ = self.resting.settle(values, indices)
         is_beyond = np.zeros(len(is_settled), bool)
         if is_settled.any():

@@ -31,7 +31,13 @@ LoopWithParams = tuple[Loop, LoopParams]
 def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> LaneLoop:
     """Return the function that gives a draw's loop for linearisation, its parameters and its random key.
 
-    It takes the draw's numbers and index. Arguments are those of :func:`linearised_loop`.
+    Args:
+        study: The study.
+        places: The parts of the loop.
+        is_resting: Whether the loop is at rest, without disturbances.
+
+    Returns:
+        ``(numbers of the draw by name, index of the draw) -> (loop, parameters, random key)``.
     """
 
     def loop_of_draw(values: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
@@ -118,7 +124,7 @@ class Linearisation:
     def next_states(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
-        """The states of n draws after one sample, shape (n, states); arguments as for a call."""
+        """The states of n draws after one sample, shape (n, states); arguments as for a call of the object."""
         draw = np.arange(len(states))
         any_direction = np.zeros_like(draw)  # its derivatives are not read
         next_states, *_ = self._derivatives(values, indices, states, k, findings, draw, any_direction)
@@ -130,8 +136,8 @@ class Linearisation:
         """The findings, in which a part without a derivative counts as beyond its boundary if the loop is open.
 
         In an open loop the part's derivative does not matter: where an actuator and its controller share a limit,
-        either one opens the loop. To find such draws, the loop is linearised with the substitutes of these parts.
-        Arguments as for a call.
+        either of them opens the loop. To find such draws, the loop is linearised with the substitutes of these parts.
+        Arguments are as for a call of the object.
 
         Returns:
             The :class:`Finding` of each part, shape (n, parts).

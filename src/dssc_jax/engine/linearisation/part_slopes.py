@@ -93,7 +93,12 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 
 
 def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """Return the function that classifies every part by pushes; arguments as of :func:`examination`."""
+    """Return the function that classifies every part at the operating points of many draws by pushes.
+
+    Args:
+        lane: The loop of a draw, with substitutes for parts that are smooth nowhere.
+        places: The parts, all of which are examined.
+    """
 
     def lane_maps(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
         """The loop of a draw with its parameters, and its parts as functions at the operating point."""

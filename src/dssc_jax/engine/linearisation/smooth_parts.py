@@ -219,7 +219,7 @@ def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Para
 def with_part(
     loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
 ) -> tuple[Loop, LoopParams]:
-    """The loop with another part in a place, and the loop's parameters with those of that part.
+    """The loop with another part in a place, and the loop's parameters with the part's own.
 
     Args:
         loop: The models and the clock.
@@ -271,7 +271,7 @@ def with_inner_sides(
 
 
 def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
-    """The parameters of the substitute if it replaces the part, else those of the part.
+    """The parameters of the substitute if it replaces the part, else the parameters of the part.
 
     Numbers that are equal before tracing stay plain numbers, such as the size of a memory.
     """
@@ -292,7 +292,7 @@ def choice(part: Part, substitute: Part) -> Part:
         """Return the function of this name that runs both parts, and selects the results of one."""
 
         def select(params: SelectedParams, *arguments: object) -> object:
-            """The results of the substitute if it replaces the part, else those of the part."""
+            """The results of the substitute if it replaces the part, else the results of the part."""
             inner = getattr(substitute, name)(params.substitute, *arguments)
             outer = getattr(part, name)(params.part, *arguments)
             return jax.tree.map(lambda a, b: jnp.where(params.is_substituted, a, b), inner, outer)
