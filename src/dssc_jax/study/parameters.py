@@ -20,6 +20,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.expressions import (
     RESERVED,
     Numeric,
+    UnknownParameter,
     evaluate_intervals,
     evaluate_numbers,
     is_expression,
@@ -221,14 +222,15 @@ class ParameterTable:
         """Parse an expression, which must have a finite value for all values of its parameters.
 
         Raises:
-            ValueError: The text is no expression, or names no parameter, or may have no finite value.
+            UnknownParameter: The text names something that is no parameter.
+            ValueError: The text is no expression, or may have no finite value.
         """
         needed_names: set[str] = set()
         pending_names = list(names_of(parse_expression(text)))
         for name in pending_names:
             if name not in self.contents:
                 hint = nearest(name, self.contents) if self.contents else "name numbers in [parameters]"
-                raise ValueError(f"{text!r} names '{name}', which is no parameter; {hint}")
+                raise UnknownParameter(f"{text!r} names '{name}', which is no parameter; {hint}")
         while pending_names:
             name = pending_names.pop()
             content = self.contents[name]
