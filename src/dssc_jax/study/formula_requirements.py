@@ -30,7 +30,9 @@ VEHICLE_SIGNALS = {
 
 
 def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, SampledSignal]:
-    """Signals that a formula can name: the time ``t``, all signals of the loop, and the attitude of a vehicle.
+    """Signals that a formula can name: the time ``t`` and all signals of the loop.
+
+    Tilt, roll and pitch of a vehicle are taken from :data:`VEHICLE_SIGNALS`.
 
     Args:
         loop_signals: Signals of the loop, by the names of their columns in a trajectory.
@@ -49,7 +51,7 @@ def formula_requirement(
         place: Dotted path of the table, such as ``requirement.0``.
         config: Tables of the study.
         signals: Signals that the formula can name.
-        parameters: Value of an expression of parameters.
+        parameters: (text of an expression, place that needs it) -> value, a plain number.
 
     Raises:
         ConfigError: The formula is not valid.
