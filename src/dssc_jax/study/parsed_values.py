@@ -8,7 +8,9 @@ from dssc_jax.core.errors import nearest
 from dssc_jax.study.laws import is_number
 
 MOST_VALUES = 10**6
+"""Most values of an axis."""
 AXES = ("linspace", "logspace", "values")
+"""Forms in which a study states the values of an axis."""
 
 
 def parse_axis(value: object) -> tuple[float, ...]:
@@ -21,27 +23,41 @@ def parse_axis(value: object) -> tuple[float, ...]:
         value = {"values": list(value)}
     if not isinstance(value, dict) or len(value) != 1:
         raise ValueError(f"must be a list or one of {{ linspace | logspace = [lo, hi, count] }}, got {value!r}")
-    ((kind, arguments),) = value.items()
-    if kind not in AXES:
-        raise ValueError(f"'{kind}' is not a spacing; {nearest(kind, AXES)}")
+    spacing, arguments = next(iter(value.items()))
+    if spacing not in AXES:
+        raise ValueError(f"'{spacing}' is not a spacing; {nearest(spacing, AXES)}")
     if not isinstance(arguments, list) or not arguments or not all(is_number(item) for item in arguments):
-        raise ValueError(f"{kind} takes a list of finite numbers, got {arguments!r}")
-    if kind == "values":
+        raise ValueError(f"{spacing} takes a list of finite numbers, got {arguments!r}")
+    if spacing == "values":
         return tuple(float(item) for item in arguments)
+    return spaced_values(spacing, arguments)
+
+
+def spaced_values(spacing: str, arguments: list[Any]) -> tuple[float, ...]:
+    """Values from ``lo`` to ``hi`` at equal distances, or in equal ratios.
+
+    Args:
+        spacing: ``linspace`` for equal distances, ``logspace`` for equal ratios.
+        arguments: Finite numbers, ``[lo, hi, count]``.
+
+    Raises:
+        ValueError: There are no such values.
+    """
     if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
-        raise ValueError(f"{kind} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
+        raise ValueError(f"{spacing} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
     low, high, count = arguments
     if count > MOST_VALUES:
-        raise ValueError(f"{kind} takes at most {MOST_VALUES} values, got {count}")
+        raise ValueError(f"{spacing} takes at most {MOST_VALUES} values, got {count}")
     if count > 1 and not low < high:
-        raise ValueError(f"{kind} needs lo < hi, got {arguments}")
+        raise ValueError(f"{spacing} needs lo < hi, got {arguments}")
     if count == 1 and low != high:
-        raise ValueError(f"{kind} with count = 1 needs lo = hi, or a count of 2 or more for both ends, got {arguments}")
-    if kind == "logspace":
-        if low <= 0:
-            raise ValueError(f"logspace needs 0 < lo, got {arguments}")
-        return tuple(float(item) for item in np.geomspace(low, high, count))
-    return tuple(float(item) for item in np.linspace(low, high, count))
+        rule = f"{spacing} with count = 1 needs lo = hi, or a count of 2 or more for both ends"
+        raise ValueError(f"{rule}, got {arguments}")
+    if spacing == "linspace":
+        return tuple(np.linspace(low, high, count).tolist())
+    if low <= 0:
+        raise ValueError(f"logspace needs 0 < lo, got {arguments}")
+    return tuple(np.geomspace(low, high, count).tolist())
 
 
 def parse_range(value: object) -> tuple[float, float]:
@@ -76,6 +92,8 @@ def parse_limit(value: Any) -> float | str:
     Raises:
         ValueError: The value is neither.
     """
-    if value != "start" and (not is_number(value) or not value > 0):
+    if value == "start":
+        return value
+    if not is_number(value) or not value > 0:
         raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
-    return value if value == "start" else float(value)
+    return float(value)
