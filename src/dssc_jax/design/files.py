@@ -13,7 +13,8 @@ from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive
 from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
 from dssc_jax.study.components import as_table, parse_params
-from dssc_jax.study.schema import STRICT, finite_number
+from dssc_jax.study.parsed_values import parse_finite
+from dssc_jax.study.schema import STRICT
 from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import read_toml
 
@@ -31,10 +32,10 @@ def interval_of(value: object) -> tuple[float, float]:
     """
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
-    return finite_number(value[0]), finite_number(value[1])
+    return parse_finite(value[0]), parse_finite(value[1])
 
 
-Real = Annotated[float, BeforeValidator(finite_number)]
+Real = Annotated[float, BeforeValidator(parse_finite)]
 Range = Annotated[tuple[float, float], BeforeValidator(interval_of)]
 
 

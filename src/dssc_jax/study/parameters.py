@@ -14,7 +14,8 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.expressions import RESERVED, UnknownParameter, is_expression, names_of, parse_expression
 from dssc_jax.study.laws import LAWS, is_law, is_number, parse_law
 from dssc_jax.study.parameter_expressions import Content, Expression, Parameter
-from dssc_jax.study.schema import LONGEST_PHRASE, unit_text
+from dssc_jax.study.parsed_values import parse_unit_text
+from dssc_jax.study.schema import LONGEST_PHRASE
 from dssc_jax.study.table_errors import value_errors_at
 from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
 
@@ -223,7 +224,7 @@ def described_content(name: str, value: object) -> tuple[object, Quantity]:
         if list(content) != ["value"]:
             raise ConfigError(place, f"must be {FORMS}; got {value!r}")
     with value_errors_at(f"{place}.unit"):
-        unit = unit_text(value.get("unit", "SI"))
+        unit = parse_unit_text(value.get("unit", "SI"))
     meaning = value.get("meaning", f"parameter {name}")
     if not isinstance(meaning, str) or not meaning.isprintable() or not 0 < len(meaning) <= LONGEST_PHRASE:
         raise ConfigError(f"{place}.meaning", f"must be a text of 1 to {LONGEST_PHRASE} characters, got {meaning!r}")

@@ -1,16 +1,77 @@
-"""Parsing of the values of a sweep, and of the intervals and limits of a tuning."""
+"""Parsing of single values in the fixed tables of a study: numbers, units, axes, points of bounds, intervals."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from dssc_jax.core.errors import nearest
+from dssc_jax.core.units import parse_unit
 from dssc_jax.study.laws import is_number
+
+LONGEST_UNIT = 40
+"""Most characters of a unit."""
+MOST_POINTS = 64
+"""Most points of a bound over time."""
 
 MOST_VALUES = 10**6
 """Most values of an axis."""
 AXES = ("linspace", "logspace", "values")
 """Forms in which a study states the values of an axis."""
+
+
+def parse_finite(value: object) -> float:
+    """Parse a finite number.
+
+    Raises:
+        ValueError: The value is something else.
+    """
+    if not is_number(value):
+        raise ValueError(f"must be a finite number, got {value!r}")
+    return float(value)
+
+
+def parse_finite_or_text(value: object) -> float | str:
+    """Parse a finite number, or leave a text, which may be a number with a unit, to a later check.
+
+    Raises:
+        ValueError: The value is neither.
+    """
+    return value if isinstance(value, str) else parse_finite(value)
+
+
+def parse_unit_text(value: object) -> str:
+    """The text of a unit, after a check that it is a product of powers such as ``kg m^2/s``.
+
+    Raises:
+        ValueError: The value is something else.
+    """
+    if not isinstance(value, str) or len(value) > LONGEST_UNIT:
+        raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
+    parse_unit(value)  # raises if the text is no unit
+    return value
+
+
+def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
+    """Parse the points ``[[time, value], ...]`` of a bound over time, times in seconds.
+
+    Raises:
+        ValueError: They are not two or more pairs of numbers, too many, or not in the order of their times.
+    """
+    if not isinstance(value, list | tuple) or len(value) < 2 or not all(map(is_pair, value)):
+        raise ValueError(f"must be two or more points [time, value], got {value!r}")
+    if len(value) > MOST_POINTS:
+        raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
+    points = tuple((float(time), float(bound)) for time, bound in value)
+    for (time, _), (next_time, _) in pairwise(points):
+        if next_time < time:
+            raise ValueError(f"must have rising times, got {next_time:g} s after {time:g} s")
+    return points
+
+
+def is_pair(value: object) -> bool:
+    """Whether a value is a list of two numbers."""
+    return isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
 
 
 def parse_axis(value: object) -> tuple[float, ...]:
@@ -66,11 +127,12 @@ def parse_range(value: object) -> tuple[float, float]:
     Raises:
         ValueError: The value is no such interval.
     """
-    if not isinstance(value, list | tuple) or len(value) != 2 or not all(is_number(end) for end in value):
+    if not isinstance(value, list | tuple) or not is_pair(value):
         raise ValueError(f"must be [low, high], got {value!r}")
-    if not 0.0 < value[0] < value[1]:
+    low, high = value
+    if not 0.0 < low < high:
         raise ValueError(f"holds no number: [low, high] needs 0 < low < high, got {value!r}")
-    return float(value[0]), float(value[1])
+    return float(low), float(high)
 
 
 def parse_free(value: object) -> tuple[float, float] | float:

@@ -86,33 +86,17 @@ def require_header(path: Path, names: list[str]) -> None:
 def recorded_frame(path: Path) -> Any:
     """Read a CSV or Parquet file as a data frame of pandas.
 
-    Dates and time spans of a Parquet file become seconds. Dates count from the beginning of 1970, and are in UTC unless
-    they have a time zone.
+    Dates and time spans of a Parquet file become seconds.
 
     Raises:
         ConfigError: The file cannot be read.
     """
-    import pandas as pd  # slow to load, and few studies have a record
-
     try:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")
         content = record_content(path)
-        if not content.strip():
-            raise ConfigError("file", f"'{path}' is empty")
-        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise ConfigError("file", f"'{path}' is text in UTF-16; save it as UTF-8")
-        if content.startswith(ULOG):
-            raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
-        if is_parquet(path):
-            require_few_columns(path, parquet_column_count(content))
-            return with_seconds(pd.read_parquet(io.BytesIO(content)))
-        form = csv_form(path, content)
-        header = csv_header(content).decode(errors="replace").split(form.separator)
-        require_few_columns(path, len(header))
-        require_header(path, [name.strip().strip('"') for name in header])
-        table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
-        return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
+        require_table(path, content)
+        return parquet_frame(path, content) if is_parquet(path) else csv_frame(path, content)
     except ImportError as error:
         raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
     except ConfigError:
@@ -121,6 +105,48 @@ def recorded_frame(path: Path) -> Any:
         raise ConfigError("file", f"'{path}' is no text, as a CSV file is: byte {error.start} is no UTF-8") from error
     except Exception as error:  # readers of files raise errors of many kinds
         raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error
+
+
+def require_table(path: Path, content: bytes) -> None:
+    """Require that a file is neither empty nor of a form that is often taken for a table.
+
+    Raises:
+        ConfigError: It is; the message has a remedy.
+    """
+    if not content.strip():
+        raise ConfigError("file", f"'{path}' is empty")
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise ConfigError("file", f"'{path}' is text in UTF-16; save it as UTF-8")
+    if content.startswith(ULOG):
+        raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
+
+
+def parquet_frame(path: Path, content: bytes) -> Any:
+    """Read the content of a Parquet file as a data frame, with seconds in place of dates and time spans.
+
+    Raises:
+        ConfigError: The file has too many columns.
+    """
+    import pandas as pd  # slow to load, and few studies have a record
+
+    require_few_columns(path, parquet_column_count(content))
+    return with_seconds(pd.read_parquet(io.BytesIO(content)))
+
+
+def csv_frame(path: Path, content: bytes) -> Any:
+    """Read the whole rows of a CSV file as a data frame; error values of spreadsheets become empty cells.
+
+    Raises:
+        ConfigError: The form of the file is not clear, its header is not valid, or a row has too many or too few cells.
+    """
+    import pandas as pd  # slow to load, and few studies have a record
+
+    form = csv_form(path, content)
+    header = csv_header(content).decode(errors="replace").split(form.separator)
+    require_few_columns(path, len(header))
+    require_header(path, [name.strip().strip('"') for name in header])
+    table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
+    return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
 
 
 def with_seconds(frame: Any) -> Any:
