@@ -20,7 +20,7 @@ from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.models.uav.inner_loops.article import euler_of
 from dssc_jax.models.uav.onboard import UavState
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import recorded_frame
+from dssc_jax.study.record_files import recorded_frame
 
 TILTED = math.radians(1.0)  # between the log's and the study's tilt
 TURNING = 0.1  # rad/s, between their body rates
