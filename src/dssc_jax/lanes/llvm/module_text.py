@@ -11,7 +11,8 @@ import numpy as np
 from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import foreign_calls
-from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.lanes.llvm.function_text import FAST, STRICT, scalar_type
+from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Precomputation, PrecomputationPlan, precomputation_plan
@@ -37,7 +38,7 @@ class Emitter(Instructions):
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
-        stored_constants: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
+        stored_constants: See :class:`~dssc_jax.lanes.llvm.function_text.FunctionText`.
     """
 
     def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:

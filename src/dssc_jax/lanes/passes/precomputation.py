@@ -9,7 +9,8 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 from dssc_jax.lanes.interface import stored_type
-from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
+from dssc_jax.lanes.llvm.function_text import scalar_type
+from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, operands_of
 
