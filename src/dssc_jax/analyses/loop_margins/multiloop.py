@@ -18,7 +18,8 @@ from dssc_jax.analyses.loop_margins.structured import balancing_scales, lower_bo
 from dssc_jax.closed_loop.break_points import BreakPoint, place_name, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
-from dssc_jax.engine.linearisation.response import golden_section_peak, grid_with_poles, loop_grids
+from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids
+from dssc_jax.engine.linearisation.roots_and_peaks import golden_section_peak
 
 MOST_PEAKS = 8  # largest number of peaks of the balanced bound that are computed with the sharp bound
 REFINED_PEAKS = 2  # number of these peaks around which the largest bound is searched

@@ -9,15 +9,9 @@ import numpy as np
 from dssc_jax.closed_loop.break_points import place_names, sample_map, start_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.equilibria import RestingLoop, require_derivative
 from dssc_jax.engine.linearisation.matrices import Operating
-from dssc_jax.engine.linearisation.operating_points import (
-    EQUILIBRIUM,
-    Linearisation,
-    RestingLoop,
-    corner_notes,
-    lane_loop,
-    require_derivative,
-)
+from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM, Linearisation, corner_notes, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
 from dssc_jax.engine.plain import plain_options

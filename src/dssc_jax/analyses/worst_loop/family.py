@@ -7,8 +7,8 @@ import numpy as np
 
 from dssc_jax.analyses.worst_loop.box import Box
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.linearisation.equilibria import RestingLoop
 from dssc_jax.engine.linearisation.matrices import StateMatrices
-from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.smooth_parts import Finding
 
 BATCH_POINTS = 64  # points that are linearised at once

@@ -19,8 +19,8 @@ from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.linearisation.equilibria import RestingLoop
 from dssc_jax.engine.linearisation.matrices import StateMatrices
-from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
 from dssc_jax.study import Study, takes_file
 
