@@ -193,7 +193,7 @@ def compare(
     steps_of_controller = 3 if candidates else 1  # a run; then the tuning, and a run with its gains
     total = len(tables) * steps_of_controller
 
-    def step() -> None:
+    def report_step() -> None:
         """Report that one more run or tuning is done."""
         if progress:
             progress(next(step_numbers), total)
@@ -203,15 +203,15 @@ def compare(
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
     extents = ranges_by_controller(studies) if budget else {}
     untuned = {name: untuned_reason(studies[name], name) for name, ranges in extents.items() if not ranges}
-    corresponding = Contest.of(study, tables, step)
+    corresponding = Contest.of(study, tables, report_step)
     tuned = None
     if budget is not None and len(untuned) < len(tables):
         tuned_tables = {}
         for name, rival in studies.items():
             with errors_under(f"compare.{name}"):
                 tuned_tables[name] = with_gains(tables[name], best_gains(rival, budget, extents[name]))
-            step()
-        tuned = Contest.of(study, tuned_tables, step)
+            report_step()
+        tuned = Contest.of(study, tuned_tables, report_step)
     return Comparison.of(study, corresponding, tuned, budget, time.perf_counter() - began, untuned)
 
 

@@ -229,7 +229,7 @@ def differences_of(values: np.ndarray, tuned_count: int) -> Differences:
         tuned_count: Number of tuned numbers.
     """
     metrics, _, points = values.shape
-    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)
+    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)  # 4: each step, forward and backward
     higher, lower, step_higher, step_lower = shifted.transpose(1, 0, 3, 2)  # shape (metrics, points, numbers) each
     value = np.broadcast_to(values[:, 0, :, None], higher.shape)
     forward = (higher - value) / DIFFERENCE_STEP

@@ -119,7 +119,13 @@ class Problem:
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
         self.slacks = None if table.slack is None else TheoremSlacks(self.plan)
-        self.goal = Goal(table.objective, table.aggregate, table.level, {}, self.evaluator.swept.requirements)
+        self.goal = Goal(
+            costs=table.objective,
+            aggregate=table.aggregate,
+            level=table.level,
+            limits={},  # those of some draws: see goal_on
+            requirements=self.evaluator.swept.requirements,
+        )
 
     @property
     def extra(self) -> np.ndarray:
