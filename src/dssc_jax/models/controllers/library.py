@@ -91,7 +91,7 @@ def memory_layout(controller: NativeController) -> MemoryLayout:
     )
 
 
-def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[np.generic]:
+def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[Scalar]:
     """The state that the library's ``init`` leaves, word by word."""
     padding = np.zeros(controller.real, np.uint8)  # the last word may end after the exchange
     memory = np.append(initial_memory(controller), padding)
