@@ -90,6 +90,7 @@ def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Rea
     the last coefficient of the numerator.
     """
     unit, scaled_denominator = scale_time(denominator)
+    # the numerator over the denominator's first coefficient, in rising powers of s' = unit mu s
     scaled_numerator = np.zeros(len(scaled_denominator))
     scaled_numerator[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
     feedthrough = scaled_numerator[-1]

@@ -287,7 +287,7 @@ def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
     """
     size = jnp.abs(w)
     signals = (gains.functions, gains.l0, e)
-    start = size / phi_1_and_slope(signals, 0.0 * size)[1]
+    start = size / phi_1_and_slope(signals, 0.0 * size)[1]  # over the slope at 0
     return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
 
 

@@ -95,7 +95,11 @@ def words_after_init(controller: NativeController, layout: MemoryLayout) -> list
     """The state that the library's ``init`` leaves, word by word."""
     padding = np.zeros(controller.real, np.uint8)  # the last word may end after the exchange
     memory = np.append(initial_memory(controller), padding)
-    return [memory[start : start + word.itemsize].view(word)[0] for word, start in layout.words]
+    words = []
+    for word, start in layout.words:
+        (value,) = memory[start : start + word.itemsize].view(word)
+        words.append(value)
+    return words
 
 
 class NativeCalls:

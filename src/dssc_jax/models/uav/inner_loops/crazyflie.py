@@ -145,7 +145,9 @@ class CrazyflieGains(NamedTuple):
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
         level = GRAVITY * self.velocity_p
-        yaw = self.attitude_p[2] * self.rate_p[2] * torque_units(craft).z / craft.inertia.z
+        _, _, yaw_p = self.attitude_p
+        _, _, yaw_rate_p = self.rate_p
+        yaw = yaw_p * yaw_rate_p * torque_units(craft).z / craft.inertia.z
         return level, level, self.climb_p * craft.full_thrust / craft.mass, yaw
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "CrazyflieState":
