@@ -78,6 +78,9 @@ def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
         k1: k_n kappa_1.
         k2: k_n kappa_2/2.
         h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
     """
     return -k1 * root_abs(x) * sign(x) + v, v - h * k2 * sign(x)
 

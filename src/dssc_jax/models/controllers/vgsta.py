@@ -100,6 +100,9 @@ def explicit_update(
         at: Variable gains kappa_1 and kappa_2 at the sample.
         k_n: Nominal input gain.
         h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
     """
     phi_1, phi_2 = phi_at(x, shape)
     return -k_n * at.kappa1 * phi_1 + v, v - h * k_n * at.kappa2 * phi_2
