@@ -181,7 +181,10 @@ class KalmanFilter(NamedTuple):
         )
 
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
-        """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
+        """Squared error of position, velocity and attitude, normalised by its covariance.
+
+        Its law is chi-squared with 9 degrees of freedom if the covariance is right.
+        """
         estimate = memory.estimate
         attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
         error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *attitude_error)

@@ -248,7 +248,7 @@ class CrazyflieGains(NamedTuple):
         velocity, output = pid(state.velocity, error, measured, slope, gains, bound, dt)
         forward = clip(output.x, -self.tilt_max, self.tilt_max)
         left = clip(output.y, -self.tilt_max, self.tilt_max)
-        climb = clip(output.z, -0.5, 0.5)
+        climb = clip(output.z, -0.5, 0.5)  # half of the full thrust: the firmware's limit of this PID
         thrust = climb + self.hover(craft)
         bounded = thrust < self.thrust_min
         return state._replace(
@@ -267,6 +267,7 @@ class CrazyflieGains(NamedTuple):
         Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into shares
         of the largest torques. All angles are wrapped to (-pi, pi].
         """
+        # attitude: from errors of the angles to desired rates
         angles = angles_of(readings.attitude.matrix())
         setpoint = state.setpoint._replace(z=wrap_angle(state.setpoint.z + state.yaw_rate * dt))
         error = setpoint - angles
@@ -276,6 +277,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
         bound = Vec3(*self.attitude_integral_max)
         attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
+        # rates: from their errors to shares of the largest torques
         slope = (readings.rate - state.rate.measured) * (1.0 / dt)
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)
