@@ -372,10 +372,7 @@ def sigma_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
 
 
 def sigma_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """1/tau_m.
-
-    It is the rate [1/s] at which the predictor's state sigma_hat decays.
-    """
+    """The rate 1/tau_m [1/s] at which the predictor's state sigma_hat of the implicit and the explicit form decays."""
     return sample.ratios.pole
 
 
