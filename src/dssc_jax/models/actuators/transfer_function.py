@@ -86,7 +86,7 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
     """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
 
-    The unit of time is that of :func:`scale_time`, in which the denominator is monic, so that the direct feedthrough is
+    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is
     the last coefficient of the numerator.
     """
     unit, scaled_denominator = scale_time(denominator)

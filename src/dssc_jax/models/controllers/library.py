@@ -132,7 +132,7 @@ class NativeCalls:
     def foreign_function(
         self, name: str, address: int, operands: tuple[MemoryPlace, ...], results: tuple[MemoryPlace, ...]
     ) -> ForeignFunction:
-        """Make one function of the library known to lanes; ``address`` is that of its code."""
+        """Make one function of the library known to lanes; ``address`` is its code's."""
         symbol = provide_function(self.library, self.controller, name, address)
         size = self.controller.exchange + self.controller.real  # the last word may end after the exchange
         return ForeignFunction(symbol, size, operands, results)

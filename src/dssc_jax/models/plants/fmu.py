@@ -116,7 +116,7 @@ class FmuPlant:
         """Start an instance with the draw's parameters; return the state at t = 0.
 
         Args:
-            params: Parameters with those of the FMU.
+            params: Parameters, among them the FMU's.
             state: The state of :meth:`init`.
             lane: Word that tells the draw's instance apart.
             steps: Number of steps of the flight.

@@ -43,7 +43,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV: the vehicle, its software, and its state at the start.
 
-    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or those of the equilibrium
+    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or as in the equilibrium
     in the wind if the integrals start settled.
 
     The fields after ``battery`` follow from the vehicle's nominal values before tracing:

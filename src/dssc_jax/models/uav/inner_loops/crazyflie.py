@@ -4,9 +4,9 @@
     (phi', theta', psi')_d = PID of the angles, psi_d the integral of u_psi
     M_d = PID(Omega_d - Omega)
 
-All derivatives are those of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
+All derivatives are of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
 and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
-by 180/pi/65535. A roll or pitch command changes each rotor by half of it, that of yaw by all of it.
+by 180/pi/65535. A roll or pitch command changes each rotor by half of it, and a yaw command by all of it.
 
 References:
     Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
@@ -35,7 +35,7 @@ PER_RADIAN = math.degrees(1.0) / MOTOR_RANGE
 THRUST_SCALE = 1000.0 / MOTOR_RANGE
 """From the output of the vertical PID to a share of the full thrust."""
 OVERHEAD = 1.1
-"""Limit of the horizontal PIDs over that of the tilt."""
+"""Limit of the horizontal PIDs over the limit of the tilt."""
 INTEGRAL_OF_VELOCITY = 5000.0
 """Limit of the integrals of velocity [m]."""
 
@@ -56,9 +56,9 @@ TRIPLES = (
 
 
 class CrazyflieGains(NamedTuple):
-    """Gains of the Crazyflie's cascade; the defaults are those of the firmware, in SI units.
+    """Gains of the Crazyflie's cascade; the defaults are the firmware's, in SI units.
 
-    Triples are those of roll, pitch and yaw; pairs are those of the horizontal and the vertical direction.
+    A triple has a value for roll, pitch and yaw each; velocity gains are horizontal, and climb gains vertical.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0

@@ -64,9 +64,9 @@ TRIPLES = ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "r
 
 
 class Px4Gains(NamedTuple):
-    """Gains of PX4's cascade; the defaults are those of its parameters, with angles in radians.
+    """Gains of PX4's cascade; the defaults are PX4's own, with angles in radians.
 
-    Triples are those of roll, pitch and yaw.
+    A triple has a value for roll, pitch and yaw each.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
