@@ -176,6 +176,7 @@ class WindSet:
         count = self.grid.size
         identity = sparse.eye_array(count)
         differences = identity.tocsr()[1:] - identity.tocsr()[:-1]
+        # for each knot, then for each difference, a row for each side of the polygon
         constraints = sparse.vstack([sparse.kron(identity, normals), sparse.kron(differences, normals)])
         largest = np.repeat([bound, self.step], [count * len(normals), (count - 1) * len(normals)])
         scale = np.abs(slope).max() or 1.0  # 1 for a slope of 0
