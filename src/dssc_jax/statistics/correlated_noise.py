@@ -214,8 +214,11 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
         correlated = noise.share * noise.correlation(times[:, None] - times[None, ::stride])
         variance = np.full(len(times), noise.share)
     sampled_variance = variance[::stride]
-    squares = np.square(correlated).sum() + (2.0 * white * sampled_variance + white**2).sum()
-    return float((variance + white).sum() * (sampled_variance + white).sum() / squares)
+    trace = (variance + white).sum()
+    sampled_trace = (sampled_variance + white).sum()
+    # white noise is on the diagonal of S only, where it adds 2 white variance + white^2 to the squares
+    sampled_squares = np.square(correlated).sum() + (2.0 * white * sampled_variance + white**2).sum()
+    return float(trace * sampled_trace / sampled_squares)
 
 
 def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
