@@ -17,7 +17,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, execute, join_batches, values_of_draws
+from dssc_jax.engine.batching import BLOCK, Engine, Layout, execute, join_batches, values_of_draws
+from dssc_jax.engine.clock import Clock
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import LoopState, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, step
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
