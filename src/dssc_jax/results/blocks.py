@@ -117,8 +117,8 @@ class Chunks:
                 if file.is_dir():
                     raise ConfigError(str(file), "is damaged: it is a folder, not a chunk; remove it")
             ranges = self._ranges(block)
-            if ranges and self._altered(block, ranges, self.arrays):
-                ranges = []
+            if self._altered_variable(block, ranges, self.arrays):
+                ranges = []  # the whole block is computed again
             remaining = missing_part(block, ranges)
             if lanes_in(remaining) > 0:
                 blocks.append(remaining)
@@ -162,7 +162,7 @@ class Chunks:
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
-            altered_variable = self._altered(block, self._ranges(block), values)
+            altered_variable = self._altered_variable(block, self._ranges(block), values)
             if altered_variable:
                 rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {RESUME_HINT}"
                 raise ConfigError(str(self.folder / DATA / altered_variable), rule)
@@ -181,7 +181,7 @@ class Chunks:
             end = stop
         return ranges if end <= draws.stop else []
 
-    def _altered(
+    def _altered_variable(
         self, block: Block, ranges: list[DrawRange], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
     ) -> str:
         """The first variable of a block whose values do not match the digests; empty if all match.

@@ -160,6 +160,7 @@ def drift_variance(w: np.ndarray) -> np.ndarray:
     For small w the terms cancel, and their power series takes their place.
     """
     decay = np.exp(-w)
+    # of w^3, w^4, ...
     coefficients = [2.0 / 3.0, -1.0 / 2.0, 7.0 / 30.0, -1.0 / 12.0, 31.0 / 1260.0, -1.0 / 160.0]
     series = w**3 * np.polynomial.polynomial.polyval(w, coefficients)
     return np.where(w < SHORT, series, 2.0 * w - 3.0 + 4.0 * decay - decay**2)
@@ -213,8 +214,11 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
         correlated = noise.share * noise.correlation(times[:, None] - times[None, ::stride])
         variance = np.full(len(times), noise.share)
     sampled_variance = variance[::stride]
-    squares = np.square(correlated).sum() + (2.0 * white * sampled_variance + white**2).sum()
-    return float((variance + white).sum() * (sampled_variance + white).sum() / squares)
+    trace = (variance + white).sum()
+    sampled_trace = (sampled_variance + white).sum()
+    # white noise is on the diagonal of S only, where it adds 2 white variance + white^2 to the squares
+    sampled_squares = np.square(correlated).sum() + (2.0 * white * sampled_variance + white**2).sum()
+    return float(trace * sampled_trace / sampled_squares)
 
 
 def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -241,15 +245,15 @@ def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray)
     if isinstance(noise, Drift):
         _, added_covariances = noise.transition(median_gap)
         initial_covariance = added_covariances[0]
-    # each gap adds the square of (next state - transition @ state), weighted by the inverse of its covariance
+    # each gap adds the square of (next state - F state), weighted by Q^-1, with the transition F and the covariance Q
     inverse = np.linalg.inv(covariance)
-    subdiagonal = -inverse @ transition
+    subdiagonal = -inverse @ transition  # -Q^-1 F
     diagonal = np.tile(np.linalg.inv(initial_covariance), (len(times), 1, 1))
     diagonal[1:] = inverse
-    diagonal[:-1] += transition.transpose(0, 2, 1) @ -subdiagonal
-    gap_log_determinants = np.linalg.slogdet(covariance)[1]
-    initial_log_determinant = float(np.linalg.slogdet(initial_covariance)[1])
-    log_determinant = -(len(times) - 1) * float(gap_log_determinants.mean()) - initial_log_determinant
+    diagonal[:-1] += transition.transpose(0, 2, 1) @ -subdiagonal  # F' Q^-1 F
+    _, gap_log_determinants = np.linalg.slogdet(covariance)
+    _, initial_log_determinant = np.linalg.slogdet(initial_covariance)
+    log_determinant = -(len(times) - 1) * float(gap_log_determinants.mean()) - float(initial_log_determinant)
     return lower_bands(diagonal, subdiagonal), log_determinant, size
 
 
@@ -290,16 +294,18 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
         return plain, 0.0
     white = 1.0 - noise.share
     bands, log_det_precision, size = precision_matrix(noise, times)
-    # with H that reads the outputs from the states, of precision P: S^-1 = (1 - H (H' H + white/share P)^-1 H')/white
+    # S = share H P^-1 H' + white 1, where H reads the outputs from the states, of precision P; with the matrix
+    # M = H' H + white/share P, S^-1 = (1 - H M^-1 H')/white and det S = white^n (share/white)^(n p) det M/det P
     bands *= white / noise.share
-    bands[0, ::size] += 1.0
+    bands[0, ::size] += 1.0  # H' H: 1 on the diagonal at the output of each state
     factor = cholesky_banded(bands, lower=True, check_finite=False)
+    log_det_m = 2.0 * float(np.log(factor[0]).sum())
     state_columns = np.zeros((len(times), size, columns.shape[1]))
-    state_columns[:, 0] = columns  # the first of a state is its output
-    state_rows = state_columns.reshape(-1, columns.shape[1])
-    solution = cho_solve_banded((factor, True), state_rows, check_finite=False)[::size]
+    state_columns[:, 0] = columns  # H' C: the output comes first in a state
+    right_sides = state_columns.reshape(-1, columns.shape[1])
+    outputs = cho_solve_banded((factor, True), right_sides, check_finite=False)[::size]  # H M^-1 H' C
     log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - log_det_precision
-    return (plain - columns.T @ solution) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
+    return (plain - columns.T @ outputs) / white, log_det + log_det_m
 
 
 class NoiseFit(NamedTuple):

@@ -78,11 +78,11 @@ class Counts(NamedTuple):
 
 
 def binomial(draws: int, probability: float) -> Counts:
-    """Binomial law of the failures in a number of draws, without negligible ends."""
-    middle = draws * probability
-    half = REACH * math.sqrt(middle * (1.0 - probability)) + 2.0 * REACH
-    first = max(math.floor(middle - half), 0)
-    largest = min(math.ceil(middle + half), draws)
+    """Binomial law of the failures in a number of draws, within :data:`REACH` standard deviations of the mean."""
+    mean = draws * probability
+    half = REACH * math.sqrt(mean * (1.0 - probability)) + 2.0 * REACH  # the last term matters if the mean is small
+    first = max(math.floor(mean - half), 0)
+    largest = min(math.ceil(mean + half), draws)
     return Counts(first, stats.binom.pmf(np.arange(first, largest + 1), draws, probability))
 
 
@@ -135,7 +135,7 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
         tail: Probability, half the error of the interval.
     """
     draws = looks[-1].draws
-    if stopped_high(looks, failures):
+    if stopped_high(looks, failures):  # counted in passes, the stop is at the lower boundary
         return 1.0 - lower_limit(mirror(looks), draws - failures, tail)
     if failures == draws:
         return 1.0
@@ -152,7 +152,7 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
         tail: Probability, half the error of the interval.
     """
     draws = looks[-1].draws
-    if stopped_high(looks, failures):
+    if stopped_high(looks, failures):  # counted in passes, the stop is at the lower boundary
         return 1.0 - upper_limit(mirror(looks), draws - failures, tail)
     if failures == 0:
         return 0.0

@@ -201,8 +201,9 @@ def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float)
     if shape is None:
         return None
     disturbance = float(np.mean(np.square(simulated)))
-    share = sigmoid(logit(disturbance / (disturbance + white)))
-    return SimulatedNoise(share, shape), disturbance + white
+    variance = disturbance + white
+    share = sigmoid(logit(disturbance / variance))  # within the limits of a logit
+    return SimulatedNoise(share, shape), variance
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
@@ -263,8 +264,8 @@ def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top:
         ends = density(point + moves[i]) + density(point - moves[i])
         curvature[i, i] = (2.0 * top - ends) / steps[i] ** 2
         for j in range(i):
-            along = density(point + moves[i] + moves[j]) + density(point - moves[i] - moves[j])
-            across = density(point + moves[i] - moves[j]) + density(point - moves[i] + moves[j])
+            along = density(point + moves[i] + moves[j]) + density(point - moves[i] - moves[j])  # both rise or fall
+            across = density(point + moves[i] - moves[j]) + density(point - moves[i] + moves[j])  # one rises, one falls
             curvature[i, j] = curvature[j, i] = (across - along) / (4.0 * steps[i] * steps[j])
     return np.nan_to_num(curvature, nan=1.0, posinf=1.0, neginf=1.0)
 

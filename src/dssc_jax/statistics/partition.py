@@ -99,6 +99,7 @@ def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[fl
     q = counts / failures  # q_b: share of the failed draws in each part
     squares = float(np.sum(q**2))
     cubes = float(np.sum(q**3))
+    # of the share of pairs, by Hoeffding
     variance = (2.0 * (squares - squares**2) + 4.0 * (failures - 2.0) * (cubes - squares**2)) / ordered_pairs
     odds = failures / max(draws - failures, 1)  # p/(1 - p)
     share = odds * (parts * same_part - 1.0)

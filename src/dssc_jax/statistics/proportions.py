@@ -296,7 +296,9 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
     variance_distances = 0.5 * variance * ((count - 1) / special.chdtri(count - 1, [tail, 1.0 - tail]) - 1.0)
     below, above = np.hypot(mean_distance, variance_distances)
     log_mean = logarithms.mean() + 0.5 * variance
-    positive_share = clopper_pearson(count, len(values), confidence)[0] if count < len(values) else 1.0
+    positive_share = 1.0
+    if count < len(values):
+        positive_share, _ = clopper_pearson(count, len(values), confidence)
     with np.errstate(over="ignore"):
         return float(positive_share * np.exp(log_mean - below)), float(np.exp(log_mean + above))
 

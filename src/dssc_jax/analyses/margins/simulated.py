@@ -262,7 +262,7 @@ def critical_block(
     Args:
         evaluator: The compiled study.
         block: The draws, from the first index to the index after the last.
-        numbers_at: See :func:`numbers_along`.
+        numbers_at: Puts values of the walk into drawn numbers, as :func:`numbers_along` returns it.
         walk: The walk to search.
         bisections: Number of bisections of the grid cell.
         report: Called after each batch of simulations.

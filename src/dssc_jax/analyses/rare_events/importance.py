@@ -367,10 +367,10 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample
         weights = share * candidates.masses / chances
         likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
         sample = Sample(
-            np.concatenate([sample.points, candidates.points[failed]]),
-            np.concatenate([sample.noise, noise[has_failed]]),
-            np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
-            max((1.0 - share) * sample.largest, likely_weight, float(weights[failed].max(initial=0.0))),
+            points=np.concatenate([sample.points, candidates.points[failed]]),
+            noise=np.concatenate([sample.noise, noise[has_failed]]),
+            weights=np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
+            largest=max((1.0 - share) * sample.largest, likely_weight, float(weights[failed].max(initial=0.0))),
         )
         count += batch_size
         if variation_of_sum(sample.weights) <= settings.variation or 2 * count > settings.most:

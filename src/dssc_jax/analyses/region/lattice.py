@@ -128,13 +128,14 @@ class Lattice:
             stride: Distance of neighbouring points of the coarse lattice, in points of the finest lattice.
         """
         count = len(self.failures)
-        places = range(0, count, stride)
-        self.simulate((i, j) for i in places for j in places)
+        coarse = range(0, count, stride)
+        self.simulate((i, j) for i in coarse for j in coarse)
         while stride > 1:
-            for i, j in self.mixed_cells(stride):
-                half = stride // 2
-                self.simulate((i + a, j + b) for a in (0, half, stride) for b in (0, half, stride))
-            stride //= 2
+            half = stride // 2
+            shifts = (0, half, stride)
+            for i, j in self.mixed_cells(stride):  # the corners of the four halved cells
+                self.simulate((i + a, j + b) for a in shifts for b in shifts)
+            stride = half
             self.close_boundary(stride)
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:

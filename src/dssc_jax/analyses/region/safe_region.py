@@ -179,8 +179,10 @@ def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
     may_end_later = meets[-1] and places[-1] < len(verdicts) - 1
     if may_begin_earlier or may_end_later:
         return []
-    begins, ends = flag_runs(meets)
-    return list(zip(places[begins].tolist(), places[ends - 1].tolist(), strict=True))
+    begins, ends = flag_runs(meets)  # an end is the position after the run
+    first = places[begins].tolist()
+    last = places[ends - 1].tolist()
+    return list(zip(first, last, strict=True))
 
 
 @takes_file

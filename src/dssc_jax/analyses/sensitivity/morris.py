@@ -112,7 +112,7 @@ def trajectory_count(study: Study, noisy: bool = False) -> int:
         ConfigError: Inputs are correlated, or there are too few draws.
     """
     require_uncorrelated(study, claim="the moves of Morris screening are those of")
-    factors = len(study.laws) + noisy
+    factors = len(study.laws) + int(noisy)
     count = study.config.draws // (factors + 1)
     if count < FEWEST:
         rule = f"Morris screening of {factors} factors needs draws >= {FEWEST * (factors + 1)}"
@@ -133,7 +133,7 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """
     count = trajectory_count(study, noisy)
     laws = len(study.laws)
-    factors = laws + noisy
+    factors = laws + int(noisy)
     levels, order = trajectories(count, factors, (study.config.seed, stream("morris")))
     indices = np.tile(np.arange(count), (factors + 1, 1))
     if noisy:  # its factor has the index laws, and moves by another draw index

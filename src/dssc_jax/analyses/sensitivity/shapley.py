@@ -128,8 +128,9 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     rows = row_count(study)
     laws = len(study.laws)
     seeds = (study.config.seed, stream("shapley"))
-    order = random_orders(rows, laws + noisy, seeds)
-    correlation = np.eye(laws + noisy)
+    factors = laws + int(noisy)
+    order = random_orders(rows, factors, seeds)
+    correlation = np.eye(factors)  # the noise is independent of the laws
     matrix = mixing(study)
     correlation[:laws, :laws] = matrix @ matrix.T
     first, second = saltelli_samples(rows, laws, seeds)

@@ -136,8 +136,10 @@ class Assessment(Analysis):
             not_covered: The reason why one of these margins, or the oscillations, are missing, by name.
             seconds: Computing time [s].
         """
-        margins = {PERFORMANCE: performance, **{kind.value: part for kind, part in local.items()}}
-        dataset = join_margins(margins, "margin", "method of the margin")
+        margins = {PERFORMANCE: performance}
+        for kind, local_margins in local.items():
+            margins[kind.value] = local_margins
+        dataset = join_margins(margins, dimension="margin", meaning="method of the margin")
         if oscillations:
             axis = name_axis("controller", oscillations, "controller")
             joined = xr.concat(list(oscillations.values()), dim=axis, combine_attrs="override")

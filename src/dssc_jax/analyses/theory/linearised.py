@@ -156,7 +156,7 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
         x = unravel_plant(state[: plant_states.size])
         z = unravel_dynamics(state[plant_states.size :])
         total = u + nominal_control(gains.nominal, gains.l0, error_at(state), ORIGIN, predictor_pole_at_rest(gains))
-        _, z_rate = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
+        _, z_rate = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))  # by dt at dt = 0
         command_at_plant = model.output(dynamics, z, total)
         x_rate = loop.plant.derivative(params.plant, x, quiet._replace(command=command_at_plant), 0.0)  # at the time 0
         return jnp.concatenate([ravel_pytree(x_rate)[0], ravel_pytree(as_arrays(z_rate))[0]])

@@ -196,11 +196,13 @@ def local_margin(
     resting = at_rest(study)
     began = time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
-    if over in study.quantities and (over not in resting.quantities or not resting.followers(over)):
+    acts_at_rest = over in resting.quantities and bool(resting.followers(over))
+    if over in study.quantities and not acts_at_rest:
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)
-    swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
+    sweep = {} if over == SPREAD else {over: sorted(bounds)}  # makes the number an input of the program
+    swept = resting.override({"sweep": sweep})
     draws = study.config.draws
     numbers_of = numbers_along(resting, over)
     require_in_criterion(resting, over, kind)
@@ -218,5 +220,13 @@ def local_margin(
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
 
     critical = search_critical(decay_rates, draws, walk, bisections)
-    seconds = time.perf_counter() - began
-    return Margins.of(study, over, walk, critical, laws, (*criteria(resting, kind), *notes), seconds, unit="1/s")
+    return Margins.of(
+        study,
+        over,
+        walk,
+        critical,
+        drawn_numbers=laws,
+        criterion=(*criteria(resting, kind), *notes),
+        seconds=time.perf_counter() - began,
+        unit="1/s",
+    )

@@ -36,6 +36,21 @@ class Limits(NamedTuple):
     rate: float | None
 
 
+def bounded_vectors(vectors: np.ndarray, horizontal: float, vertical: float) -> np.ndarray:
+    """Vectors whose horizontal part is shortened, and whose vertical part is cut, to bounds, shape (..., 3).
+
+    Args:
+        vectors: Vectors (x, y, z), shape (..., 3).
+        horizontal: Bound of the norm of (x, y).
+        vertical: Bound of |z|.
+    """
+    bounded = np.array(vectors, float)
+    norms = np.linalg.norm(bounded[..., :2], axis=-1, keepdims=True)
+    bounded[..., :2] *= np.minimum(1.0, horizontal / np.where(norms > 0.0, norms, 1.0))
+    bounded[..., 2] = np.clip(bounded[..., 2], -vertical, vertical)
+    return bounded
+
+
 @dataclass(frozen=True)
 class WindSet:
     """All winds on a grid within bounds, a convex set.
@@ -59,18 +74,13 @@ class WindSet:
         Args:
             winds: The winds to follow [m/s], shape (n, size, 3).
         """
-        followed = np.array(winds, float)
-        norms = np.linalg.norm(followed[..., :2], axis=-1, keepdims=True)
-        followed[..., :2] *= np.minimum(1.0, self.limits.speed / np.where(norms > 0.0, norms, 1.0))
-        followed[..., 2] = np.clip(followed[..., 2], -self.limits.vertical, self.limits.vertical)
+        followed = bounded_vectors(winds, self.limits.speed, self.limits.vertical)
         if self.limits.rate is None:
             return followed
         for place in range(1, self.grid.size):
-            change = followed[:, place] - followed[:, place - 1]
-            lengths = np.linalg.norm(change[:, :2], axis=1, keepdims=True)
-            change[:, :2] *= np.minimum(1.0, self.step / np.where(lengths > 0.0, lengths, 1.0))
-            change[:, 2] = np.clip(change[:, 2], -self.step, self.step)
-            followed[:, place] = followed[:, place - 1] + change
+            previous = followed[:, place - 1]
+            change = bounded_vectors(followed[:, place] - previous, self.step, self.step)
+            followed[:, place] = previous + change
         return followed
 
     def resonant_winds(self) -> np.ndarray:
@@ -131,12 +141,14 @@ class WindSet:
         """
         if self.limits.rate is not None:
             return np.stack([self._extreme_spline(slope) for slope in slopes])
-        norms = np.linalg.norm(slopes[..., :2], axis=-1, keepdims=True)
+        horizontal_slopes = slopes[..., :2]
+        vertical_slopes = slopes[..., 2]
+        norms = np.linalg.norm(horizontal_slopes, axis=-1, keepdims=True)
+        horizontal = self.limits.speed * horizontal_slopes / np.where(norms > 0.0, norms, 1.0)
+        vertical = self.limits.vertical * np.sign(vertical_slopes)
         winds = np.array(current_winds)
-        horizontal = self.limits.speed * slopes[..., :2] / np.where(norms > 0.0, norms, 1.0)
         winds[..., :2] = np.where(norms > 0.0, horizontal, current_winds[..., :2])
-        vertical = self.limits.vertical * np.sign(slopes[..., 2])
-        winds[..., 2] = np.where(slopes[..., 2] != 0.0, vertical, current_winds[..., 2])
+        winds[..., 2] = np.where(vertical_slopes != 0.0, vertical, current_winds[..., 2])
         return winds
 
     def _extreme_spline(self, slope: np.ndarray) -> np.ndarray:
@@ -176,6 +188,7 @@ class WindSet:
         count = self.grid.size
         identity = sparse.eye_array(count)
         differences = identity.tocsr()[1:] - identity.tocsr()[:-1]
+        # for each knot, then for each difference, a row for each side of the polygon
         constraints = sparse.vstack([sparse.kron(identity, normals), sparse.kron(differences, normals)])
         largest = np.repeat([bound, self.step], [count * len(normals), (count - 1) * len(normals)])
         scale = np.abs(slope).max() or 1.0  # 1 for a slope of 0
