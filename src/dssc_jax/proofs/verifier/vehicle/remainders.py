@@ -107,9 +107,8 @@ def vertical_remainders(
     remainders = {"force": force.upper()}
     if problem["rotor_lag"] > 0:
         lift_defect = arb(problem["rotors"]) * lag.defect / arb(problem["believed_mass"])  # n zeta/M_n
-        turn_of_thrust = (
-            (ranges.gravity + attitude.achieved_lift) * attitude.tangent * attitude.euler_rate
-        )  # (g + Q) t T
+        thrust = ranges.gravity + attitude.achieved_lift  # g + Q
+        turn_of_thrust = thrust * attitude.tangent * attitude.euler_rate
         remainders["lag"] = (lift_defect + turn_of_thrust).upper()
     return remainders
 
