@@ -91,7 +91,7 @@ class ProofProblem:
     reference_size: float = 0.0
 
     def __hash__(self) -> int:
-        """A hash of the problem's main numbers, so that functions of a problem can be cached; a table has no hash."""
+        """A hash of the main numbers, by which results are cached; the table ``functions`` has no hash of its own."""
         return hash((self.sample_time, self.l0, self.k_p, self.a_p, self.mu, self.delay))
 
     def to_dict(self) -> JsonObject:
