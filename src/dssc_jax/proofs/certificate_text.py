@@ -1,4 +1,4 @@
-"""A certificate's text as JSON's types: no entry twice, and no number that float64 does not hold."""
+"""Read the text of a certificate's file, more strictly than JSON does: no entry twice, and only finite numbers."""
 
 import json
 import math
@@ -7,15 +7,15 @@ from typing import TypeAlias
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
 MOST_DIGITS = 400
-"""Longest integer that is read; the largest number of float64 has 309 digits."""
+"""Largest number of characters of an integer that is read; the largest number of float64 has 309 digits."""
 
 
 def certificate_content(text: str) -> Json:
-    """The content of a text.
+    """Read the text of a certificate's file as JSON.
 
     Raises:
-        ValueError: It is no JSON, or holds something that a certificate does not: a repeated entry, NaN, an infinite
-            number or one that is too large, or lists within lists beyond any use.
+        ValueError: The text is no JSON, or has a repeated entry, NaN, infinity, a number beyond float64, or lists that
+            are nested too deeply.
     """
     try:
         return json.loads(
@@ -30,10 +30,10 @@ def certificate_content(text: str) -> Json:
 
 
 def entries_of(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
-    """A table of entries, each of which occurs once.
+    """Make a table of entries, none of which may occur twice.
 
     Raises:
-        ValueError: One occurs twice.
+        ValueError: An entry occurs twice; the message names it.
     """
     table = dict(pairs)
     if len(table) < len(pairs):
@@ -53,7 +53,7 @@ def refuse_constant(text: str) -> float:
 
 
 def finite_value(text: str) -> float:
-    """A number of float64.
+    """Read a number of float64.
 
     Raises:
         ValueError: It is too large.
@@ -65,7 +65,7 @@ def finite_value(text: str) -> float:
 
 
 def whole_number(text: str) -> int:
-    """An integer that float64 can hold.
+    """Read an integer, which must not exceed the range of float64.
 
     Raises:
         ValueError: It is too large.

@@ -1,6 +1,7 @@
-"""The parts of a study that a proof covers, and the plain numbers of the problem that follow from its loop."""
+"""From a study to the problem of a proof: check that its parts are covered, and reduce its loop to plain numbers."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TypeAlias
 
@@ -33,25 +34,25 @@ from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, tables_of
 
 LARGEST_NUMBER = 1e100
-"""Largest number that a problem may hold."""
+"""Largest number that a problem may have, so that its square is a number of float64."""
 UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.0.mu")
 """Paths, in the loop's parameters, of the numbers that a proof covers over an interval."""
 BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
-"""Beginnings of the names of numbers that only bound a signal."""
+"""Beginnings of the names of uncertain numbers that only bound a start or a signal."""
 LAGS = {
     LAG.members[Order.ONE]: ((1.0,), (1.0, 1.0)),
     LAG.members[Order.TWO]: ((1.0,), (1.0, 2.0, 1.0)),
 }
 """Numerator and denominator of each lag, in rising powers of mu s."""
 UNPROVED_CONTROLLER = "the controller is not DSSC, SSC or PI, in implicit or conservative form"
-
+"""Reason why a controller is not covered."""
 
 AnyProblem: TypeAlias = ProofProblem | VehicleProblem
 """What is to be proved: a loop of the class (5)-(8), or a whole vehicle."""
 
 
 def problem_of(study: Study) -> AnyProblem:
-    """The problem of a study at its own values; laws become the intervals of their support.
+    """The problem of a study without its sweep: what is to be proved. Laws become the intervals of their support.
 
     Raises:
         NotCovered: A part of the loop is outside of what a proof covers; the message gives the reason.
@@ -60,7 +61,7 @@ def problem_of(study: Study) -> AnyProblem:
 
 
 def axis_problem_of(study: Study) -> ProofProblem:
-    """The problem of a loop of the class (5)-(8); the supports of the laws of k_p, a_p and mu become its intervals.
+    """The problem of a loop of the class (5)-(8); the laws of k_p, a_p and mu become the intervals of their support.
 
     Raises:
         NotCovered: A part of the loop is outside of the class; the message gives the reason.
@@ -78,8 +79,8 @@ def axis_problem_of(study: Study) -> ProofProblem:
     low, high = ends
     zero_dynamics = low.plant.zero_dynamics
     level, slope, by_state = disturbance_of(study, ends)
-    reference_suprema = reference_bounds(loop.reference, ends.part("reference"))
-    lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
+    reference_suprema = reference_bounds(loop.reference, ends.part("reference"))  # by name; empty at rest
+    lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)  # the loop has a single channel
     if reference_suprema and zero_dynamics is not None:
         raise NotCovered("the reference moves, and the plant has zero dynamics")
     if reference_suprema and lag:
@@ -118,10 +119,10 @@ def require_squares(problem: ProofProblem) -> None:
 
 
 def require_covered_laws(study: Study) -> None:
-    """Require that each law belongs to a number that a proof covers over an interval, and has bounded support.
+    """Require that each uncertain number is one that a proof covers over an interval, and has bounded support.
 
     Raises:
-        NotCovered: A law is of another number, has no bounds, or belongs to a parameter from which numbers follow.
+        NotCovered: An uncertain number is another one, has no bounds, or is a parameter from which numbers follow.
     """
     for name, law in study.written_laws.items():
         if name in study.parameter_names:
@@ -139,20 +140,21 @@ def require_covered_laws(study: Study) -> None:
 
 
 def numbers_in(value: object) -> list[float]:
-    """The numbers in a field of a problem, within its tables and tuples; text is left out."""
+    """All numbers in a field of a problem, however deep in tables and tuples; text and None are left out."""
     if isinstance(value, int | float):
         return [value]
+    items: Iterable[object] = ()
     if isinstance(value, dict):
-        value = tuple(value.values())
-    if not isinstance(value, tuple):
-        return []
-    return [number for item in value for number in numbers_in(item)]
+        items = value.values()
+    elif isinstance(value, tuple):
+        items = value
+    return [number for item in items for number in numbers_in(item)]
 
 
 def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
     """Bounds of a study's disturbance: of |d| [m/s] and |d'| [m/s^2] without the state, and k_d1 to k_d5 of (30).
 
-    A step is refused, unless it is at t = 0: its slope has no bound.
+    A step after t = 0 is refused, since its slope has no bound.
 
     Raises:
         NotCovered: A bound is not known.
@@ -168,17 +170,17 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     gains = tuple(float(bounds.get(f"k_d{i}", 0.0)) for i in range(1, 6))
     slope = float(bounds.get("alpha_d2", 0.0)) + float(bounds.get("alpha_d3", 0.0))
     level = float(bounds.get("alpha_d", 0.0))
-    if model is PARTITION:
+    if model is PARTITION:  # without the state a constant plus sines; an amplitude is a slope over omega
         level = float(ends.part("disturbance", 0).largest("value"))
         level += slope * float(ends.high.disturbance[0].period) / (2.0 * math.pi)
     return level, slope, gains
 
 
 def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> float:
-    """Time constant of the sensor's lag [s]; 0 for an ideal sensor.
+    """Time constant of the lag through which sigma is measured [s]; 0 for an ideal sensor.
 
     Raises:
-        NotCovered: Sigma is measured otherwise, or the time constant is uncertain.
+        NotCovered: Sigma is measured in another way, or the time constant is uncertain.
     """
     if differentiator is not NO_DIFFERENTIATOR or sensor not in (IDEAL, SENSOR_LAG):
         raise NotCovered("sigma is measured neither exactly nor through a lag")
@@ -191,10 +193,10 @@ def sensor_lag(sensor: Sensor, differentiator: Differentiator, ends: Ends) -> fl
 
 
 def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
-    """Intervals of e, e' and eta at t = 0: those of the plant's start, less the reference's start.
+    """Intervals of e, e' and eta at t = 0: the plant's initial state less the reference's.
 
     Raises:
-        NotCovered: The reference's start is uncertain.
+        NotCovered: The reference is uncertain, and so is where it starts.
     """
     if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
@@ -202,10 +204,18 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     size = 2 + (len(zero_dynamics.a) if zero_dynamics else 0)
     with jax.enable_x64(True):
         y, y_dot, _ = map(float, study.loop.reference.at(ends.low.reference, 0.0))
-    reference_start = (y, y_dot, *(0.0 for _ in range(size - 2)))
-    starts = [tuple(map(float, end.plant.initial)) + (0.0,) * (size - len(end.plant.initial)) for end in ends]
-    pairs = zip(*starts, reference_start, strict=True)
-    return tuple((min(a, b) - start, max(a, b) - start) for a, b, start in pairs)
+    reference_start = (y, y_dot) + (0.0,) * (size - 2)  # eta has no reference
+    low_start, high_start = (with_zeros(map(float, end.plant.initial), size) for end in ends)
+    errors = []
+    for low, high, reference in zip(low_start, high_start, reference_start, strict=True):
+        errors.append((min(low, high) - reference, max(low, high) - reference))
+    return tuple(errors)
+
+
+def with_zeros(values: Iterable[float], size: int) -> tuple[float, ...]:
+    """Some values, then zeros, ``size`` numbers in all."""
+    first_values = tuple(values)
+    return first_values + (0.0,) * (size - len(first_values))
 
 
 def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
@@ -248,7 +258,7 @@ def controller_of(study: Study) -> JsonObject:
 
 
 def pi_content(member: Controller, gains: PiGains) -> JsonObject:
-    """The part of a problem that PI makes: DSSC with constant functions, without a bound of the command.
+    """The fields of a problem for PI, which is DSSC with constant functions and without a bound of the command.
 
     Raises:
         NotCovered: PI is not in its implicit form, or a gain is not positive.
@@ -272,13 +282,13 @@ def pi_content(member: Controller, gains: PiGains) -> JsonObject:
 
 
 def dssc_content(member: Controller, gains: DsscGains) -> JsonObject:
-    """The part of a problem that DSSC or SSC makes.
+    """The fields of a problem for DSSC or SSC.
 
     Raises:
         NotCovered: The sampled form or an option is outside of the class.
     """
-    forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
-    form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
+    forms = (Discretisation.IMPLICIT, Discretisation.CONSERVATIVE)
+    form = next((form for form in forms if member in (DSSC.members[form], SSC.members[form])), None)
     if form is None:
         raise NotCovered(UNPROVED_CONTROLLER)
     if not isinstance(gains.rho, ConstantModulation):

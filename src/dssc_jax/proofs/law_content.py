@@ -9,14 +9,14 @@ from dssc_jax.proofs.problem import NominalControl
 
 
 def functions_content(functions: NamedTuple) -> JsonObject:
-    """The kind of the state-dependent functions, which are a row of :data:`GAIN_FUNCTIONS`, and their constants."""
+    """The kind of the state-dependent functions, a row of :data:`GAIN_FUNCTIONS`, and their constants, in one table."""
     kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(functions, entry.members[None]))
     constants = {name: float(value) for name, value in functions._asdict().items() if value is not None}
     return {"kind": kind, **constants}
 
 
 def nominal_content(nominal: NominalGains | None) -> NominalControl | None:
-    """The nominal control with gains; None without one."""
+    """The nominal control as a problem has it, in plain numbers; None without one."""
     if nominal is None:
         return None
     return NominalControl(float(nominal.a), float(nominal.k), bool(nominal.predictor_term))

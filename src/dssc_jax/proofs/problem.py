@@ -7,8 +7,9 @@ from typing import NamedTuple
 from dssc_jax.core.json_types import JsonObject
 
 Interval = tuple[float, float]
+"""Lower and upper end."""
 Box = dict[str, Interval]
-"""Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
+"""Intervals of ``k_p`` [1/s], ``a_p`` [1/s] and, with a transfer function G(mu s), of ``rate``, 1/mu [1/s]."""
 
 
 def interval_ends(interval: Interval) -> tuple[float, ...]:
@@ -62,7 +63,7 @@ class ProofProblem:
         reference: Bounds of the reference's first three derivatives [m/s, m/s^2, m/s^3].
         initial: Interval of each component of the initial state (e, e', eta).
         start: Where the predictor starts: ``zero``, ``matched`` (at sigma) or ``midpoint`` (half a sample earlier).
-        by_state: k_d1 to k_d5 as in (30), with which the disturbance depends on the state.
+        by_state: k_d1 to k_d5 of (30), by which the disturbance grows with the state.
         reference_size: Bound of the reference itself [m]; 0 unless the disturbance depends on the state.
     """
 
@@ -90,19 +91,20 @@ class ProofProblem:
     reference_size: float = 0.0
 
     def __hash__(self) -> int:
-        """A hash of some numbers, so that functions of a problem can be cached although ``functions`` is a table."""
+        """A hash of the main numbers, by which results are cached; the table ``functions`` has no hash of its own."""
         return hash((self.sample_time, self.l0, self.k_p, self.a_p, self.mu, self.delay))
 
     def to_dict(self) -> JsonObject:
-        """The problem as JSON's types."""
+        """The problem as a table of JSON's types, as a certificate holds it."""
         return asdict(self)
 
     @property
     def box(self) -> Box:
-        """The intervals of k_p, a_p and, with a lag, of 1/mu."""
+        """The intervals of k_p, a_p and, with a transfer function, of 1/mu, over which the loop is to be proved."""
         box: Box = {"k_p": self.k_p, "a_p": self.a_p}
         if self.denominator:
-            box["rate"] = (1.0 / self.mu[1], 1.0 / self.mu[0])
+            smallest_mu, largest_mu = self.mu
+            box["rate"] = (1.0 / largest_mu, 1.0 / smallest_mu)
         return box
 
     @property
@@ -114,7 +116,7 @@ class ProofProblem:
 def delay_weights(delay: float) -> tuple[float, ...]:
     """Weights of the commands of ages 0, 1, ... samples in the command that acts on the plant; their sum is 1.
 
-    A fractional delay is a change of command within a sample, which acts like a mean of two commands.
+    With a fraction of a sample the command changes within a sample. It acts as a weighted mean of two commands.
 
     Args:
         delay: Delay of the command, in samples.

@@ -1,4 +1,4 @@
-"""Prove a study's sampled loop: search, verify, halve what is not proved."""
+"""Prove a study's sampled loop: search a proof, verify it, and halve the boxes of uncertain numbers without one."""
 
 import heapq
 import itertools
@@ -25,6 +25,7 @@ from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, v
 from dssc_jax.study import Study
 
 VERSION = 6
+"""Version of the certificates of loops of the class (5)-(8)."""
 REASONS = {
     Obstacle.ORIGIN: "the loop is not stable at sigma = e = 0",
     Obstacle.DECAY: "no common quadratic function decreases for all gains of the smallest region",
@@ -33,19 +34,20 @@ REASONS = {
     Obstacle.SLIDING: "the equivalent control may exceed rho",
     Obstacle.VERIFIER: "the verifier rejects what the search found",
 }
+"""Why a box is not proved, in words."""
 
 
 @dataclass(frozen=True)
 class Proved:
-    """The outcome of a proof.
+    """What is proved of a loop of the class (5)-(8): boxes of its uncertain numbers, with bounds of |e|.
 
     Args:
         problem: What was to be proved.
         proofs: The boxes that the verifier accepted.
         failures: The boxes that were given up, with the reason.
         error: Upper bound of |e| [m] at all times once settled, in the proved boxes; infinite if there are none.
-        largest_error: Upper bound of |e| [m] from the start on.
-        seconds: Time spent.
+        largest_error: Upper bound of |e| [m] from the start on; infinite if no box is proved.
+        seconds: Computing time [s].
         units: Units of the output and the command, for words.
     """
 
@@ -65,7 +67,7 @@ class Proved:
 
     @property
     def reason(self) -> str:
-        """Why the first box that was given up is not proved, in words; empty if all are proved."""
+        """Why the first of the boxes without a proof has none, in words; empty if all boxes are proved."""
         return REASONS[self.failures[0].reason] if self.failures else ""
 
     @property
@@ -76,7 +78,7 @@ class Proved:
         return float(sum(volume(proof.box, self.problem) for proof in self.proofs))
 
     def summary(self) -> JsonObject:
-        """The outcome as JSON's types: whether it is proved, bounds of |e| [m], the statement, and the failures."""
+        """A table of the outcome, in JSON's types: whether all is proved, bounds of |e| [m], statement and failures."""
         has_proofs = bool(self.proofs)
         failures = [
             {"box": with_mu(failure.box), "reason": failure.reason, "text": REASONS[failure.reason]}
@@ -115,13 +117,13 @@ class Proved:
         )
 
     def certificate(self) -> JsonObject:
-        """The certificate as JSON's types: the problem, and the proofs of the proved boxes."""
+        """The content of a certificate's file: the problem, and the proofs of the proved boxes."""
         proofs = [proof.to_dict() for proof in self.proofs]
         return {"version": VERSION, "complete": self.complete, "problem": self.problem.to_dict(), "proofs": proofs}
 
 
 def with_mu(box: Box) -> Box:
-    """The intervals of a box, with the time constant mu [s] in place of its inverse ``rate`` [1/s]."""
+    """The intervals of a box for people to read: with mu [s] in place of ``rate``, 1/mu [1/s]."""
     intervals = {name: interval for name, interval in box.items() if name != "rate"}
     if "rate" in box:
         low, high = box["rate"]
@@ -137,7 +139,7 @@ def interval_text(name: str, interval: Interval, units: ChannelUnits) -> str:
 
 
 AnyProved: TypeAlias = Proved | VehicleProved
-"""The outcome of a proof."""
+"""What is proved of a loop of the class (5)-(8), or of a vehicle."""
 
 
 def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], None] | None = None) -> AnyProved:
@@ -160,7 +162,12 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
 
 
 def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> AnyProved:
-    """:func:`prove` for a problem.
+    """Prove the statement of a problem that was read from a study: a vehicle's in one piece, an axis's box by box.
+
+    Args:
+        problem: What is to be proved.
+        boxes: Largest number of boxes that are tried; a vehicle is one box.
+        progress: Called with the boxes done and the boxes known.
 
     Raises:
         ConfigError: ``boxes`` is not positive.
@@ -173,44 +180,42 @@ def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int]
 
 
 def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None) -> Proved:
-    """:func:`prove` for the problem of a loop of the class (5)-(8).
+    """Prove a loop of the class (5)-(8) for a box of uncertain numbers, in parts where one proof does not do.
 
-    The largest box that is not proved yet is tried first. If no proof is found, it is halved, as long as no more than
-    ``boxes`` boxes have to be tried in all.
+    The largest box without a proof is tried next. If none is found, it is halved, as long as no more than ``boxes``
+    boxes have to be tried in all.
     """
     start_time = time.perf_counter()
     content = problem.to_dict()
-    counter = itertools.count()
-    # a heap by volume; the count in the middle orders equal volumes
-    pending_boxes: list[tuple[float, int, Box]] = [(-1.0, next(counter), problem.box)]
+    order = itertools.count()
+    # a heap, the largest volume first; the numbers decide between equal volumes
+    pending_boxes: list[tuple[float, int, Box]] = [(-1.0, next(order), problem.box)]
     proofs: list[Proof] = []
     failures: list[Failure] = []
     verdicts: list[ProofVerdict] = []
-    box_count = 0
+    tried_count = 0
     while pending_boxes:
         _, _, box = heapq.heappop(pending_boxes)
-        box_count += 1
+        tried_count += 1
         result, verdict = proved_box(problem, content, box)
         if isinstance(result, Proof) and verdict is not None:
             proofs.append(result)
             verdicts.append(verdict)
         elif isinstance(result, Failure):
             is_point = all(low == high for low, high in box.values())
-            if is_point or box_count + len(pending_boxes) + 2 > boxes:
+            if is_point or tried_count + len(pending_boxes) + 2 > boxes:  # its halves would be too many
                 failures.append(result)
             else:
                 for half in halves(box, problem):
-                    heapq.heappush(pending_boxes, (-volume(half, problem), next(counter), half))
+                    heapq.heappush(pending_boxes, (-volume(half, problem), next(order), half))
         if progress is not None:
-            progress(box_count, box_count + len(pending_boxes))
-    error = max((verdict.error for verdict in verdicts), default=np.inf)
-    largest_error = max((verdict.largest_error for verdict in verdicts), default=np.inf)
+            progress(tried_count, tried_count + len(pending_boxes))
     return Proved(
         problem=problem,
         proofs=proofs,
         failures=failures,
-        error=error,
-        largest_error=largest_error,
+        error=max((verdict.error for verdict in verdicts), default=np.inf),
+        largest_error=max((verdict.largest_error for verdict in verdicts), default=np.inf),
         seconds=time.perf_counter() - start_time,
     )
 
@@ -218,10 +223,10 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
 def proved_box(
     problem: ProofProblem, content: Mapping[str, object], box: Box
 ) -> tuple[Proof | Failure, ProofVerdict | None]:
-    """Search a proof for one box and verify it.
+    """Search a proof for one box, and verify it.
 
-    If the verifier rejects a stage, the proof with the stages before it is tried: a longer proof only has a smaller
-    residual.
+    If the verifier rejects a stage, the proof with the stages before it is tried. It is a proof, too, with a larger
+    final bound of |e|.
 
     Args:
         problem: The problem.
@@ -229,7 +234,7 @@ def proved_box(
         box: Intervals of the uncertain numbers.
 
     Returns:
-        The proof with its verdict, or the reason of the failure and None.
+        The proof and its verdict; or the failure and None.
     """
     result = prove_box(problem, box)
     if isinstance(result, Failure):
@@ -243,10 +248,10 @@ def proved_box(
 
 
 def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:
-    """Verify the content of a certificate's file, from it alone.
+    """Verify the content of a certificate's file of either kind, without trust in whoever made it.
 
     Raises:
-        ConfigError: It is no certificate of this version.
+        ConfigError: The content is no certificate of this program's version.
     """
     is_vehicle = isinstance(content, dict) and content.get("kind") == VEHICLE_KIND
     version = content.get("version") if isinstance(content, dict) else None

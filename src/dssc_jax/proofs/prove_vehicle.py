@@ -16,7 +16,9 @@ from dssc_jax.proofs.vehicle_words import digits_above, digits_below, stated_bou
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
 VEHICLE_VERSION = 2
+"""Version of the certificates of vehicles."""
 VEHICLE_KIND = "vehicle"
+"""The entry ``kind`` of a vehicle's certificate."""
 ROOM_FACTORS = (1.0, 10.0)
 """Factors of the room that the search leaves for the verifier; the next one is tried if the verifier rejects."""
 ROUNDED_START = 1e-9
@@ -30,14 +32,14 @@ VEHICLE_REASONS = {
 
 @dataclass(frozen=True)
 class VehicleProved:
-    """The outcome of a vehicle's proof.
+    """What is proved of a vehicle: bounds of its signals for every wind and vehicle within its intervals.
 
     Args:
         problem: What was to be proved.
-        proof: What the search found, as a certificate holds it; None: nothing.
-        verdict: The verifier's; None: the search found nothing.
+        proof: What the search found, as a certificate holds it; None: there is no proof.
+        verdict: The verifier's last verdict; None: the search found nothing to verify.
         failure: Why there is no proof: ``GAIN``, ``SLIDING`` or ``VERIFIER``; None if there is one.
-        seconds: Time spent.
+        seconds: Computing time [s].
     """
 
     problem: VehicleProblem
@@ -76,7 +78,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers: ``bounds`` from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
+        """A table of the outcome, in JSON's types, with bounds from the start on and once settled, in SI units."""
         no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -115,12 +117,12 @@ class VehicleProved:
         )
 
     def certificate(self) -> JsonObject:
-        """The certificate as JSON's types; without a proof it holds none."""
+        """The content of a certificate's file; without a proof its entry ``proof`` is None."""
         return certificate_of(self.problem, self.proof if self.complete else None)
 
 
 def vehicle_words(problem: VehicleProblem) -> list[str]:
-    """The parts of a statement for what a problem has: intervals, a rotor lag, a delay, and a start away from rest."""
+    """Phrases of a statement, one for each that applies: intervals, a rotor lag, a delay, and starts away from rest."""
     words = []
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
@@ -138,14 +140,15 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
-    """The content of a certificate's file."""
+    """The content of a certificate's file, from a problem and a proof, or None for no proof."""
     return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
 
 
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
-    """Search bounds that imply themselves, and verify them.
+    """Search bounds of a vehicle's signals that imply themselves, and verify them.
 
-    The verifier receives what a certificate's file would hold, so that a verdict is the same for the file.
+    If the verifier rejects them, the search leaves more room and tries again. The verifier receives what a
+    certificate's file would contain, so that its verdict is the same for the file.
     """
     start_time = time.perf_counter()
     verdict: VehicleVerdict | None = None

@@ -1,4 +1,4 @@
-"""How far along one number a study can be proved, each value on its own."""
+"""How far along one number a study can be proved; each value of the number has a proof of its own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,13 +16,14 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
 SAMPLE_TIME = "loop.sample_time"
+"""Name of T_s."""
 HALVINGS = 7
-"""Bisections of the range: the gap between the last proved and the first unproved value is less than 1 % of it."""
+"""Number of bisections of the range, so that the last proved and the first unproved value are within 1 % of it."""
 
 
 @dataclass(frozen=True)
 class ProvedReach:
-    """The end of the proofs along a number.
+    """How far along a number the proofs reach.
 
     Args:
         name: Dotted name of the number.
@@ -30,7 +31,7 @@ class ProvedReach:
         last: The proof at the last proved value; None if the safe end is not proved.
         proved: The last proved value; None if the safe end is not proved.
         refused: The nearest value beyond it that is not proved; None if the whole range is proved.
-        reason: Why that value is not proved.
+        reason: Why that value is not proved; empty if the whole range is.
     """
 
     name: str
@@ -65,7 +66,7 @@ class ProvedReach:
 
 
 def covered_content(proof: AnyProved) -> JsonObject:
-    """What a proof covers, in words, and the bounds of the signals if it is that of a vehicle."""
+    """What a proof covers, in words; of a vehicle's proof also the bounds of its signals."""
     summary = proof.summary()
     bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
     return {"covered": proof.claim.covered, **bounds}
@@ -105,7 +106,7 @@ def proved_up_to(
     proofs: dict[float, tuple[float, AnyProved]] = {}
 
     def proved_at(share: np.ndarray | float) -> bool:
-        """Whether the study is proved at a share of the way from the safe end to the other."""
+        """Prove the study at a share of the way from the safe end to the far end, and tell whether it is proved."""
         share = float(share)
         value = safe * (end / safe) ** share if log else safe + share * (end - safe)
         proof = prove_problem(problem_at(study_at_point, name, value), boxes)
@@ -117,7 +118,7 @@ def proved_up_to(
         return proof.complete
 
     def reach_between(proved_share: float | None, refused_share: float | None) -> ProvedReach:
-        """The outcome, from the last share that is proved and the nearest one that is not; None where there is none."""
+        """The outcome, from the last share of the way that is proved and the first that is not; None: there is none."""
         value, proof = (None, None) if proved_share is None else proofs[proved_share]
         refused_value, failure = (None, None) if refused_share is None else proofs[refused_share]
         return ProvedReach(

@@ -1,4 +1,4 @@
-"""The parts of a vehicle's study that a proof covers, and the plain numbers of the problem that follow from them."""
+"""From a vehicle's study to the problem of a proof: check that its parts are covered, reduce it to plain numbers."""
 
 import math
 from collections.abc import Sequence
@@ -33,16 +33,17 @@ from dssc_jax.study import Study
 UNCERTAIN = ("plant.vehicle.mass", "plant.vehicle.thrust_coefficient", "plant.vehicle.body_inertia")
 """Beginnings of the names of numbers that a proof of the vehicle covers over an interval."""
 ONLY_BOUNDS = ("plant.position", "plant.velocity", "plant.yaw", "wind.")
-"""Beginnings of the names of numbers that only bound a start or the wind."""
+"""Beginnings of the names of uncertain numbers that only bound a start or the wind."""
 TURN = 2.0 * math.pi
+"""A full turn [rad]."""
 START_ROOM = 1e-12
-"""Room for the rounding of where a moving reference begins [m], [m/s], [rad]."""
+"""Room in the bounds of a start for the rounding of where a moving reference begins [m], [m/s], [rad]."""
 EQUAL_ANGLES = 1e-9
 """Largest difference [rad] of angles that count as equal."""
 ONE: Interval = (1.0, 1.0)
 """The interval of the number 1."""
 AXES = {"x": 0, "z": 2, "psi": 3}
-"""Places of the channels in the loop; y has the controller of x."""
+"""Place of each channel of the problem among the loop's channels x, y, z, psi; y has the controller of x."""
 
 
 def is_vehicle(study: Study) -> bool:
@@ -51,7 +52,7 @@ def is_vehicle(study: Study) -> bool:
 
 
 def vehicle_problem_of(study: Study) -> VehicleProblem:
-    """The problem of a vehicle's study at its own values; laws become the intervals of their support.
+    """The problem of a vehicle's study without its sweep; laws become the intervals of their support.
 
     Raises:
         NotCovered: A part of the loop is outside of the theorem; the message gives the reason.
@@ -68,10 +69,12 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     model = ends.low.plant.inner_model
     masses = interval_of([end.plant.vehicle.mass for end in ends])
     thrusts = interval_of([end.plant.vehicle.thrust_coefficient for end in ends])
-    thrust_ratio = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))
-    inertia = tuple(interval_of(pair) for pair in zip(*(end.plant.vehicle.inertia for end in ends), strict=True))
-    turn_ratios = [quotient((believed, believed), pair) for believed, pair in zip(model.inertia, inertia, strict=True)]
-    turn_ratios = [product(thrust_ratio, turn) for turn in turn_ratios]
+    thrust_ratio = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))  # k_T/k_Tn
+    low_inertia, high_inertia = (end.plant.vehicle.inertia for end in ends)
+    inertia = [interval_of(pair) for pair in zip(low_inertia, high_inertia, strict=True)]  # of J_x, J_y and J_z
+    turn_ratios = []  # nu_i = (k_T/k_Tn) J_n,i/J_i of each axis
+    for believed, interval in zip(model.inertia, inertia, strict=True):
+        turn_ratios.append(product(thrust_ratio, quotient((believed, believed), interval)))
     return VehicleProblem(
         sample_time=study.loop.sample_time,
         delay=delay_of(study, ends),
@@ -102,10 +105,10 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
 
 
 def require_laws(study: Study) -> None:
-    """Require that each law belongs to a number that a proof covers over an interval, and has bounded support.
+    """Require that each uncertain number is one that a proof covers over an interval, and has bounded support.
 
     Raises:
-        NotCovered: A law is of another number, or has no bounds.
+        NotCovered: An uncertain number is another one, or has no bounds.
     """
     for name, law in study.written_laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
@@ -145,10 +148,10 @@ def require_loop(study: Study) -> None:
 
 
 def require_inner_loop(plant: Ends) -> InnerGains:
-    """Gains of the inner loops, which must be those of the article in the variant that the theorem covers.
+    """The gains of the inner loops; require those of the article, in the variant that the theorem covers.
 
     Raises:
-        NotCovered: The inner loops are others, or an option or an uncertain gain is outside of the theorem.
+        NotCovered: The inner loops are others, an option is outside of the theorem, or a gain is uncertain.
     """
     inner = plant.low.inner_loop
     if not getattr(inner, "has_proof", False):
@@ -197,12 +200,12 @@ def require_geometry(plant: Ends) -> None:
 
 
 def interval_of(values: Sequence[Scalar]) -> Interval:
-    """The smallest interval that holds some values."""
+    """The smallest interval that contains some values."""
     return float(min(values)), float(max(values))
 
 
 def with_rounding_room(interval: Interval) -> Interval:
-    """An interval widened by the rounding errors of its ends; the number 1, which is exact here, stays as it is."""
+    """An interval widened by the rounding errors of its ends; the exact number 1 stays as it is."""
     if interval == ONE:
         return interval
     low, high = interval
@@ -210,14 +213,14 @@ def with_rounding_room(interval: Interval) -> Interval:
 
 
 def quotient(a: Interval, b: Interval) -> Interval:
-    """The interval of a/b for positive a and b in intervals; 1 for a number over itself."""
+    """The interval of a/b for positive a and b in intervals; exactly 1 for a number over itself."""
     if a == b and a[0] == a[1]:
         return ONE
     return with_rounding_room((a[0] / b[1], a[1] / b[0]))
 
 
 def product(a: Interval, b: Interval) -> Interval:
-    """The interval of a b for positive a and b in intervals; a factor of 1 changes nothing, not even by rounding."""
+    """The interval of a b for positive a and b in intervals; an exact factor of 1 adds no rounding."""
     if a == ONE:
         return b
     if b == ONE:
@@ -256,7 +259,7 @@ def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
 
 
 def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
-    """Controller and start of each channel of the problem; the channel x stands for y, too.
+    """Controller and start of each channel of the problem, by name; the channel x stands for y, too.
 
     Raises:
         NotCovered: A controller is outside of the theorem, or x and y differ.
@@ -269,7 +272,7 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
 
 
 def channel_of(study: Study, place: int, gains: object, initial: tuple[float, float]) -> ChannelProblem:
-    """The controller of a channel, and bounds of its start.
+    """The problem of a single channel: its controller, and bounds of its start.
 
     Args:
         study: The study.
@@ -302,7 +305,7 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
 
 
 def reference_of(study: Study) -> dict[str, Sine] | None:
-    """Amplitude, period [s] and phase [rad] of the sine that each axis follows; None where the vehicle hovers."""
+    """Amplitude, period [s] and phase [rad] of the sine that each axis follows; None if the vehicle hovers."""
     if study.loop.reference is HOVER:
         return None
     return {
@@ -311,7 +314,7 @@ def reference_of(study: Study) -> dict[str, Sine] | None:
 
 
 def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
-    """Place [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
+    """Value [m, rad] and rate [m/s, rad/s] of each axis's reference at t = 0, in the order x, y, z, psi."""
     if study.loop.reference is HOVER:
         hover = ends.low.reference
         return [(float(value), 0.0) for value in (*hover.position, hover.yaw)]
@@ -324,9 +327,9 @@ def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
 
 
 def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
-    """Bounds of |e| and |e'| at t = 0, by channel.
+    """E_0 and V_0, bounds of |e| and |e'| at t = 0, by channel.
 
-    In the plane they bound the norms of both vectors. For psi the second one bounds |psi'|, which starts at 0.
+    In x they bound the norms of the plane's vectors. In psi V_0 bounds |psi'|, which starts at 0.
     """
     plants: list[UavParams] = [end.plant for end in ends]
     *first_points_of_axes, (first_yaw, _) = first_points(study, ends)
@@ -347,5 +350,5 @@ def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
 
 
 def largest_of(values: Sequence[Scalar]) -> float:
-    """The largest magnitude of some values."""
+    """The largest of the magnitudes of some values."""
     return max(abs(float(value)) for value in values)

@@ -7,7 +7,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.problem import Interval, NominalControl, delay_weights
 
 CHANNELS = ("x", "z", "psi")
-"""Channels with a controller of their own; that of y is that of x."""
+"""Channels with a controller; y has the controller of x."""
 Sine = tuple[float, float, float]
 """Amplitude, period [s] and phase [rad] of amplitude sin(2 pi t/period + phase)."""
 
@@ -22,8 +22,8 @@ class ChannelProblem:
         rho: Bound of the switched control [m/s], of psi [rad/s].
         nominal: The nominal control; None: there is none.
         start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
-        initial: Bounds of |e| and |e'| at t = 0. Those of x and y bound the norms of the plane's vectors; those of psi
-            bound |e| and |psi'|.
+        initial: E_0 and V_0, bounds of |e| and |e'| at t = 0: in x of the norms of the plane's vectors, in psi of |e|
+            and |psi'|.
     """
 
     l0: float
@@ -93,7 +93,7 @@ class VehicleProblem:
     reference: dict[str, Sine] | None
 
     def to_dict(self) -> JsonObject:
-        """The problem as JSON's types."""
+        """The problem as a table of JSON's types, as a certificate holds it."""
         return asdict(self)
 
     @property
@@ -103,11 +103,11 @@ class VehicleProblem:
 
     @property
     def turn_deviation(self) -> float:
-        """The largest |nu_i - 1|."""
+        """delta, the largest |nu_i - 1|."""
         return max(abs(end - 1.0) for end in self.turn)
 
     def first_sigma(self, name: str) -> float:
-        """Sigma_0, the bound of |sigma| at t = 0."""
+        """Sigma_0, the bound of |sigma| of a channel at t = 0: V_0 + l_0 E_0, in psi plus |psi_m'(0)|."""
         channel = self.channels[name]
         e, e_dot = channel.initial
         if name == "psi" and self.reference is not None:  # the body does not turn, whereas its reference does
@@ -117,7 +117,7 @@ class VehicleProblem:
 
     @property
     def starts_away(self) -> bool:
-        """Whether the vehicle may start elsewhere than at rest where it hovers."""
+        """Whether the vehicle may start away from its hovering point, or with a moving reference."""
         return self.reference is not None or any(any(channel.initial) for channel in self.channels.values())
 
     @property

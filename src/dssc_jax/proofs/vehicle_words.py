@@ -1,4 +1,4 @@
-"""The vehicle of a certificate in words, with its numbers as they are, and what its verdict says."""
+"""The vehicle of a certificate in words, with every digit of its numbers, and what its verdict proves."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,10 +8,16 @@ from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, Vehicle
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict
 from dssc_jax.proofs.words import functions_words, interval_words, nominal_words
 
+STATED = ("e", "e_dot", "sigma")
+"""Signals of each channel whose bounds are stated."""
+SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
+"""Labels under which each channel's bounds are stated; y has the bounds of x."""
+
 
 def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
-    """The problem of a certificate in words, by label; it must be well formed."""
-    drag = problem["structure_drag"]
+    """The problem of a well-formed certificate in words, by label, so that people can compare it with their vehicle."""
+    k_h, k_z = problem["structure_drag"]
+    wind_h, wind_z = problem["wind"]
     words = {
         "loop": f"T_s = {problem['sample_time']} s, delay of {problem['delay']} samples, conservative form",
         "inner loops": inner_words(problem),
@@ -19,31 +25,30 @@ def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
         f"thrust over mass {interval_words(problem['thrust'])} of the believed one",
         "inertia": inertia_words(problem),
         "rotors": rotor_words(problem),
-        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, "
-        f"propeller {problem['propeller_drag']} N s^2/(m rad)",
-        "wind": f"any with |w_h| <= {problem['wind'][0]} m/s and |w_z| <= {problem['wind'][1]} m/s",
+        "drag": f"structure {k_h}, {k_h}, {k_z} N s^2/m^2, propeller {problem['propeller_drag']} N s^2/(m rad)",
+        "wind": f"any with |w_h| <= {wind_h} m/s and |w_z| <= {wind_z} m/s",
         "reference": reference_words(problem["reference"]),
     }
-    names = {"x": "x and y", "z": "z", "psi": "psi"}
-    return words | {names[name]: channel_words(name, channel) for name, channel in problem["channels"].items()}
+    labels = {"x": "x and y", "z": "z", "psi": "psi"}
+    return words | {labels[name]: channel_words(name, channel) for name, channel in problem["channels"].items()}
 
 
 def inner_words(problem: VehicleProblem) -> str:
-    """The gains of the inner loops."""
+    """The gains of the inner loops, in words."""
     tilt = f"attitude {problem['stiffness']} 1/s^2 and {problem['damping']} 1/s"
     yaw = f"yaw rate {problem['yaw_gain']} 1/s and {problem['yaw_integral_gain']} 1/s^2"
     return f"velocity {problem['velocity_gain']} 1/s, {tilt}, {yaw}"
 
 
 def inertia_words(problem: VehicleProblem) -> str:
-    """The inertia, and what the inner loops believe of it."""
+    """The intervals of the body's inertia, and what the inner loops believe, in words."""
     axes = zip("xyz", problem["inertia"], problem["believed_inertia"], strict=True)
     axis_words = [f"J_{axis} {interval_words(interval)} (believed {believed})" for axis, interval, believed in axes]
     return f"{', '.join(axis_words)} kg m^2, believed over true {interval_words(problem['turn'])}"
 
 
 def rotor_words(problem: VehicleProblem) -> str:
-    """The rotors."""
+    """Number, place, lag, limit and coefficients of the rotors, in words."""
     lag = f"lag of {problem['rotor_lag']} s" if problem["rotor_lag"] else "no lag"
     place = f"{problem['rotors']} at {problem['arm']} m"
     limit = f"at most {problem['rotor_limit']} N each"
@@ -52,7 +57,7 @@ def rotor_words(problem: VehicleProblem) -> str:
 
 
 def reference_words(sines: Mapping[str, Sequence[float]] | None) -> str:
-    """What the axes follow, but for constants."""
+    """The sines that the axes follow, in words."""
     if sines is None:
         return "at rest"
     waves = [f"{axis}: {size} sin(2 pi t/{period} + {phase})" for axis, (size, period, phase) in sines.items()]
@@ -60,7 +65,7 @@ def reference_words(sines: Mapping[str, Sequence[float]] | None) -> str:
 
 
 def channel_words(name: str, channel: ChannelProblem) -> str:
-    """The controller of a channel, and its start."""
+    """The controller of a channel, and the bounds of its start, in words."""
     rate = "psi'" if name == "psi" else "e'"
     e, e_dot = channel["initial"]
     start = f"predictor's start {channel['start']}, |e| <= {e} and |{rate}| <= {e_dot} at t = 0"
@@ -68,19 +73,15 @@ def channel_words(name: str, channel: ChannelProblem) -> str:
     return f"{law}, nominal {nominal_words(channel['nominal'])}, {start}"
 
 
-STATED = ("e", "e_dot", "sigma")
-"""Signals of each channel that a statement holds; y has the bounds of x."""
-SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
-
-
 def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
-    """The verdict in words."""
+    """Whether a vehicle's certificate is valid, in words: the bounds that it proves, or why it fails."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     parts = []
     for name, label, unit in (("x", "|e_x| and |e_y|", "m"), ("z", "|e_z|", "m"), ("psi", "|e_psi|", "rad")):
-        largest, settled = verdict.bounds[name]["e"], verdict.settled[name]["e"]
-        parts.append(f"{label} {digits_above(largest)} {unit} (ends within {digits_above(settled)})")
+        largest = digits_above(verdict.bounds[name]["e"])
+        settled = digits_above(verdict.settled[name]["e"])
+        parts.append(f"{label} {largest} {unit} (ends within {settled})")
     tilt = f"the tilt {digits_above(math.degrees(verdict.tilt))} degrees"
     rotors = f"rotors stay between {digits_below(verdict.rotor_min)} and {digits_above(verdict.rotor_max)} N"
     return f"valid: never exceeded are {', '.join(parts)} and {tilt}; {rotors}"
@@ -97,29 +98,30 @@ def digits_below(bound: float) -> str:
 
 
 def last_digit(value: float) -> float:
-    """The value of the fourth digit of a positive number."""
+    """The place value of the fourth digit of a positive number, such as 0.001 for 1.234."""
     return 10.0 ** (math.floor(math.log10(value)) - 3)
 
 
 def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
-    """Bounds from the start on and settled: of the channels [m, m/s, rad, rad/s], the tilt [rad] and the rotors [N].
+    """Bounds from the start on (``bounds``) and once settled (``settled``), each a table by channel, tilt and rotors.
 
-    With cells of time also their duration ``cell`` [s] and the ``envelope``, the bounds in each cell.
+    They are in m, m/s, rad, rad/s and N. With cells of time there are also their duration ``cell`` [s] and the
+    ``envelope``, the bounds in each cell.
     """
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
-    pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
-    bounds_by_moment: JsonObject = {
-        moment: by_channel(signals) | {"tilt": tilt, **rotors} for moment, (signals, tilt) in pairs.items()
+    stated: JsonObject = {
+        "bounds": by_channel(verdict.bounds) | {"tilt": verdict.tilt, **rotors},
+        "settled": by_channel(verdict.settled) | {"tilt": verdict.settled_tilt, **rotors},
     }
     if verdict.cell:
-        bounds_by_moment |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}
-    return bounds_by_moment
+        stated |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}
+    return stated
 
 
 def by_channel(signals: Mapping[str, Mapping[str, float | list[float]]]) -> JsonObject:
-    """The signals that a statement holds, by channel."""
-    return {
-        label: {signal: signals[name][signal] for signal in STATED}
-        for name, names in SHOWN_AS.items()
-        for label in names
-    }
+    """The bounds that are stated, by the labels x, y, z and psi, and by signal."""
+    stated = {}
+    for name, labels in SHOWN_AS.items():
+        for label in labels:
+            stated[label] = {signal: signals[name][signal] for signal in STATED}
+    return stated

@@ -1,4 +1,4 @@
-"""The loop of a certificate in words, with its numbers as they are."""
+"""The loop of a certificate in words, with every digit of its numbers, and its verdict."""
 
 from collections.abc import Mapping
 
@@ -6,12 +6,13 @@ from dssc_jax.proofs.verifier.certificate import Interval, Problem
 from dssc_jax.proofs.verifier.verdict import ProofVerdict
 
 SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
+"""The derivatives of the reference that a problem bounds, in the order of its entry ``reference``."""
 
 
 def loop_in_words(problem: Problem) -> dict[str, str]:
-    """The problem of a certificate in words, by label.
+    """The problem of a well-formed certificate in words, by label, so that people can compare it with their loop.
 
-    The problem must be well formed. Values are in the certificate's units: those of y and of u, and seconds.
+    Values are in the certificate's units: those of y and of u, and seconds.
     """
     return {
         "controller": controller_words(problem),
@@ -27,7 +28,7 @@ def loop_in_words(problem: Problem) -> dict[str, str]:
 
 
 def verdict_in_words(verdict: ProofVerdict) -> str:
-    """The verdict in words."""
+    """Whether a certificate is valid, in words: the bounds of |e| that it proves, or why it fails."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
@@ -35,7 +36,7 @@ def verdict_in_words(verdict: ProofVerdict) -> str:
 
 
 def interval_words(interval: Interval) -> str:
-    """A number, or an interval."""
+    """``= number``, or ``in [low, high]``."""
     low, high = interval
     return f"= {low}" if low == high else f"in [{low}, {high}]"
 
@@ -48,21 +49,22 @@ def controller_words(problem: Problem) -> str:
 
 
 def functions_words(functions: Mapping[str, float | str]) -> str:
-    """Kind and constants."""
+    """Kind and constants of the state-dependent functions, in words."""
     constants = [f"{name} = {value}" for name, value in functions.items() if name != "kind"]
     return f"{functions['kind']} with {', '.join(constants)}"
 
 
 def nominal_words(nominal: tuple[float, float, bool] | None) -> str:
-    """The nominal control."""
+    """The nominal control's a_n and k_n, and whether it has its term 1/tau_m, in words."""
     if nominal is None:
         return "none"
-    a, k, term = nominal
-    return f"a_n = {a} 1/s, k_n = {k}, {'with' if term else 'without'} its term 1/tau_m"
+    a_n, k_n, has_predictor_term = nominal
+    with_or_without = "with" if has_predictor_term else "without"
+    return f"a_n = {a_n} 1/s, k_n = {k_n}, {with_or_without} its term 1/tau_m"
 
 
 def plant_words(problem: Problem) -> str:
-    """Intervals of the plant, and its zero dynamics."""
+    """The intervals of k_p and a_p, the plant's order, and its zero dynamics, in words."""
     intervals = f"k_p {interval_words(problem['k_p'])}, a_p {interval_words(problem['a_p'])} 1/s"
     if not problem["zero_a"]:
         return f"{intervals}, order 2"
@@ -72,14 +74,14 @@ def plant_words(problem: Problem) -> str:
 
 
 def start_words(problem: Problem) -> str:
-    """The intervals of the initial state."""
+    """The intervals of the initial state e, e' and eta, in words."""
     names = ["e", "e'", *(f"eta_{i + 1}" for i in range(len(problem["zero_a"])))]
     parts = [f"{name} {interval_words(pair)}" for name, pair in zip(names, problem["initial"], strict=True)]
     return ", ".join(parts)
 
 
 def unmodelled_words(problem: Problem) -> str:
-    """The lag, the transfer function or the delay."""
+    """The transfer function G(mu s) with the interval of mu, or the delay, in words."""
     if problem["denominator"]:
         quotient = f"{list(problem['numerator'])}/{list(problem['denominator'])}"
         return f"G(mu s) = {quotient} in rising powers of mu s, mu {interval_words(problem['mu'])} s"
@@ -87,7 +89,7 @@ def unmodelled_words(problem: Problem) -> str:
 
 
 def disturbance_words(problem: Problem) -> str:
-    """Bounds of the disturbance (wind, load), and how it depends on the state."""
+    """The bounds of the disturbance (wind, load), and how it depends on the state, in words."""
     bounds = f"any (wind, load) with |d| <= {problem['level']} and slope |d'| <= {problem['slope']} 1/s"
     gains = [f"k_d{i} = {k}" for i, k in enumerate(problem["by_state"], 1) if k]
     if not gains:
@@ -96,8 +98,8 @@ def disturbance_words(problem: Problem) -> str:
 
 
 def reference_words(problem: Problem) -> str:
-    """Bounds of the reference's derivatives."""
+    """The bounds of the reference's derivatives, in words."""
     if not any(problem["reference"]):
         return "at rest"
-    pairs = zip(SIGNAL_NAMES, problem["reference"], strict=True)
-    return f"any with {', '.join(f'{name} <= {bound}' for name, bound in pairs)}"
+    limits = [f"{name} <= {bound}" for name, bound in zip(SIGNAL_NAMES, problem["reference"], strict=True)]
+    return f"any with {', '.join(limits)}"

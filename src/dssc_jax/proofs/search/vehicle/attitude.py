@@ -22,7 +22,7 @@ class Attitude:
     """Upper bounds of how far the vehicle tilts and turns, and how fast.
 
     Args:
-        tilt: beta (and s, that of its sine): bound of the tilt [rad].
+        tilt: beta, bound of the tilt [rad]; it bounds the tilt's sine, too, and is called s then.
         tangent: t, bound of the tilt's tangent.
         secant: S, bound of the inverse of the tilt's cosine.
         tilt_rate: beta_1, bound of |b'|, where b is the tilt as a vector of the horizontal plane [rad/s].

@@ -1,7 +1,8 @@
 """The nominal flight of a moving reference: the steady response of the linear channels to it, in floating point.
 
-The reference and the known parts of the remainders are sums of sines, and so is the steady response of a sampled linear
-channel. docs/vehicle_proofs.md has the theorem.
+The reference is known motion, so the proof subtracts it: the bounds Y are those of the vehicle's deviation from the
+nominal flight. The reference and the known parts of the remainders are sums of sines, and so is the steady response of
+a sampled linear channel. docs/vehicle_proofs.md has the theorem.
 """
 
 from dataclasses import dataclass
@@ -27,24 +28,26 @@ from dssc_jax.proofs.search.vehicle.waves import (
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 ROOM = 1.0 + 1e-4
-"""Widening of the flight's bounds, for what the verifier's balls add."""
+"""Factor that widens the flight's bounds, for what the verifier's balls add."""
 SLOPE_ROOM = 1.1
-"""Widening of slopes within a sample, for what the verifier's balls add."""
+"""Factor that widens slopes within a sample, for what the verifier's balls add."""
+SLOPE_TIMES = (0.0, 0.5, 1.0)
+"""Times within a sample at which slopes are compared, in T_s."""
 AXES_OF = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
-"""The axes whose loops each channel has."""
+"""The axes that each channel stands for."""
 
 
 @dataclass(frozen=True)
 class Nominal:
-    """The nominal flight of a vehicle whose reference moves.
+    """Bounds of the nominal flight of a vehicle whose reference moves.
 
     Args:
-        bounds: Bounds of its signals, by channel and name, besides those of some differences: ``alpha_gap`` and
-            ``wanted_gap`` of alpha and a_h to alpha_0, ``lift_gap`` of a_z to z_m'', ``yaw_gap`` of psi' to psi_m'.
-            ``rate`` of z and psi is that of the output itself.
-        lift: Bound of |z_m''| [m/s^2].
-        yaw: Bound of |psi_m'| [rad/s].
-        starts: Known difference of the vehicle's z_0 from that of the flight, by channel, (n, axes).
+        bounds: N, bounds of its signals, by channel and name. Besides there are ``rate``, the rate of the output z or
+            psi itself, and bounds of differences: ``alpha_gap`` of alpha - alpha_0, ``wanted_gap`` of a_h - alpha_0,
+            ``lift_gap`` of a_z - z_m'', ``yaw_gap`` of psi' - psi_m'.
+        lift: A_m, bound of |z_m''| [m/s^2].
+        yaw: Psi_m, bound of |psi_m'| [rad/s].
+        starts: Known part of the vehicle's z_0 less the flight's z_0, by channel, a column for each axis, (n, axes).
     """
 
     bounds: Signals
@@ -53,20 +56,20 @@ class Nominal:
     starts: dict[str, np.ndarray]
 
     def totals(self, y: Signals) -> Signals:
-        """Bounds of the vehicle's signals, from bounds ``y`` of its deviation from the flight.
+        """Bounds N + Y of the vehicle's own signals, from bounds Y of its deviation from the flight.
 
-        e_dot of z and psi is then the rate of the output in place of the error's.
+        In z and psi, ``e_dot`` is then the rate of the output itself, which drag and turn depend on.
         """
-        result = {}
+        totals = {}
         for name in CHANNELS:
             nominal = self.bounds[name]
-            result[name] = {key: value + nominal.get(key, 0.0) for key, value in y[name].items()}
-            if name != "x":
-                result[name]["e_dot"] = y[name]["e_dot"] + nominal["rate"]
-        return result
+            totals[name] = {key: value + nominal.get(key, 0.0) for key, value in y[name].items()}
+        for name in ("z", "psi"):
+            totals[name]["e_dot"] = y[name]["e_dot"] + self.bounds[name]["rate"]
+        return totals
 
     def couplings(self, y: Signals) -> Couplings:
-        """Bounds of the signals that couple the channels, from bounds ``y`` of the vehicle's deviation."""
+        """Bounds of how far the vehicle is from what its reference needs, from bounds Y of its deviation."""
         return Couplings(
             alpha_gap=self.bounds["x"]["alpha_gap"] + y["x"]["alpha"],
             wanted_gap=self.bounds["x"]["wanted_gap"] + y["x"]["wanted"],
@@ -79,12 +82,12 @@ class Nominal:
 
 @dataclass(frozen=True)
 class AxisInputs:
-    """Sums of sines that drive the linear loop of an axis, and others with which its signals are compared.
+    """The known motion along one axis, as sums of sines.
 
     Args:
         reference: The reference y_m without its constant.
-        known_remainders: The known parts of the remainders, by name.
-        comparisons: By the name of a difference: the signal, and the sum of sines that is subtracted from it.
+        known_remainders: The known parts of the remainders, by name; they drive the linear loop as y_m does.
+        comparisons: Differences to bound, by name: a signal, and the sum of sines that is subtracted from it.
     """
 
     reference: Waves
@@ -93,18 +96,18 @@ class AxisInputs:
 
     @property
     def frequencies(self) -> set[Fraction]:
-        """The frequencies of all inputs [Hz]."""
+        """The frequencies [Hz] of all that drives the loop."""
         return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
 @dataclass(frozen=True)
 class SteadyResponse:
-    """The steady response of a channel to what drives an axis at one frequency.
+    """The steady response of a channel to what drives one of its axes at one frequency, in phasors.
 
     Args:
-        state: Phasor of z at the samples, (n,).
-        signals: Phasors of each signal at the points of a sample, (points,).
-        slopes: Phasors of each signal's slope within the sample, at some times, (times,).
+        state: Z_f, phasor of z at the samples, shape (n,).
+        signals: X(s), phasors of each signal at the points of a sample, shape (points,).
+        slopes: Phasors of each signal's derivative at ``SLOPE_TIMES`` of a sample, shape (times,).
     """
 
     state: np.ndarray
@@ -115,54 +118,66 @@ class SteadyResponse:
 def nominal_of(
     problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, tuple[float, ...]], damping: float
 ) -> Nominal | None:
-    """The nominal flight: the sum of the steady responses to all frequencies. None without a reference.
+    """Bounds of the nominal flight, the sum of the steady responses to all frequencies; None if the vehicle hovers.
 
     Args:
         problem: The vehicle.
         linear: The linear channels.
-        slopes: Slopes of the straight lines in place of each channel's functions.
-        damping: Damping of drag in the plane [1/s].
+        slopes: For each channel, the slopes of the straight lines and the share s_q.
+        damping: c, damping of drag in the plane [1/s].
     """
     if problem.reference is None:
         return None
-    axes = axis_inputs_of(problem, damping)
+    axis_inputs = axis_inputs_of(problem, damping)
     bounds: Signals = {}
     starts = {}
     for name in CHANNELS:
         axis_responses = []
         start_columns = []
         for axis in AXES_OF[name]:
-            inputs = axes[axis]
-            responses = {
-                f: steady_response(problem, name, linear[name], slopes[name], inputs, f) for f in inputs.frequencies
-            }
+            inputs = axis_inputs[axis]
+            responses = {}
+            for frequency in inputs.frequencies:
+                responses[frequency] = steady_response(problem, name, linear[name], slopes[name], inputs, frequency)
             axis_responses.append(responses)
-            flight_state = np.sum([np.real(response.state) for response in responses.values()], axis=0)
-            start = first_state(problem, name, slopes[name], inputs, len(flight_state))
-            start_columns.append(start - flight_state)
+            flight_start = np.sum([np.real(response.state) for response in responses.values()], axis=0)  # z_n(0)
+            vehicle_start = first_state(problem, name, slopes[name], inputs, flight_start.size)
+            start_columns.append(vehicle_start - flight_start)
         bounds[name] = bounds_of(problem, axis_responses)
         starts[name] = np.stack(start_columns, axis=-1)
-    lift = size(derivative(derivative(axes["z"].reference)))
-    return Nominal(bounds, ROOM * lift, ROOM * size(derivative(axes["psi"].reference)), starts)
+    lift = size(derivative(derivative(axis_inputs["z"].reference)))  # of z_m''
+    yaw = size(derivative(axis_inputs["psi"].reference))  # of psi_m'
+    return Nominal(bounds=bounds, lift=ROOM * lift, yaw=ROOM * yaw, starts=starts)
 
 
 def axis_inputs_of(problem: VehicleProblem, damping: float) -> dict[str, AxisInputs]:
-    """The inputs of each axis, by its name; ``damping`` is that of drag in the plane [1/s]."""
+    """The known motion along each axis, by the axis's name.
+
+    With alpha_0 = y_m'' + c y_m', the remainders of x and y have the known parts force = z_m'' alpha_0/g and torque =
+    a_1 psi_m' K alpha_0 - a_0 z_m'' alpha_0/g, where K is a quarter turn of the plane.
+
+    Args:
+        problem: The vehicle.
+        damping: c, damping of drag in the plane [1/s].
+    """
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
     accelerations = {axis: derivative(waves) for axis, waves in speeds.items()}
     alpha_0 = {axis: total(accelerations[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
     quarter_turn = {"x": multiple(alpha_0["y"], -1.0), "y": alpha_0["x"]}
     axes = {
-        "psi": AxisInputs(references["psi"], {}, {"yaw_gap": ("rate", speeds["psi"])}),
-        "z": AxisInputs(references["z"], {}, {"lift_gap": ("wanted", accelerations["z"])}),
+        "psi": AxisInputs(references["psi"], known_remainders={}, comparisons={"yaw_gap": ("rate", speeds["psi"])}),
+        "z": AxisInputs(references["z"], known_remainders={}, comparisons={"lift_gap": ("wanted", accelerations["z"])}),
     }
     for axis in ("x", "y"):
         force = product(accelerations["z"], alpha_0[axis], 1.0 / GRAVITY)
         yaw_torque = product(speeds["psi"], quarter_turn[axis], problem.damping)
         torque = total(yaw_torque, multiple(force, -problem.stiffness))
-        comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
-        axes[axis] = AxisInputs(references[axis], {"force": force, "torque": torque}, comparisons)
+        axes[axis] = AxisInputs(
+            reference=references[axis],
+            known_remainders={"force": force, "torque": torque},
+            comparisons={"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])},
+        )
     return axes
 
 
@@ -171,9 +186,9 @@ class InputPhasors:
     """Phasors at one frequency of what drives an axis.
 
     Args:
-        speed: That of y_m'.
-        acceleration: That of y_m''.
-        known_remainders: Those of the known parts of the remainders, by name.
+        speed: Phasor of y_m'.
+        acceleration: Phasor of y_m''.
+        known_remainders: Phasors of the known parts of the remainders, by name.
     """
 
     speed: complex
@@ -182,7 +197,7 @@ class InputPhasors:
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of an axis's inputs."""
+    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
     i_omega = 1j * rate_of(frequency)
     speed = i_omega * inputs.reference.get(frequency, 0.0)
     known_remainders = {key: waves.get(frequency, 0.0) for key, waves in inputs.known_remainders.items()}
@@ -190,7 +205,15 @@ def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
 
 
 def driven_generator(linear: LinearChannel, phasors: InputPhasors, rate: float) -> np.ndarray:
-    """The generator of (chi, U, e^(i rate t)) within a sample: the last entry drives chi, (m + 2, m + 2)."""
+    """The generator of (chi, U, e^(i rate t)) within a sample, shape (m + 2, m + 2).
+
+    U is held, and the last entry, a wave, drives chi: e' = v - y_m', and the known remainders act.
+
+    Args:
+        linear: The linear channel.
+        phasors: Phasors of what drives the axis.
+        rate: Angular frequency [rad/s].
+    """
     m = linear.g.size
     known_forces = sum(phasor * linear.b[key] for key, phasor in phasors.known_remainders.items())
     generator = np.zeros((m + 2, m + 2), complex)
@@ -204,11 +227,22 @@ def driven_generator(linear: LinearChannel, phasors: InputPhasors, rate: float) 
 def signal_rows(
     linear: LinearChannel, inputs: AxisInputs, phasors: InputPhasors, l0: float, frequency: Fraction
 ) -> dict[str, np.ndarray]:
-    """Rows over (chi, U, e^(i rate t)) of the signals without u_av, of the output's rate and of the differences."""
+    """Rows over (chi, U, e^(i rate t)) of all signals but u_av, of the output's rate and of the differences, by name.
+
+    In the channel of a moving reference the state e' is the output's own rate v, so that e' = v - y_m'.
+
+    Args:
+        linear: The linear channel.
+        inputs: The known motion along the axis.
+        phasors: Its phasors at the frequency.
+        l0: Error pole [1/s].
+        frequency: The frequency [Hz].
+    """
     rows = {key: np.array([*c, d, 0.0], complex) for key, (c, d) in linear.signals.items()}
     rows["rate"] = np.array([*linear.signals["e_dot"][0], 0.0, 0.0], complex)
     rows["e_dot"][-1] = -phasors.speed
     rows["sigma"][-1] = -phasors.speed
+    # sigma' = v' - y_m'' + l_0 (v - y_m'), where v' contains the known force
     rows["bend"][-1] = phasors.known_remainders.get("force", 0.0) - phasors.acceleration - l0 * phasors.speed
     for gap, (key, waves) in inputs.comparisons.items():
         rows[gap] = np.array(rows[key])
@@ -224,61 +258,78 @@ def steady_response(
     inputs: AxisInputs,
     frequency: Fraction,
 ) -> SteadyResponse:
-    """The steady response of a channel to what drives an axis at one frequency.
+    """The steady response of a channel to what drives one of its axes at one frequency f.
+
+    At the samples (e^(2 pi i f T_s) - A) Z_f = D_f, where D_f is the phasor of what drives z in a sample.
 
     Args:
         problem: The vehicle.
-        name: The channel.
+        name: Name of the channel.
         linear: Its linear channel.
-        slopes: Slopes of the straight lines in place of its functions.
-        inputs: The inputs of an axis of the channel.
-        frequency: The frequency [Hz].
+        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
+        inputs: The known motion along the axis.
+        frequency: f [Hz].
     """
     channel = problem.channels[name]
     step = sampled_channel(problem, channel, linear, slopes)
     k_1, k_2, k_3, _ = slopes
     t = problem.sample_time
     rate = rate_of(frequency)
-    m, n = linear.g.size, step.a.shape[0]
+    m = linear.g.size
+    n = step.a.shape[0]
     drive = input_phasors(inputs, frequency)
+    # -y_m' in sigma adds to the sum q and to the command; the nominal control has its feed-forward besides
     integral_input = -t * k_2 * drive.speed
     command_input = (k_1 + k_3) * drive.speed - integral_input
     if channel.nominal:
         command_input = command_input + (channel.l0 * drive.speed + drive.acceleration) / channel.nominal.k
     generator = driven_generator(linear, drive, rate)
     exponential = expm(generator * t)
-    sample_input = np.zeros(n, complex)
+    sample_input = np.zeros(n, complex)  # D_f
     sample_input[:m] = exponential[:m, m] * step.direct * command_input + exponential[:m, m + 1]
-    if n > m + 1:
+    has_memory = n > m + 1  # of the last commands, for a delay
+    if has_memory:
         sample_input[m] = command_input
     sample_input[n - 1] = integral_input
-    state = np.linalg.solve(np.exp(1j * rate * t) * np.eye(n) - step.a, sample_input)
-    begin = np.concatenate([state[:m], [step.acting @ state + step.direct * command_input, 1.0]])
+    state = np.linalg.solve(np.exp(1j * rate * t) * np.eye(n) - step.a, sample_input)  # Z_f
+    acting_command = step.acting @ state + step.direct * command_input
+    begin = np.concatenate([state[:m], [acting_command, 1.0]])  # (chi, U, wave) at the sample
     rows = signal_rows(linear, inputs, drive, channel.l0, frequency)
     table = np.stack(list(rows.values()))
-    phasors_at_points = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
-    slope = np.stack([table @ expm(generator * share * t) @ generator @ begin for share in (0.0, 0.5, 1.0)], axis=-1)
-    signals = dict(zip(rows, phasors_at_points, strict=True))
+    values = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
+    slope = np.stack([table @ expm(generator * share * t) @ generator @ begin for share in SLOPE_TIMES], axis=-1)
+    signals = dict(zip(rows, values, strict=True))
     signals["u_av"] = np.full(len(POINTS), step.u_av @ state + integral_input - k_1 * drive.speed)
-    return SteadyResponse(state, signals, dict(zip(rows, slope, strict=True)))
+    return SteadyResponse(state, signals, slopes=dict(zip(rows, slope, strict=True)))
 
 
 def first_state(
     problem: VehicleProblem, name: str, slopes: tuple[float, ...], inputs: AxisInputs, n: int
 ) -> np.ndarray:
-    """The known part of the vehicle's z_0 on an axis, (n,): it moves with the reference, but does not turn."""
-    channel = problem.channels[name]
-    speed = sum(phasor.real for phasor in derivative(inputs.reference).values())
-    result = np.zeros(n)
+    """The known part of the vehicle's z_0 on an axis, shape (n,).
+
+    The vehicle starts with the reference's velocity, but without a turn: there sigma_0 = -psi_m' sets the sum q_(-1).
+
+    Args:
+        problem: The vehicle.
+        name: Name of the channel.
+        slopes: Slopes of the straight lines, and the share s_q.
+        inputs: The known motion along the axis.
+        n: Length of z.
+    """
+    reference_speed = sum(phasor.real for phasor in derivative(inputs.reference).values())  # at t = 0
+    z_0 = np.zeros(n)
     if name == "psi":
-        result[-1] = start_share(problem, channel, slopes) * speed
+        z_0[-1] = start_share(problem, problem.channels[name], slopes) * reference_speed
     else:
-        result[1] = speed
-    return result
+        z_0[1] = reference_speed
+    return z_0
 
 
 def bounds_of(problem: VehicleProblem, axes: list[dict[Fraction, SteadyResponse]]) -> dict[str, float]:
-    """Bounds of all signals of a channel, by name.
+    """Bounds N of all signals of a channel of the nominal flight, by name.
+
+    Each frequency adds the largest phasor at the points of a sample, plus T_s/8 times the largest slope.
 
     Args:
         problem: The vehicle.
@@ -287,25 +338,31 @@ def bounds_of(problem: VehicleProblem, axes: list[dict[Fraction, SteadyResponse]
     eighth = problem.sample_time / 8.0
     frequencies = set().union(*axes)
     first_response = next(iter(axes[0].values()))
-    result = {}
+    bounds = {}
     for key in first_response.signals:
-        largest = np.zeros(len(axes))
-        norm = 0.0
-        for f in frequencies:
-            phasors = [responses[f].signals[key] if f in responses else np.zeros(len(POINTS)) for responses in axes]
-            slopes = [slope_phasors(responses.get(f), key) for responses in axes]
-            growth = [eighth * SLOPE_ROOM * np.max(np.abs(slope)) for slope in slopes]
-            largest += [np.max(np.abs(values)) + increment for values, increment in zip(phasors, growth, strict=True)]
+        size_by_axis = np.zeros(len(axes))
+        norm = 0.0  # of the vector (x, y)
+        for frequency in frequencies:
+            responses = [axis.get(frequency) for axis in axes]
+            phasors = [signal_phasors(response, key) for response in responses]
+            slopes = [slope_phasors(response, key) for response in responses]
+            for i, (values, slope) in enumerate(zip(phasors, slopes, strict=True)):
+                size_by_axis[i] += np.max(np.abs(values)) + eighth * SLOPE_ROOM * np.max(np.abs(slope))
             if len(axes) == 2:
                 norm += np.max(vector_norm(*phasors)) + eighth * SLOPE_ROOM * np.max(vector_norm(*slopes))
-        along_axes = len(axes) == 1 or key in ONE_AXIS
-        result[key] = ROOM * float(np.max(largest) if along_axes else norm)
-    return result
+        is_along_axes = len(axes) == 1 or key in ONE_AXIS
+        bounds[key] = ROOM * float(np.max(size_by_axis) if is_along_axes else norm)
+    return bounds
+
+
+def signal_phasors(response: SteadyResponse | None, signal: str) -> np.ndarray:
+    """Phasors of a signal at the points of a sample, shape (points,); zero without a response."""
+    return np.zeros(len(POINTS)) if response is None else response.signals[signal]
 
 
 def slope_phasors(response: SteadyResponse | None, signal: str) -> np.ndarray:
-    """Phasors of a signal's slope at some times, (times,); zero without a response, and of u_av, which is constant."""
-    if response is None or signal == "u_av":
+    """Phasors of a signal's derivative within a sample, shape (times,); zero without a response, and of u_av."""
+    if response is None or signal == "u_av":  # u_av does not change within a sample
         return np.zeros(1)
     return response.slopes[signal]
 

@@ -1,6 +1,6 @@
-"""Remainders: the vehicle's deviations from its linear channels, under bounds of its signals, in floating point.
+"""Bounds of the remainders, what the vehicle has besides its linear channels, in floating point.
 
-The formulas are those of docs/vehicle_proofs.md, in their order.
+The formulas are those of docs/vehicle_proofs.md, in their order; their symbols stand beside each line.
 """
 
 from dataclasses import dataclass
@@ -14,15 +14,17 @@ from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 @dataclass(frozen=True)
 class Couplings:
-    """Bounds of the signals by which the channels of a moving vehicle are coupled.
+    """Bounds of how far a moving vehicle is from what its reference needs, by which its channels are coupled.
+
+    alpha_0 = y_m'' + c y_m' is the alpha that the reference needs in the plane.
 
     Args:
-        alpha_gap: Bound of |alpha - alpha_0| [m/s^2].
-        wanted_gap: Bound of |a_h - alpha_0| [m/s^2].
-        lift_gap: Bound of |a_z - z_m''| [m/s^2].
-        yaw_gap: Bound of |psi' - psi_m'| [rad/s].
-        lift: Bound of |z_m''| [m/s^2].
-        yaw: Bound of |psi_m'| [rad/s].
+        alpha_gap: G_alpha, bound of |alpha - alpha_0| [m/s^2].
+        wanted_gap: G_a, bound of |a_h - alpha_0| [m/s^2].
+        lift_gap: G_z, bound of |a_z - z_m''| [m/s^2].
+        yaw_gap: G_psi, bound of |psi' - psi_m'| [rad/s].
+        lift: A_m, bound of |z_m''| [m/s^2].
+        yaw: Psi_m, bound of |psi_m'| [rad/s].
     """
 
     alpha_gap: float
@@ -40,14 +42,14 @@ def remainders_of(
     earlier: Rotors | None = None,
     couplings: Couplings | None = None,
 ) -> tuple[Signals, Rotors]:
-    """Bounds of the remainders, by channel and name, and of the rotors, under bounds of the signals.
+    """Bounds of the remainders, by channel and name, and of the rotors, while the signals are within their bounds.
 
     Args:
         problem: The vehicle.
-        bounds: Bounds of the signals, in a cell of time.
+        bounds: Bounds of the vehicle's signals, in a cell of time.
         damping: Damping of drag in the plane and along z [1/s].
-        earlier: The rotors in the cells before; None in the first one.
-        couplings: Bounds of the couplings; None: the problem has no moving reference.
+        earlier: Bounds of the rotors in the cells before; None in the first one.
+        couplings: Bounds of the couplings; None: the vehicle hovers.
 
     Raises:
         OutOfRange: The vehicle may leave the range of the theorem.
@@ -72,18 +74,21 @@ def remainders_of(
 
 
 def plane_force(problem: VehicleProblem, attitude: Attitude, drag: DragBounds, couplings: Couplings | None) -> float:
-    """The remainder ``force`` of x and y: lift, a deviating thrust, and drag [m/s^2]."""
-    k = problem.thrust_deviation
-    tilt_force = (1.0 + k) * GRAVITY * attitude.tilt * (attitude.secant - 1.0)
-    force = tilt_force + k * attitude.achieved_lift * attitude.tangent
+    """x.force [m/s^2]: what p_h'' has besides alpha - c v, by a tilt that is not small, lift, thrust and drag."""
+    k = problem.thrust_deviation  # the largest |kappa - 1|
+    tilt_force = (1.0 + k) * GRAVITY * attitude.tilt * (attitude.secant - 1.0)  # of beta - b
+    force = tilt_force + k * attitude.achieved_lift * attitude.tangent  # k Q t
     force += lift_force(attitude, couplings)
     return force + k * GRAVITY * attitude.tilt + drag.plane
 
 
 def lift_force(attitude: Attitude, couplings: Couplings | None) -> float:
-    """Bound of the horizontal force over mass of the lift on a tilted vehicle, without its known part [m/s^2]."""
+    """Bound of |q beta|, the horizontal force over mass of the lift q on a tilted vehicle [m/s^2].
+
+    Of a moving vehicle it is |q beta - z_m'' alpha_0/g|, without the known part.
+    """
     if couplings is None:
-        return attitude.achieved_lift * attitude.tangent
+        return attitude.achieved_lift * attitude.tangent  # Q t
     gap_force = couplings.lift_gap * GRAVITY * attitude.tilt + couplings.lift * couplings.alpha_gap
     return attitude.achieved_lift * attitude.tilt * (attitude.secant - 1.0) + gap_force / GRAVITY
 
@@ -91,12 +96,16 @@ def lift_force(attitude: Attitude, couplings: Couplings | None) -> float:
 def lag_remainders(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, moments: Moments, rotors: Rotors
 ) -> dict[str, float]:
-    """The remainders ``lag`` by channel, with a rotor lag: what a thrust's slope has besides that of a linear lag."""
+    """x.lag, z.lag and psi.lag: what the derivatives of gamma, q and gamma_psi have besides those of a linear lag.
+
+    The speeds of the rotors have the lag, whereas the channels have a lag of the thrusts: ``rotors.defect`` is zeta,
+    the bound of what that makes of a thrust's derivative.
+    """
     j_x, j_y, j_z = problem.believed_inertia
     n = problem.rotors
-    arm_term = GRAVITY * problem.arm * n * rotors.defect / (2.0 * min(j_x, j_y))
-    turn_of_thrust = (GRAVITY + attitude.achieved_lift) * attitude.tangent * attitude.euler_rate
-    spin_term = problem.torque_coefficient * n * rotors.defect / (2.0 * j_z)
+    arm_term = GRAVITY * problem.arm * n * rotors.defect / (2.0 * min(j_x, j_y))  # g L n zeta/(2 J_nl)
+    turn_of_thrust = (GRAVITY + attitude.achieved_lift) * attitude.tangent * attitude.euler_rate  # (g + Q) t T
+    spin_term = problem.torque_coefficient * n * rotors.defect / (2.0 * j_z)  # c_tau n zeta/(2 J_nz)
     return {
         "x": moments.plane / problem.rotor_lag + attitude.yaw_rate * bounds["x"]["gamma"] + arm_term,
         "z": n * rotors.defect / problem.believed_mass + turn_of_thrust,
@@ -105,21 +114,26 @@ def lag_remainders(
 
 
 def turn_of_plane(attitude: Attitude, yaw_acceleration: float) -> float:
-    """Bound of the part of b'' that comes from the turn of the plane by psi [rad/s^2]."""
+    """Bound of |psi'' K b + 2 psi' K b' + psi'^2 b| [rad/s^2], the part of b'' by the turn of the plane.
+
+    Args:
+        attitude: Bounds of the attitude.
+        yaw_acceleration: psi_2, bound of |psi''| [rad/s^2].
+    """
     s = attitude.tilt
     return yaw_acceleration * s + 2.0 * attitude.yaw_rate * attitude.tilt_rate + attitude.yaw_rate**2 * s
 
 
 def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude, couplings: Couplings | None) -> float:
-    """Bound of a_0 g r_2, by a desired tilt that is not linear, and of a_1 psi' Q alpha, by the turn of the plane.
+    """Bound of |a_0 g (b_d - a_h/g)| + |a_1 psi' K alpha| [m/s^2], without the known parts of a moving vehicle.
 
-    With a moving reference their known parts are left out.
+    The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
     """
     a_0, a_1 = problem.stiffness, problem.damping
     if couplings is None:
         return a_0 * GRAVITY * attitude.tilt_defect + GRAVITY * a_1 * attitude.yaw_rate * attitude.tilt
-    demand = bounds["x"]["wanted"]
-    desired_tangent = demand / (GRAVITY - attitude.lift)
+    demand = bounds["x"]["wanted"]  # A_h
+    desired_tangent = demand / (GRAVITY - attitude.lift)  # t_d
     tilt_term = GRAVITY * desired_tangent**3 / 3.0 + attitude.lift**2 * desired_tangent / GRAVITY
     lift_term = (couplings.lift_gap * demand + couplings.lift * couplings.wanted_gap) / GRAVITY
     yaw_term = couplings.yaw_gap * GRAVITY * attitude.tilt + couplings.yaw * couplings.alpha_gap
@@ -129,33 +143,34 @@ def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude,
 def torques_without_lag(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds, couplings: Couplings | None
 ) -> tuple[float, float]:
-    """The remainders ``torque`` of x and y and of psi, without a rotor lag.
+    """x.torque [m/s^2] and psi.torque [rad/s^2] without a rotor lag.
 
-    m_h and m_z bound what the angular acceleration across and along body z deviates by [rad/s^2].
+    m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
-    delta = problem.turn_deviation
+    delta = problem.turn_deviation  # the largest |nu_i - 1|
     s, t = attitude.tilt, attitude.tangent
     tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
     rate_h, rate_z = attitude.rate_h, attitude.rate_z
-    x, y, z = problem.inertia
-    l_h = max((z[1] + y[1]) / x[0], (z[1] + x[1]) / y[0])
-    l_z = (x[1] + y[1]) / z[0]
+    (x_low, x_high), (y_low, y_high), (z_low, z_high) = problem.inertia
+    l_h = max((z_high + y_high) / x_low, (z_high + x_high) / y_low)
+    l_z = (x_high + y_high) / z_low
     m_h = delta * (tilt_demand + s * yaw_demand + attitude.frame_h + l_h * rate_h * rate_z) + drag.torque_h
     m_z = delta * (yaw_demand + s * tilt_demand + attitude.frame_z + l_z * rate_h**2 / 2.0) + drag.torque_z
-    yaw = t * m_h + attitude.secant * m_z
-    plane = GRAVITY * (turn_of_plane(attitude, yaw_demand + yaw) + (1.0 + s * t) * m_h + t * m_z)
+    yaw = t * m_h + attitude.secant * m_z  # psi.torque
+    turn = turn_of_plane(attitude, yaw_acceleration=yaw_demand + yaw)  # psi_2 = H_psi + psi.torque
+    plane = GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z)
     return plane + coupled_torque(problem, bounds, attitude, couplings), yaw
 
 
 def torques_with_lag(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, drag: DragBounds
 ) -> tuple[float, float]:
-    """The remainders ``torque`` of x and y and of psi, with a rotor lag.
+    """x.torque [m/s^2] and psi.torque [rad/s^2] with a rotor lag.
 
-    mu_h and mu_z bound the believed angular acceleration that the rotors achieve, m_h and m_z what the true one
-    deviates by, across and along body z [rad/s^2].
+    mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
+    bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
-    delta = problem.turn_deviation
+    delta = problem.turn_deviation  # the largest |nu_i - 1|
     s, t = attitude.tilt, attitude.tangent
     rate_h, rate_z = attitude.rate_h, attitude.rate_z
     i_h, i_z = inertia_ratios(problem.inertia)
@@ -163,6 +178,6 @@ def torques_with_lag(
     mu_z = bounds["psi"]["gamma"]
     m_h = delta * mu_h + drag.torque_h + i_h * rate_h * rate_z + attitude.frame_h
     m_z = delta * mu_z + drag.torque_z + i_z * rate_h**2 / 2.0 + attitude.frame_z
-    yaw = t * mu_h + (attitude.secant - 1.0) * mu_z + t * m_h + attitude.secant * m_z
-    turn = turn_of_plane(attitude, mu_z + yaw) + s * t * mu_h + t * mu_z
+    yaw = t * mu_h + (attitude.secant - 1.0) * mu_z + t * m_h + attitude.secant * m_z  # psi.torque
+    turn = turn_of_plane(attitude, yaw_acceleration=mu_z + yaw) + s * t * mu_h + t * mu_z
     return GRAVITY * (turn + (1.0 + s * t) * m_h + t * m_z), yaw

@@ -1,4 +1,8 @@
-"""Responses of a sampled linear channel's signals to inputs and starts of size 1, in floating point."""
+"""Responses of a sampled linear channel's signals to inputs, a constant and starts of size 1, in floating point.
+
+Signals are bounded at four points of a sample. The inputs are omega_u and omega_r, which are held over a sample, and
+the remainders, which may be any function of time: their effect in one sample is an integral.
+"""
 
 import math
 from dataclasses import dataclass
@@ -10,30 +14,32 @@ from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChanne
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 POINTS = (0.125, 0.375, 0.625, 0.875)
-"""Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
+"""Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one of them."""
 PIECES = 4
-"""Pieces of each half of the rotors' lag, or of a shorter sample, in integrals by the trapezoidal rule."""
+"""Number of pieces of a sample in integrals by the trapezoidal rule; with a rotor lag, of each half of the lag."""
 MOST_PIECES = 32
 """Largest number of pieces of a sample."""
 ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
 """Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
-MOST_CONSTANT_SAMPLES = 40_000
-CONSTANT_SETTLED = 1e-4
-"""Share of a response to a constant at which it counts as settled."""
+MOST_PEAK_SAMPLES = 40_000
+"""Number of samples after which the largest response to a start or a constant is no longer sought."""
+PEAK_SETTLED = 1e-4
+"""Share of its first size at which a state counts as settled."""
 
 
 @dataclass(frozen=True)
 class ChannelResponse:
-    """Largest responses of a channel's signals at points of a sample to inputs and starts of size 1.
+    """Largest responses of a channel's signals at the points of a sample to inputs and starts of size 1.
 
     Args:
         names: Names of the signals.
         remainders: Names of the remainders.
-        gains: Sums of the absolute responses to the inputs, (points, signals, inputs); the first two inputs are omega_u
-            and omega_q, the others the remainders.
-        constant: Peak of the response to a constant force 1, (points, signals).
-        starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
-        start_offset: Peak of the response to the known difference of z_0 from the nominal flight's, (points, signals).
+        gains: Sums of the absolute responses to the inputs omega_u, omega_r and the remainders, in this order, shape
+            (points, signals, inputs).
+        constant: Peak of the response to a constant force 1, shape (points, signals).
+        starts: Peaks of the responses to a start with e = 1, with e' = 1 and with q_(-1) = 1, shape (points, signals,
+            3).
+        start_offset: Peak of the response to the known part of z_0 less the nominal flight's, shape (points, signals).
     """
 
     names: tuple[str, ...]
@@ -51,12 +57,13 @@ class ChannelObservation:
     Args:
         step: One sample.
         names: Names of the signals.
-        rows: Row of each point and signal over z, (points * signals, n).
-        direct: Bounds of what inputs of size 1 do in the same sample, (points, signals, inputs).
-        columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
+        rows: C_s, each signal at each point as a row over z, shape (points signals, n).
+        direct: Bounds of what inputs of size 1 do in the same sample, shape (points, signals, inputs).
+        columns: Columns b_u of omega_u and b_q of omega_r; then, for each end of the pieces of a sample, those of
+            remainders that act at this time before the next sample; shape (n, 2 + (pieces + 1) remainders).
         pieces: Number of these pieces.
-        force_column: Column of a constant force, (n,).
-        force_within: What a constant force 1 does in the same sample, (points * signals,).
+        force_column: What a constant force 1 adds to z in a sample, shape (n,).
+        force_within: What a constant force 1 does to the signals in the same sample, shape (points signals,).
     """
 
     step: SampledChannel
@@ -70,52 +77,57 @@ class ChannelObservation:
 
 
 def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample in integrals by the trapezoidal rule; a short lag needs more."""
+    """Number of pieces of a sample in integrals by the trapezoidal rule; a short rotor lag needs more."""
     if not problem.rotor_lag:
         return PIECES
-    return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
+    half_lags = np.ceil(2.0 * problem.sample_time / problem.rotor_lag)  # in a sample
+    return int(min(PIECES * half_lags, MOST_PIECES))
 
 
 def observe_channel(
     problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
 ) -> ChannelObservation:
-    """A channel at its samples, with straight lines in place of its functions.
+    """A channel at its samples, and its signals at the points of a sample.
 
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
-        linear: Its linear channel.
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share of omega_u in omega_q.
+        linear: The channel between the samples.
+        slopes: Slopes k_1, k_2, k_3 of the straight lines in place of its functions, and the share s_q.
     """
     step = sampled_channel(problem, channel, linear, slopes)
     t = problem.sample_time
+    *_, share = slopes
     pieces = pieces_of(problem)
-    m, n = linear.g.size, step.a.shape[0]
+    m = linear.g.size
+    n = step.a.shape[0]
     names = (*linear.signals, "u_av")
     rows = np.zeros((len(POINTS), len(names), n))
     direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
     force_within = np.zeros((len(POINTS), len(names)))
-    forces = np.stack(list(linear.b.values()), axis=1)
+    remainder_columns = np.stack(list(linear.b.values()), axis=1)
     force = linear.b.get("force", np.zeros(m))
-    for place, share in enumerate(POINTS):
-        phi, gamma = flow(linear, share * t)
-        inner = [flow(linear, share * t * fraction)[0] @ forces for fraction in np.linspace(0.0, 1.0, pieces + 1)]
-        force_effect = forced_response(linear, force, share * t)
-        for row, (c, d) in enumerate(linear.signals.values()):
-            command_effect = c @ gamma + d
-            rows[place, row, :m] = c @ phi
-            rows[place, row] += command_effect * step.acting
-            direct[place, row, :2] = abs(command_effect * step.direct) * np.array([abs(1.0 + t * slopes[3]), t])
-            direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
-            force_within[place, row] = c @ force_effect
+    for place, point in enumerate(POINTS):
+        time = point * t
+        phi, gamma = flow(linear, time)
+        fractions = np.linspace(0.0, 1.0, pieces + 1)  # of the time since the sample, at which a remainder acted
+        acting = [flow(linear, time * fraction)[0] @ remainder_columns for fraction in fractions]
+        force_effect = forced_response(linear, force, time)
+        for i, (c, d) in enumerate(linear.signals.values()):
+            by_command = c @ gamma + d
+            rows[place, i, :m] = c @ phi
+            rows[place, i] += by_command * step.acting
+            # omega_u adds to the command, and T_s omega_q through the sum q
+            direct[place, i, :2] = abs(by_command * step.direct) * np.array([abs(1.0 + t * share), t])
+            direct[place, i, 2:] = time * trapezoid([np.abs(c @ columns) for columns in acting])
+            force_within[place, i] = c @ force_effect
         rows[place, -1] = step.u_av
-        direct[place, -1, :2] = [abs(t * slopes[3]), t]
-    columns = np.zeros((n, 2 + (pieces + 1) * forces.shape[1]))
+        direct[place, -1, :2] = [abs(t * share), t]
+    columns = np.zeros((n, 2 + (pieces + 1) * remainder_columns.shape[1]))
     columns[:, 0] = step.u
     columns[:, 1] = step.q
-    forces_at_pieces = [flow(linear, t * fraction / pieces)[0] @ forces for fraction in range(pieces + 1)]
-    columns[:m, 2:] = np.concatenate(forces_at_pieces, axis=1)
-    force_column = np.append(forced_response(linear, force, t), np.zeros(n - m))
+    acting_before = [flow(linear, t * piece / pieces)[0] @ remainder_columns for piece in range(pieces + 1)]
+    columns[:m, 2:] = np.concatenate(acting_before, axis=1)
     return ChannelObservation(
         step=step,
         names=names,
@@ -123,21 +135,23 @@ def observe_channel(
         direct=direct,
         columns=columns,
         pieces=pieces,
-        force_column=force_column,
+        force_column=np.append(forced_response(linear, force, t), np.zeros(n - m)),
         force_within=force_within.ravel(),
     )
 
 
 def integrated_effects(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
-    """Effects of omega_u, omega_q and each remainder, (..., inputs): those of a remainder are integrals over a sample.
+    """Effects of omega_u, of omega_r and of each remainder throughout a sample, shape (..., inputs).
+
+    The effect of a remainder is the integral over the sample, by the trapezoidal rule.
 
     Args:
-        effects: Effects of omega_u, omega_q, and of each remainder at the ends of the pieces, (..., columns).
-        pieces: Number of pieces.
+        effects: Effects of the columns of :class:`ChannelObservation`, shape (..., columns).
+        pieces: Number of pieces of a sample.
         sample_time: T_s [s].
     """
-    times = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
-    integrals = sample_time * trapezoid([times[..., i, :] for i in range(pieces + 1)])
+    at_ends = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
+    integrals = sample_time * trapezoid([at_ends[..., i, :] for i in range(pieces + 1)])
     return np.concatenate([effects[..., :2], integrals], axis=-1)
 
 
@@ -153,33 +167,33 @@ def channel_response(
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
-        linear: Its linear channel.
-        slopes: Slopes of the straight lines in place of its functions.
-        start_offsets: Known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
+        linear: The channel between the samples.
+        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
+        start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a, rows = observation.step.a, observation.rows
     if spectral_radius(a) >= 1.0:
         return None
-    input_responses = responses(a, rows, observation.columns, np.zeros((a.shape[0], 0)))
+    no_starts = np.zeros((a.shape[0], 0))
+    input_responses = responses(a, rows, observation.columns, no_starts)
     if input_responses is None:
         return None
     shape = (len(POINTS), len(observation.names))
-    gains = (
-        integrated_effects(input_responses.sums, observation.pieces, problem.sample_time).reshape(*shape, -1)
-        + observation.direct
-    )
+    later_effects = integrated_effects(input_responses.sums, observation.pieces, problem.sample_time)
+    gains = later_effects.reshape(*shape, -1) + observation.direct
     force_peaks = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
+        # the response to a constant is that of the equilibrium, minus the decay of its distance
         equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, observation.force_column)
-        force_peaks = constant_peaks(a, rows, -equilibrium, rows @ equilibrium + observation.force_within)
+        force_peaks = largest_values(a, rows, -equilibrium, rows @ equilibrium + observation.force_within)
     start_peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
-        start_peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
+        start_peaks = np.stack([largest_values(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
     offset_peaks = np.zeros(shape)
     if start_offsets is not None:
-        columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
+        columns = [largest_values(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
         offset_peaks = size_over_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
         names=observation.names,
@@ -192,29 +206,42 @@ def channel_response(
 
 
 def size_over_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
-    """Bounds of signals from those on each axis, (..., signals, axes) -> (..., signals).
+    """Bounds of a channel's signals from bounds along each axis: the larger one, or the norm where it is a vector.
 
-    Of a signal along an axis it is the larger one, of a vector of the plane the norm.
+    Args:
+        sizes: Bounds along each axis, shape (..., signals, axes).
+        names: Names of the signals.
+
+    Returns:
+        Shape (..., signals).
     """
-    along_axes = np.isin(names, ONE_AXIS)
-    return np.where(along_axes, sizes.max(axis=-1), np.sqrt((sizes**2).sum(axis=-1)))
+    is_along_axes = np.isin(names, ONE_AXIS)
+    return np.where(is_along_axes, sizes.max(axis=-1), np.sqrt((sizes**2).sum(axis=-1)))
 
 
 def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
-    """The ratio of a vector of two axes' deviations to each, (signals,): 2^(1/2) in vectors of the plane, else 1."""
-    in_plane = [name == "x" and key not in ONE_AXIS for key in response.names]
-    return np.where(in_plane, math.sqrt(2.0), 1.0)
+    """h, the factor of the omegas' bounds for each signal, shape (signals,).
+
+    The omegas of x and y together are at most 2^(1/2) as long as those of one axis, which matters to norms only.
+
+    Args:
+        name: Name of the channel.
+        response: Its responses.
+    """
+    is_norm = [name == "x" and key not in ONE_AXIS for key in response.names]
+    return np.where(is_norm, math.sqrt(2.0), 1.0)
 
 
 @dataclass(frozen=True)
 class ChannelSeries:
-    """Responses of a channel's signals sample by sample; each row is a point of a sample and a signal.
+    """Responses of a channel's signals sample by sample. A row is one point of a sample and one signal.
 
     Args:
-        effects: Magnitudes of what inputs of size 1 in a sample cause k samples later, (samples, rows, inputs).
-        constant: Response to a constant force 1 from t = 0 on, (samples, rows).
-        starts: Responses to e, e' and q_(-1), (samples, rows, 3).
-        start_offset: Magnitudes of the response to the known difference of z_0 from the nominal flight's, (samples,
+        effects: eps_l, bounds of what inputs of size 1 in a sample cause l samples later, shape (samples, rows,
+            inputs).
+        constant: Response to a constant force 1 from t = 0 on, shape (samples, rows).
+        starts: Responses to a start with e = 1, with e' = 1 and with q_(-1) = 1, shape (samples, rows, 3).
+        start_offset: Magnitudes of the response to the known part of z_0 less the nominal flight's, shape (samples,
             rows).
     """
 
@@ -237,10 +264,10 @@ def channel_series(
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
-        linear: Its linear channel.
-        slopes: Slopes of the straight lines in place of its functions.
+        linear: The channel between the samples.
+        slopes: Slopes of the straight lines in place of its functions, and the share s_q.
         length: Number of samples.
-        start_offsets: Known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
+        start_offsets: Known part of z_0 less the nominal flight's, shape (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a = observation.step.a
@@ -249,17 +276,14 @@ def channel_series(
     equilibrium = np.linalg.solve(np.eye(n) - a, observation.force_column)
     starts = start_columns(problem, channel, n, slopes)
     z_offsets = np.zeros((n, 1)) if start_offsets is None else start_offsets
-
     columns = np.column_stack([observation.columns, -equilibrium, *starts, z_offsets])
     responses_by_sample = np.zeros((length, rows, columns.shape[1]))
     for k in range(length):
         responses_by_sample[k] = observation.rows @ columns
         columns = a @ columns
     inputs = observation.columns.shape[1]
-    of_inputs, of_constant, of_starts, of_offsets = np.split(
-        responses_by_sample, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
-    )
-
+    ends = [inputs, inputs + 1, inputs + 1 + len(starts)]  # of the inputs, of the constant and of the starts
+    of_inputs, of_constant, of_starts, of_offsets = np.split(responses_by_sample, ends, axis=-1)
     effects = np.zeros((length, rows, 2 + len(linear.b)))
     effects[0] = observation.direct.reshape(rows, -1)
     effects[1:] = integrated_effects(np.abs(of_inputs[:-1]), observation.pieces, problem.sample_time)
@@ -268,7 +292,7 @@ def channel_series(
         constant = of_constant[..., 0] + observation.rows @ equilibrium + observation.force_within
     along_axes = np.abs(of_offsets).reshape(length, len(POINTS), len(observation.names), -1)
     offset_effects = size_over_axes(along_axes, observation.names).reshape(length, -1)
-    return ChannelSeries(effects, constant, of_starts, offset_effects)
+    return ChannelSeries(effects=effects, constant=constant, starts=of_starts, start_offset=offset_effects)
 
 
 def trapezoid(values: list[np.ndarray]) -> np.ndarray:
@@ -277,32 +301,48 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
 
 
 def forced_response(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
-    """The change of chi that a constant input 1 through a column causes within a time [s], (m,)."""
-    return flow(LinearChannel(linear.f, column, linear.b, linear.signals), time)[1]
+    """What a constant input 1 through a column adds to chi within a time [s], shape (m,)."""
+    driven = LinearChannel(linear.f, column, linear.b, linear.signals)  # the column in place of the command's
+    _, change = flow(driven, time)
+    return change
 
 
 def start_columns(
     problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
 ) -> list[np.ndarray]:
-    """z_0 for a start with e = 1, with e' = 1 and with q_(-1) = 1, (n,) each."""
+    """z_0 for a start with e = 1, for one with e' = 1 and for one with q_(-1) = 1, shape (n,) each.
+
+    With straight lines q_(-1) is a share of sigma_0 = e' + l_0 e, so that the first two have a q_(-1), too.
+    """
     share = start_share(problem, channel, slopes)
-    unit = np.eye(n)
-    return [unit[0] - share * channel.l0 * unit[n - 1], unit[1] - share * unit[n - 1], unit[n - 1]]
+    e, e_dot, *_, q = np.eye(n)
+    return [e - share * channel.l0 * q, e_dot - share * q, q]
 
 
 def start_share(problem: VehicleProblem, channel: ChannelProblem, slopes: tuple[float, ...]) -> float:
-    """-q_(-1)/sigma_0, what the first sum q takes from sigma_0, where straight lines replace the functions."""
+    """-q_(-1)/sigma_0, the share of sigma_0 in the sum before the first sample, with straight lines for functions.
+
+    q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
+    ``midpoint``.
+    """
     k_1, k_2 = slopes[:2]
     return {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
 
 
-def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The largest |offset + row A^k z| over k for each row, (rows,)."""
+def largest_values(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The largest |offset + row A^k z| over all samples k, for each row, shape (rows,).
+
+    Args:
+        a: A, shape (n, n).
+        rows: Rows of the signals, shape (rows, n).
+        z: The first state, shape (n,).
+        offset: Constant of each signal, shape (rows,).
+    """
     peaks = np.abs(offset + rows @ z)
     initial_size = np.max(np.abs(z), initial=1e-300)
-    for _ in range(MOST_CONSTANT_SAMPLES):
+    for _ in range(MOST_PEAK_SAMPLES):
         z = a @ z
         peaks = np.maximum(peaks, np.abs(offset + rows @ z))
-        if np.max(np.abs(z)) < CONSTANT_SETTLED * initial_size:
+        if np.max(np.abs(z)) < PEAK_SETTLED * initial_size:
             break
     return peaks

@@ -1,6 +1,6 @@
 """Bounds of the rotors' thrusts and speeds, and of how far a lag keeps them behind their commands, in floating point.
 
-docs/vehicle_proofs.md has the formulas.
+docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here.
 """
 
 import math
@@ -12,22 +12,21 @@ from dssc_jax.proofs.search.vehicle.channels import GRAVITY
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 LEAST_ROTORS = 4
-"""Number of rotors whose thrusts follow from net thrust and moments."""
+"""Number of rotors whose thrusts follow from net thrust and moments alone."""
 
 
 @dataclass(frozen=True)
 class Rotors:
-    """Bounds of the rotors in a time cell; with a lag, those in the cells before still count.
+    """Bounds of the rotors in a time cell; with a lag, thrusts of the cells before still count.
 
     Args:
-        smallest: Lower bound of every thrust [N].
-        largest: Upper bound of every thrust [N].
-        spread: Bound of the difference of two rotors' speeds [rad/s].
-        sum: Bound of the sum of the speeds [rad/s].
-        shortfall: d, the bound of how far a thrust is behind its command [N]; 0 without a lag.
-        defect: zeta, the bound of the slope of a thrust that a lag of its speed adds to that of a lag of the thrust
-            [N/s].
-        spin_up: Bound of the sum of the speeds' slopes [rad/s^2].
+        smallest: f_min, lower bound of every thrust [N].
+        largest: f_max, upper bound of every thrust [N].
+        spread: w_o, bound of the difference of two rotors' speeds [rad/s].
+        sum: o_S, bound of the sum of the speeds [rad/s].
+        shortfall: d, bound of how far a thrust is behind its command [N]; 0 without a lag.
+        defect: zeta, bound of what a lag of the speed adds to the derivative of a thrust with a lag of its own [N/s].
+        spin_up: Bound of the signed sum of the speeds' derivatives [rad/s^2].
     """
 
     smallest: float
@@ -41,11 +40,11 @@ class Rotors:
 
 @dataclass(frozen=True)
 class Moments:
-    """Bounds of what the commanded angular acceleration deviates by from the linear channels'.
+    """Bounds of how far the commanded angular acceleration mu_c is from that of the linear channels.
 
     Args:
-        plane: r_mh, across body z, times g [m/s^2].
-        yaw: r_mz, along body z [rad/s^2].
+        plane: r_mh, g times the part across body z [m/s^2].
+        yaw: r_mz, the part along body z [rad/s^2].
     """
 
     plane: float
@@ -53,39 +52,48 @@ class Moments:
 
 
 def inertia_ratios(inertia: tuple[Interval, ...]) -> tuple[float, float]:
-    """j_h, the largest |J_z - J_y|/J_x and |J_z - J_x|/J_y, and j_z, the largest |J_x - J_y|/J_z, over intervals."""
+    """Factors of the gyroscopic coupling Omega x J Omega, over intervals of the inertia J_x, J_y, J_z.
+
+    Returns:
+        i_h, the largest |J_z - J_y|/J_x and |J_z - J_x|/J_y; and i_z, the largest |J_x - J_y|/J_z.
+    """
     x, y, z = inertia
+    i_h = max(largest_difference(z, y) / x[0], largest_difference(z, x) / y[0])
+    return i_h, largest_difference(x, y) / z[0]
 
-    def ratio(a: Interval, b: Interval, divisor: Interval) -> float:
-        return max(a[1] - b[0], b[1] - a[0]) / divisor[0]
 
-    return max(ratio(z, y, x), ratio(z, x, y)), ratio(x, y, z)
+def largest_difference(a: Interval, b: Interval) -> float:
+    """The largest |a - b| over two intervals."""
+    (a_low, a_high), (b_low, b_high) = a, b
+    return max(a_high - b_low, b_high - a_low)
 
 
 def believed_ratios(problem: VehicleProblem) -> tuple[float, float]:
-    """:func:`inertia_ratios` of the inertia that the inner loops believe."""
+    """j_h and j_z, the factors of the gyroscopic coupling with the inertia that the inner loops believe."""
     return inertia_ratios(tuple((value, value) for value in problem.believed_inertia))
 
 
 def moments_of(problem: VehicleProblem, attitude: Attitude) -> Moments:
-    """Bounds of what the commanded angular acceleration deviates by from m, and from eta_psi."""
+    """Bounds r_mh and r_mz of how far the commanded angular acceleration mu_c is from m/g and from eta_psi."""
     j_h, j_z = believed_ratios(problem)
     s = attitude.tilt
     tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
     coupled_h = attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z
     coupled_z = attitude.frame_z + j_z * attitude.rate_h**2 / 2.0
     turn_terms = problem.damping * attitude.yaw_rate * s + s * yaw_demand + s**2 * tilt_demand / 2.0 + coupled_h
-    plane = GRAVITY * (problem.stiffness * attitude.tilt_defect + turn_terms)
-    return Moments(plane, s * tilt_demand + s**2 * yaw_demand / 2.0 + coupled_z)
+    return Moments(
+        plane=GRAVITY * (problem.stiffness * attitude.tilt_defect + turn_terms),
+        yaw=s * tilt_demand + s**2 * yaw_demand / 2.0 + coupled_z,
+    )
 
 
 def moment_thrust(problem: VehicleProblem, plane: float, yaw: float) -> float:
-    """Bound of the thrust that a rotor adds for commanded angular accelerations [N].
+    """Bound of the thrust that the allocation adds to a rotor for commanded angular accelerations [N].
 
     Args:
         problem: The vehicle.
         plane: Bound of the angular acceleration across body z [rad/s^2].
-        yaw: Bound of that along body z [rad/s^2].
+        yaw: Bound of the angular acceleration along body z [rad/s^2].
     """
     j_x, j_y, j_z = problem.believed_inertia
     n = problem.rotors
@@ -95,14 +103,14 @@ def moment_thrust(problem: VehicleProblem, plane: float, yaw: float) -> float:
 def rotors_of(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, moments: Moments, earlier: Rotors | None
 ) -> Rotors:
-    """Bounds of the rotors under bounds of the signals.
+    """Bounds of the rotors' thrusts and speeds, while the signals are within their bounds.
 
     Args:
         problem: The vehicle.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
-        moments: Bounds of what the commanded angular acceleration deviates by.
-        earlier: The rotors in the time cells before; None in the first one.
+        moments: Bounds of how far the commanded angular acceleration is from that of the linear channels.
+        earlier: Bounds of the rotors in the time cells before; None in the first one.
 
     Raises:
         OutOfRange: A rotor may reach a limit, or may be too far behind its command.
@@ -112,14 +120,14 @@ def rotors_of(
     mass = problem.believed_mass
     s = attitude.tilt
     tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
-    plane = tilt_demand + s * yaw_demand + attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z
-    yaw = yaw_demand + s * tilt_demand + attitude.frame_z + j_z * attitude.rate_h**2 / 2.0
-    added_thrust = moment_thrust(problem, plane, yaw)
+    plane = tilt_demand + s * yaw_demand + attitude.frame_h + j_h * attitude.rate_h * attitude.rate_z  # M_h
+    yaw = yaw_demand + s * tilt_demand + attitude.frame_z + j_z * attitude.rate_h**2 / 2.0  # M_z
+    added_thrust = moment_thrust(problem, plane, yaw)  # d_M
     smallest = mass * (GRAVITY - attitude.lift) / n - added_thrust
     largest = mass * (GRAVITY + attitude.lift) * attitude.secant / n + added_thrust
     if not (smallest > 0.0 and largest < problem.rotor_limit):
         raise OutOfRange
-    if problem.rotor_lag and earlier is not None:
+    if problem.rotor_lag and earlier is not None:  # the thrusts follow the commands of earlier cells
         smallest = min(smallest, earlier.smallest)
         largest = max(largest, earlier.largest)
     spread = (math.sqrt(largest) - math.sqrt(smallest)) / math.sqrt(k)
@@ -138,26 +146,27 @@ def rotors_of(
 def largest_shortfall(
     problem: VehicleProblem, bounds: Signals, attitude: Attitude, moments: Moments, smallest: float
 ) -> float:
-    """d, the bound of how far a thrust is behind its command with a rotor lag [N].
+    """d, bound of how far a thrust is behind its command with a rotor lag [N].
 
-    The part that belongs to net thrust and moments follows from the signals ``behind``. With more than four rotors
-    there is one in the null space of the allocation, too, so that d is the smaller root of a quadratic equation.
+    d_4, the part that belongs to net thrust and moments, follows from the signals ``behind``. With more than four
+    rotors there is a part in the null space of the allocation, too. It grows with d^2, so d is the smaller root of d =
+    d_4 + (n - 4)^(1/2) d^2/(8 f_min).
 
     Args:
         problem: The vehicle, with a rotor lag.
         bounds: Bounds of the signals.
         attitude: Bounds of the attitude.
-        moments: Bounds of what the commanded angular acceleration deviates by.
-        smallest: Smallest thrust [N].
+        moments: Bounds of how far the commanded angular acceleration is from that of the linear channels.
+        smallest: f_min, the smallest thrust [N].
 
     Raises:
         OutOfRange: The equation has no root.
     """
     n = problem.rotors
     behind_plane = (bounds["x"]["behind"] + moments.plane) / GRAVITY
-    shortfall = moment_thrust(problem, behind_plane, bounds["psi"]["behind"] + moments.yaw)
-    shortfall += problem.believed_mass * bounds["z"]["behind"] * attitude.secant / n
-    discriminant_deficit = math.sqrt(n - LEAST_ROTORS) * shortfall / (2.0 * smallest)
-    if discriminant_deficit >= 1.0:
+    d_4 = moment_thrust(problem, behind_plane, bounds["psi"]["behind"] + moments.yaw)
+    d_4 += problem.believed_mass * bounds["z"]["behind"] * attitude.secant / n
+    discriminant = 1.0 - math.sqrt(n - LEAST_ROTORS) * d_4 / (2.0 * smallest)
+    if discriminant <= 0.0:
         raise OutOfRange
-    return 2.0 * shortfall / (1.0 + math.sqrt(1.0 - discriminant_deficit))
+    return 2.0 * d_4 / (1.0 + math.sqrt(discriminant))

@@ -1,4 +1,7 @@
-"""Bounds of how fast the signals change within a sample, in floating point."""
+"""Bounds of how fast the signals change within a sample, in floating point.
+
+They are the table of slopes in docs/vehicle_proofs.md: each slope follows from bounds of other signals and remainders.
+"""
 
 from dssc_jax.proofs.search.vehicle.attitude import Signals
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY
@@ -11,7 +14,7 @@ Bounds = dict[str, float]
 def signal_slopes(
     problem: VehicleProblem, bounds: Signals, remainders: Signals, damping: tuple[float, float]
 ) -> Signals:
-    """Bounds of the signals' slopes within a sample, by channel and name; u_av is constant there.
+    """Bounds of the derivatives of all signals within a sample, by channel and name; u_av is constant there.
 
     Args:
         problem: The vehicle.
@@ -28,7 +31,14 @@ def signal_slopes(
 
 
 def plane_slopes(problem: VehicleProblem, y: Bounds, remainders: Bounds, damping: float) -> Bounds:
-    """Bounds of the slopes of the signals of x and y, from those of the signals ``y`` and of the remainders."""
+    """Bounds of the derivatives of the signals of x and y.
+
+    Args:
+        problem: The vehicle.
+        y: Bounds of the channel's signals.
+        remainders: Bounds of its remainders.
+        damping: c, the damping of drag [1/s].
+    """
     l0 = problem.channels["x"].l0
     lag = problem.rotor_lag
     e_dot = y["acceleration"] + remainders["force"]
@@ -54,8 +64,15 @@ def plane_slopes(problem: VehicleProblem, y: Bounds, remainders: Bounds, damping
 
 
 def vertical_slopes(problem: VehicleProblem, y: Bounds, remainders: Bounds, damping: float) -> Bounds:
-    """Bounds of the slopes of the signals of z, on which a deviating thrust acts as a constant, too."""
-    constant = problem.thrust_deviation * GRAVITY
+    """Bounds of the derivatives of the signals of z, on which a thrust other than believed acts as a constant, too.
+
+    Args:
+        problem: The vehicle.
+        y: Bounds of the channel's signals.
+        remainders: Bounds of its remainders.
+        damping: c, the damping of drag [1/s].
+    """
+    constant = problem.thrust_deviation * GRAVITY  # |o| <= k g
     l0 = problem.channels["z"].l0
     lag = problem.rotor_lag
     e_dot = y["acceleration"] + remainders["force"] + constant
@@ -69,7 +86,13 @@ def vertical_slopes(problem: VehicleProblem, y: Bounds, remainders: Bounds, damp
 
 
 def yaw_slopes(problem: VehicleProblem, y: Bounds, remainders: Bounds) -> Bounds:
-    """Bounds of the slopes of the signals of psi, from those of the signals ``y`` and of the remainders."""
+    """Bounds of the derivatives of the signals of psi.
+
+    Args:
+        problem: The vehicle.
+        y: Bounds of the channel's signals.
+        remainders: Bounds of its remainders.
+    """
     l0 = problem.channels["psi"].l0
     lag = problem.rotor_lag
     e_dot = (y["gamma"] if lag else y["wanted"]) + remainders["torque"]

@@ -1,4 +1,4 @@
-"""Sums of sines: a dictionary holds the phasor of each frequency [Hz], of which the sine is the real part."""
+"""Sums of sines, as a phasor X for each frequency f: the sum of Re(X e^(2 pi i f t)) over all f."""
 
 import math
 from fractions import Fraction
@@ -6,12 +6,12 @@ from fractions import Fraction
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 Waves = dict[Fraction, complex]
-"""Phasor of each frequency; that of a constant is real."""
+"""Phasor of each frequency [Hz]; a constant has the frequency 0 and a real phasor."""
 
 
 def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
-    """Add a sine to a sum, in place; its frequency may be negative."""
-    if frequency < 0:
+    """Add the sine Re(phasor e^(2 pi i frequency t)) to a sum, in place; the frequency [Hz] may be negative."""
+    if frequency < 0:  # Re(X e^(-i w t)) is Re(conj(X) e^(i w t))
         frequency = -frequency
         phasor = phasor.conjugate()
     if frequency == 0:
@@ -20,7 +20,7 @@ def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
 
 
 def product(left: Waves, right: Waves, factor: float) -> Waves:
-    """The product of two sums of sines and a factor."""
+    """The product of two sums of sines and a factor: sines of the sums and differences of the frequencies."""
     result: Waves = {}
     for f, a in left.items():
         for h, b in right.items():
@@ -39,7 +39,7 @@ def total(*sums: Waves) -> Waves:
 
 
 def rate_of(frequency: Fraction) -> float:
-    """The angular frequency [rad/s] of a frequency [Hz]."""
+    """The angular frequency [rad/s] that belongs to a frequency [Hz]."""
     return 2.0 * math.pi * float(frequency)
 
 
@@ -54,7 +54,7 @@ def multiple(waves: Waves, factor: float) -> Waves:
 
 
 def size(waves: Waves) -> float:
-    """A bound of the magnitude of a sum of sines at all times."""
+    """A bound of the magnitude of a sum of sines at all times: the sum of the amplitudes."""
     return sum(abs(phasor) for phasor in waves.values())
 
 
@@ -63,5 +63,6 @@ def reference_waves(problem: VehicleProblem) -> dict[str, Waves]:
     assert problem.reference is not None
     result = {}
     for axis, (amplitude, period, phase) in problem.reference.items():
-        result[axis] = {1 / Fraction(period): amplitude * complex(math.sin(phase), -math.cos(phase))}
+        phasor = amplitude * complex(math.sin(phase), -math.cos(phase))  # of amplitude sin(2 pi t/period + phase)
+        result[axis] = {1 / Fraction(period): phasor}
     return result

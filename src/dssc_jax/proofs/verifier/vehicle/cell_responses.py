@@ -1,7 +1,8 @@
-"""Upper bounds of what the inputs of each time cell do in each time cell; docs/vehicle_proofs.md has the definitions.
+"""Bounds of what the inputs of a time cell do in each later cell; docs/vehicle_proofs.md has the definitions.
 
-All is summed in float64 from samples with bounds of their errors. The terms are not negative. ``SUMMED`` covers the
-rounding of a sum.
+eps_l bounds what an input 1 in one sample does to a signal l samples later, and G_l is the sum of eps_0 to eps_l. All
+sums are taken in float64, from samples with bounds of their errors. The terms are not negative, so that the factor
+``SUMMED`` covers the rounding of a sum.
 """
 
 from typing import NamedTuple
@@ -25,24 +26,28 @@ from dssc_jax.proofs.verifier.vehicle.deviations import float_above
 from dssc_jax.proofs.verifier.vehicle.responses import FIRST_OFFSET, ChannelObservation, integral_within
 
 OMEGAS = 2
-"""The inputs omega_u and omega_r, before the remainders."""
+"""Number of the inputs omega_u and omega_r, which stand before the remainders."""
 SMALL = 1e-6
-"""Share of a response's peak at which the rest of it no longer counts in the last cell."""
+"""Share of a response's peak below which what is left of it ends the computation."""
 
 
 class CellResponses(NamedTuple):
-    """Bounds of a channel's responses in J time cells and the last one; inputs: omega_u, omega_r and the remainders.
+    """Bounds of a channel's responses in J time cells of c samples and in the last one.
+
+    The inputs are omega_u, omega_r and the remainders. A row is one signal at one phase of a sample.
 
     Args:
         signals: Name of the signal of each row.
-        remainders: The names of the inputs after omega_u and omega_r.
-        upper: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
-        lower: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
-        total_sum: Bound of the limit of G, (rows, inputs).
-        starts: E_0 |response to e = 1| + V_0 |response to e' = 1| + the size of that to the known offset of the start,
-            the largest in each cell, (J + 1, rows).
-        deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
-        constants: The largest response to a constant 1 from t = 0 on, (J + 1, rows).
+        remainders: Names of the inputs after omega_u and omega_r.
+        upper: Entry m is an upper bound of G at the last sample of the cell m cells later, G_(c m + c - 1), for m < J;
+            shape (J, rows, inputs).
+        lower: Entry m is a lower bound of G before the first sample of that cell, G_(c m - 1), or eps_0 for m = 0;
+            shape (J, rows, inputs).
+        total_sum: Upper bound of the limit of G_l, shape (rows, inputs).
+        starts: The largest response in each cell to a start within E_0 and V_0, with its known offset from the nominal
+            flight; shape (J + 1, rows).
+        deviations: The largest response in each cell to a deviation 1 of q_(-1), shape (J + 1, rows).
+        constants: The largest response in each cell to a constant 1 from t = 0 on, shape (J + 1, rows).
     """
 
     signals: list[str]
@@ -62,58 +67,54 @@ def cell_responses(
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
+        name: Name of the channel.
         observation: Its signals and inputs at the samples.
-        samples: Number c of samples of a cell.
-        count: Number J of cells before the last one, at least 1.
+        samples: c, number of samples of a cell.
+        count: J, number of cells before the last one, at least 1.
 
     Raises:
         Rejected: The responses decay too slowly.
     """
     t = arb(problem["sample_time"])
-    initial = np.array([float(value) for value in problem["channels"][name]["initial"]])
+    initial = np.array([float(value) for value in problem["channels"][name]["initial"]])  # E_0 and V_0
     along = np.array([phase_signal.name in ALONG_AXES for phase_signal in observation.phase_signals])
     weights = input_weights(observation, t)
     q = observation.inputs.ncols()
     offset_middles = middles(observation.offsets)
     offset_errors = ROUNDED * magnitudes(observation.offsets)
     tail_factor = float_above((2 / observation.decay).upper())
-    direct = direct_effects(observation, t)
-    # sums of eps_l over l from c m to c m + c - 1, and over all l behind
+    direct = direct_effects(observation, t)  # eps_0
+    # of cell m, the sum of eps_l over l from c m to c m + c - 1; the last entry is the sum over all later l
     effect_sums = np.zeros((count + 1, *direct.shape))
     effect_sums[0] = direct
-    peaks = np.zeros((count + 1, len(observation.phase_signals), 3))
+    peaks = np.zeros((count + 1, len(observation.phase_signals), 3))  # of start, deviation of q_(-1) and constant
     sample_count = 0
     columns = side_by_side(observation.inputs, observation.starts)
     for block in response_blocks(observation.sampled.a, observation.rows, columns, observation.p):
-        sizes = np.abs(block.response[..., :q]) + (block.error + block.radius_effect)[:, :q]
-        sizes = sizes @ weights
-        next_sample = sample_count + 1  # to which the first eps of the block belongs
-        later_cells, later_places = cells_of(next_sample, len(sizes), samples, count)
-        effect_sums[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
-        cells, places = cells_of(sample_count, len(sizes), samples, count)
-        sizes = np.abs(block.response[..., q:] + offset_middles)
-        sizes = sizes + (block.error + block.radius_effect)[:, q:] + offset_errors
-        cell_peaks = np.maximum.reduceat(start_responses(sizes, initial, along), places, axis=0)
+        sample_errors = block.error + block.radius_effect
+        effects = (np.abs(block.response[..., :q]) + sample_errors[:, :q]) @ weights
+        # the response at sample k after an input is eps_(k + 1), the effect one sample later than eps_k
+        cells, first_places = cells_of(sample_count + 1, len(effects), samples, count)
+        effect_sums[cells] += np.add.reduceat(effects, first_places, axis=0)
+        values = np.abs(block.response[..., q:] + offset_middles) + sample_errors[:, q:] + offset_errors
+        cells, first_places = cells_of(sample_count, len(values), samples, count)
+        cell_peaks = np.maximum.reduceat(start_responses(values, initial, along), first_places, axis=0)
         peaks[cells] = np.maximum(peaks[cells], cell_peaks)
-        sample_count += len(sizes)
+        sample_count += len(values)
         tail = (block.tail[:, :q] * tail_factor) @ weights
-        tail_peaks = start_responses(block.tail[:, q:] + np.abs(offset_middles) + offset_errors, initial, along)
         decaying = start_responses(block.tail[:, q:], initial, along)
-        ends = np.all(tail <= TAIL_SHARE * effect_sums.sum(axis=0))
-        negligible = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
-        negligible[:, :2] = np.maximum(negligible[:, :2], peaks[-1, :, :2])
-        if sample_count > samples * (count + 1) and ends and np.all(decaying <= negligible):
-            peaks[-1] = np.maximum(peaks[-1], tail_peaks)
-            sums = np.concatenate([direct[None], np.cumsum(effect_sums[:-1], axis=0)])
-            total_sum = SUMMED * (sums[-1] + effect_sums[-1] + tail)
-            starts, deviations, constants = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
+        sums_end = np.all(tail <= TAIL_SHARE * effect_sums.sum(axis=0))
+        if sample_count > samples * (count + 1) and sums_end and np.all(decaying <= negligible_responses(peaks)):
+            last_values = block.tail[:, q:] + np.abs(offset_middles) + offset_errors
+            peaks[-1] = np.maximum(peaks[-1], start_responses(last_values, initial, along))
+            sums = np.concatenate([direct[None], np.cumsum(effect_sums[:-1], axis=0)])  # G at the ends of the cells
+            starts, deviations, constants = np.moveaxis(SUMMED * peaks, 2, 0)
             return CellResponses(
                 signals=[phase_signal.name for phase_signal in observation.phase_signals],
                 remainders=list(observation.curves),
                 upper=SUMMED * sums[1:],
                 lower=sums[:-1] / SUMMED,
-                total_sum=total_sum,
+                total_sum=SUMMED * (sums[-1] + effect_sums[-1] + tail),
                 starts=starts,
                 deviations=deviations,
                 constants=constants,
@@ -121,22 +122,38 @@ def cell_responses(
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 
 
-def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Responses to the start, to a deviation of the first sum q and to the constant, (..., rows, 3).
+def negligible_responses(peaks: np.ndarray) -> np.ndarray:
+    """Sizes below which what is left of the responses to start and constant hardly matters, shape (rows, 3).
+
+    Of the start and of q_(-1)'s deviation it is also what they have reached in the last cell anyway.
 
     Args:
-        sizes: Responses to each column of the starts, (..., rows, 4 + axes).
-        initial: Bounds of |e| and |e'| at t = 0.
-        along: Whether a signal counts along an axis, (rows,): then the larger of its known offsets counts, else the
-            norm.
+        peaks: Largest responses so far in each cell, shape (J + 1, rows, 3).
     """
-    axes = sizes[..., FIRST_OFFSET:]
-    known_sizes = np.where(along, axes.max(axis=-1, initial=0.0), np.sqrt((axes**2).sum(axis=-1)))
-    return np.stack([sizes[..., :2] @ initial + known_sizes, sizes[..., 2], sizes[..., 3]], axis=-1)
+    negligible = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
+    negligible[:, :2] = np.maximum(negligible[:, :2], peaks[-1, :, :2])
+    return negligible
+
+
+def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Responses to the start, to a deviation of q_(-1) and to the constant, shape (..., rows, 3).
+
+    Args:
+        sizes: Magnitudes of the responses to each column of the starts, shape (..., rows, 4 + axes).
+        initial: E_0 and V_0.
+        along: Whether each signal is bounded along each axis, so that the larger one of its known offsets counts;
+            else their norm. Shape (rows,).
+    """
+    by_error = sizes[..., :2] @ initial
+    by_q = sizes[..., 2]
+    by_constant = sizes[..., 3]
+    offsets = sizes[..., FIRST_OFFSET:]
+    by_offset = np.where(along, offsets.max(axis=-1, initial=0.0), np.sqrt((offsets**2).sum(axis=-1)))
+    return np.stack([by_error + by_offset, by_q, by_constant], axis=-1)
 
 
 def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells in which successive samples lie, and the place of each cell's first sample among them.
+    """The cells in which some successive samples lie, and the place of each cell's first sample among the samples.
 
     Args:
         earlier_count: Number of samples before these.
@@ -144,19 +161,27 @@ def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple
         samples: Number of samples of a cell.
         count: Number of cells before the last one, which has all later samples.
     """
-    cells = np.minimum((earlier_count + np.arange(length)) // samples, count)
-    places = np.flatnonzero(np.diff(cells, prepend=-1))
-    return cells[places], places
+    cell_of_sample = np.minimum((earlier_count + np.arange(length)) // samples, count)
+    first_places = np.flatnonzero(np.diff(cell_of_sample, prepend=-1))  # where the cell changes
+    return cell_of_sample[first_places], first_places
 
 
 def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
-    """Weights with which the columns of ``observation.inputs`` make up the inputs, rounded up, (columns, inputs).
+    """Weights with which the effects of the columns of ``observation.inputs`` make up those of the inputs, rounded up.
 
-    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines between the points plus that of
-    the bend. ``t`` is T_s.
+    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines between the points, by the
+    trapezoidal rule, plus that of the bend.
+
+    Args:
+        observation: The channel's signals and inputs at the samples.
+        t: T_s [s].
+
+    Returns:
+        Shape (columns, inputs).
     """
-    pieces = next(iter(observation.curves.values())).pieces
-    columns = pieces + 2
+    pieces = next(iter(observation.curves.values())).pieces  # the same for all remainders
+    columns_of_curve = pieces + 2  # the points, and the middle of the bend
+    first_unit_column = OMEGAS + columns_of_curve * len(observation.curves)
     weights = np.zeros((observation.inputs.ncols(), OMEGAS + len(observation.curves)))
     weights[:OMEGAS, :OMEGAS] = np.eye(OMEGAS)
     piece = t / pieces
@@ -164,15 +189,15 @@ def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
     for place, curve in enumerate(observation.curves.values()):
         of_points = np.full(pieces + 1, float_above(piece.upper()))
         of_points[[0, -1]] = float_above((piece / 2).upper())
-        start = OMEGAS + columns * place
-        weights[start : start + columns, OMEGAS + place] = [*of_points, float_above(bend)]
+        start = OMEGAS + columns_of_curve * place
+        weights[start : start + columns_of_curve, OMEGAS + place] = [*of_points, float_above(bend)]
         radii = [float_above((bend * radius).upper()) for radius in curve.radii]
-        weights[OMEGAS + columns * len(observation.curves) :, OMEGAS + place] = radii
+        weights[first_unit_column:, OMEGAS + place] = radii
     return weights
 
 
 def direct_effects(observation: ChannelObservation, t: arb) -> np.ndarray:
-    """eps_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
+    """eps_0, what inputs of size 1 do to the signals in the same sample, rounded up, shape (rows, inputs)."""
     rows = []
     for phase_signal in observation.phase_signals:
         within = [integral_within(observation.channel, phase_signal, curve) for curve in observation.curves.values()]

@@ -1,4 +1,4 @@
-"""The types of a vehicle's certificate; docs/vehicle_proofs.md says what the entries are."""
+"""The types of a vehicle's certificate; docs/vehicle_proofs.md describes the entries."""
 
 from collections.abc import Mapping, Sequence
 from typing import TypedDict
@@ -59,42 +59,34 @@ class VehicleProblem(TypedDict):
 
 
 class MiddleProof(TypedDict):
-    """The linear channel of a proof.
+    """The linear channel of a proof."""
 
-    ``slopes`` are k_1, k_2 and k_3 of the lines in place of the functions, ``share`` is that of omega_u in omega_q,
-    ``drag_damping`` is c [1/s], ``rate`` is lambda [1/s], and ``p`` is P of V = z'Pz.
-    """
-
-    slopes: Sequence[float]
-    share: float
-    drag_damping: float
-    rate: float
-    p: Sequence[Sequence[float]]
+    slopes: Sequence[float]  # k_1, k_2 and k_3 of the straight lines in place of phi_1, phi_2 and phi_3
+    share: float  # s_q, the share of omega_u in omega_q
+    drag_damping: float  # c [1/s]
+    rate: float  # lambda [1/s], with which V = z'Pz falls
+    p: Sequence[Sequence[float]]  # P, by rows
 
 
 class ChannelProof(MiddleProof):
-    """The linear channel of a proof, and bounds of its signals by name."""
+    """The linear channel of a proof, and bounds of its signals."""
 
-    bounds: Mapping[str, float]
+    bounds: Mapping[str, float]  # Y of each signal at all times or, with time cells, in the last cell
 
 
 class CellsProof(TypedDict):
-    """The time cells of a proof: ``samples`` of a cell, and bounds of the signals in each of the J first cells."""
+    """The time cells of a proof before the last one."""
 
-    samples: int
-    bounds: Mapping[str, Mapping[str, Sequence[float]]]
+    samples: int  # c, number of samples of a cell
+    bounds: Mapping[str, Mapping[str, Sequence[float]]]  # Y_0 to Y_(J-1), by channel and signal
 
 
 class VehicleProof(TypedDict):
-    """The proof of a vehicle.
-
-    The bounds of ``channels`` are those at all times or, with ``cells``, those of the last cell. ``settled`` has other
-    linear channels for the upper limits as time grows; null: those of ``channels``.
-    """
+    """The proof of a vehicle."""
 
     channels: Mapping[str, ChannelProof]
-    cells: CellsProof | None
-    settled: Mapping[str, MiddleProof] | None
+    cells: CellsProof | None  # null: one bound of each signal for all times
+    settled: Mapping[str, MiddleProof] | None  # other linear channels for the upper limits; null: the same
 
 
 class VehicleCertificate(TypedDict):

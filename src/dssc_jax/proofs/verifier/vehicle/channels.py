@@ -1,7 +1,8 @@
-"""The linear channels of the vehicle, and each as a sampled loop: exact numbers in, balls out.
+"""The linear channels of a vehicle: between the samples, and at the samples with the controller, in balls.
 
-Between the samples chi' = A_c chi + B_c U + sum of b_j r_j. A row over (chi, U) stands for each signal. The samples
-have z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
+Near hover the vehicle is nearly three linear channels, x (and y), z and psi, that do not depend on each other. Between
+the samples chi' = A_c chi + B_c U + sum of b_j r_j, with the acting command U and the remainders r_j. Each signal is a
+row over (chi, U). At the samples the state is z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
 """
 
 import math
@@ -10,12 +11,12 @@ from typing import NamedTuple
 
 from flint import arb, arb_mat
 
-from dssc_jax.proofs.verifier.balls import identity, stack, unit_rows
+from dssc_jax.proofs.verifier.balls import identity, side_by_side, stack, unit_rows
 from dssc_jax.proofs.verifier.held_plant import delay_weights
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 
 EQUIVALENT = "u_av"
-"""The signal that exists at the samples only."""
+"""q_k + k_1 sigma_k, the signal that exists at the samples only."""
 ALONG_AXES = {"e", "e_dot", "sigma", "bend", EQUIVALENT}
 """The signals of the plane that are bounded along each axis; the others are norms of vectors."""
 SignalBalls = Mapping[str, Mapping[str, arb]]
@@ -28,10 +29,10 @@ class Channel(NamedTuple):
     """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
-        generator: [A_c, B_c], (n, n + 1).
-        inputs: Columns b_j of the remainders, by name, (n, 1) each.
-        signals: Rows [C, d] of the signals without u_av, by name, (1, n + 1) each.
-        constant: Column of the constant force o, (n, 1); None: the channel has none.
+        generator: [A_c, B_c], shape (n, n + 1).
+        inputs: Columns b_j of the remainders, by name, shape (n, 1) each.
+        signals: Rows [C, d] of the signals without u_av, by name, shape (1, n + 1) each.
+        constant: Column of the constant force o, shape (n, 1); None: the channel has none.
     """
 
     generator: arb_mat
@@ -46,23 +47,24 @@ class Channel(NamedTuple):
 
     @property
     def dynamics(self) -> arb_mat:
-        """A_c, (n, n)."""
+        """A_c, shape (n, n)."""
         return first_columns(self.generator, self.order)
 
 
 class SampledChannel(NamedTuple):
-    """A channel at its samples, z+ = A z + b_u omega_u + b_q omega_r.
+    """A channel with its controller at the samples, z+ = A z + b_u omega_u + b_q omega_r.
 
-    omega_u and omega_r are what the functions deviate by from straight lines: in the command, and in the sum q.
+    omega_u and omega_q are what the functions deviate by from straight lines, in the command and in the sum q; omega_q
+    = s_q omega_u + omega_r.
 
     Args:
-        a: A, (m, m).
-        by_command: b_u, the column of omega_u with its share of omega_q, (m, 1).
-        by_integral: b_q, the column of omega_r, (m, 1).
-        acting: Row of the acting command U, (1, m), without the omegas of the same sample.
-        fresh: Share of this sample's command u_k in U; less than 1 with a delay.
-        equivalent: Row of u_av, (1, m), without omega_q of the same sample.
-        sigma: Row of sigma, (1, m).
+        a: A, shape (m, m).
+        by_command: b_u, with the share s_q of b_q, shape (m, 1).
+        by_integral: b_q, shape (m, 1).
+        acting: The acting command U as a row over z, without the omegas of the same sample, shape (1, m).
+        fresh: Share of this sample's command u_k in U; 1 without a delay.
+        equivalent: u_av as a row over z, without omega_q of the same sample, shape (1, m).
+        sigma: sigma as a row over z, shape (1, m).
     """
 
     a: arb_mat
@@ -91,7 +93,7 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
-    """The linear channel of this name, with the damping of drag c [1/s]."""
+    """The linear channel of a name, ``x``, ``z`` or ``psi``, with the damping of drag c [1/s]."""
     l0 = arb(problem["channels"][name]["l0"])
     match name:
         case "x":
@@ -103,27 +105,45 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
 
 
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
-    """The linear channel of x and y: chi = (e, e', alpha, alpha'), with a rotor lag also gamma."""
+    """The channel of x and y: e'' = alpha - c e' + r_force and alpha'' = m + r_torque, where alpha is g times the tilt.
+
+    m = a_0 (a_h - alpha) - a_1 alpha', and chi = (e, e', alpha, alpha'). With a rotor lag chi has gamma besides,
+    alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
+
+    Args:
+        problem: The certificate's problem.
+        l0: Error pole [1/s].
+        damping: c, the damping of drag [1/s].
+    """
     lag = rotor_rate(problem)
     e, e_dot, alpha, alpha_dot, *lag_states, command = unit_rows(5 if lag is None else 6)
-    demand = (command - e_dot) * arb(problem["velocity_gain"])
-    turn = (demand - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
+    demand = (command - e_dot) * arb(problem["velocity_gain"])  # a_h = k_v (U - e')
+    turn = (demand - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])  # m
     acceleration = alpha - e_dot * damping
     signals = kinematics(e, e_dot, l0) | {"bend": acceleration + e_dot * l0, "speed": e_dot}
     signals |= {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": demand, "turn": turn, "acceleration": acceleration}
     if lag is None:
         return Channel(stack([e_dot, acceleration, alpha_dot, turn]), input_columns(4, force=1, torque=3), signals)
-    (gamma,) = lag_states
+    gamma = lag_states[0]  # the only one
     signals |= {"gamma": gamma, "behind": turn - gamma}
     slopes = [e_dot, acceleration, alpha_dot, gamma, (turn - gamma) * lag]
     return Channel(stack(slopes), input_columns(5, force=1, torque=3, lag=4), signals)
 
 
 def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
-    """The linear channel of z: chi = (e, e'), with a rotor lag also the lift; the constant o acts like a force."""
+    """The channel of z: e'' = a_z - c e' + o + r_force with the wanted acceleration a_z; chi = (e, e').
+
+    With a rotor lag chi has besides q, the lift that the rotors achieve: e'' = q - c e' + o + r_force and q' = (a_z -
+    q)/tau + r_lag. The constant o acts like the force.
+
+    Args:
+        problem: The certificate's problem.
+        l0: Error pole [1/s].
+        damping: c, the damping of drag [1/s].
+    """
     lag = rotor_rate(problem)
     e, e_dot, *lag_states, command = unit_rows(3 if lag is None else 4)
-    demand = (command - e_dot) * arb(problem["velocity_gain"])
+    demand = (command - e_dot) * arb(problem["velocity_gain"])  # a_z = k_v (U - e')
     lift = demand if lag is None else lag_states[0]
     acceleration = lift - e_dot * damping
     signals = kinematics(e, e_dot, l0) | {"wanted": demand}
@@ -137,11 +157,19 @@ def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 
 
 def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
-    """The linear channel of psi: chi = (e, psi', integral of U - psi'), with a rotor lag also gamma."""
+    """The channel of psi: psi'' = eta_psi + r_torque with eta_psi = k_y (U - psi') + i_y I and I' = U - psi'.
+
+    chi = (e, psi', I). With a rotor lag chi has gamma_psi besides, psi'' = gamma_psi + r_torque and gamma_psi' =
+    (eta_psi - gamma_psi)/tau + r_lag.
+
+    Args:
+        problem: The certificate's problem.
+        l0: Error pole [1/s].
+    """
     lag = rotor_rate(problem)
     e, e_dot, integral, *lag_states, command = unit_rows(4 if lag is None else 5)
     follow = command - e_dot
-    demand = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])
+    demand = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])  # eta_psi
     gamma = demand if lag is None else lag_states[0]
     signals = kinematics(e, e_dot, l0) | {"wanted": demand, "follow": follow, "bend": gamma + e_dot * l0}
     if lag is None:
@@ -157,31 +185,36 @@ def rotor_rate(problem: VehicleProblem) -> arb | None:
 
 
 def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
-    """The rows of e, e' and sigma, which the controller measures."""
+    """The rows of e, e' and sigma = e' + l_0 e, which the controller measures, by name."""
     return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
 
 
 def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
-    """The unit columns of the remainders, (order, 1) each; ``places`` names the state in whose slope each acts."""
+    """Unit columns of the remainders, by name, shape (order, 1) each.
+
+    Args:
+        order: Number of states chi.
+        places: For each remainder, the place of the state to whose derivative it adds.
+    """
     units = identity(order).tolist()
     return {name: arb_mat([units[place]]).transpose() for name, place in places.items()}
 
 
 def flow(channel: Channel, time: arb) -> arb_mat:
-    """exp([[A_c, B_c], [0, 0]] time): what state and held command become within a time [s], (n + 1, n + 1)."""
+    """exp([[A_c, B_c], [0, 0]] time), which takes (chi, U) over a time [s] with U held; shape (n + 1, n + 1)."""
     n = channel.order
     return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
 
 
 def forced_response(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
-    """The integral of e^(A_c r) b for r from 0 to a time, (n, 1): the last column of exp([[A_c, b], [0, 0]] time)."""
+    """What a constant input 1 through a column b adds to chi within a time [s], shape (n, 1).
+
+    It is the integral of e^(A_c r) b over r from 0 to the time, the last column of exp([[A_c, b], [0, 0]] time).
+    """
     n = channel.order
-    a = channel.generator.tolist()
-    b = column.tolist()
-    rows = [[*a[i][:n], b[i][0]] for i in range(n)]
-    rows.append([arb(0)] * (n + 1))
-    exponential = (arb_mat(rows) * time).exp().tolist()
-    return arb_mat([[exponential[i][n]] for i in range(n)])
+    driven = channel._replace(generator=side_by_side(channel.dynamics, column))  # b in place of B_c
+    exponential = flow(driven, time)
+    return arb_mat([[exponential[i, n]] for i in range(n)])
 
 
 def sampled_channel(
@@ -189,24 +222,27 @@ def sampled_channel(
 ) -> SampledChannel:
     """A channel at its samples, with straight lines in place of the controller's functions.
 
+    In sliding q_k = q_(k-1) + T_s (k_2 sigma + omega_q) and u_k = -(k_1 + k_3) sigma - q_k - omega_u, less the nominal
+    control's feedback.
+
     Args:
         channel: The linear channel.
         controller: Its controller, of which l_0 and the nominal control matter.
-        proof: Its proof, with the slopes of the lines.
+        proof: Its proof, with the slopes of the lines and the share s_q.
         sample_time: T_s [s].
         delay: Delay of the commands [samples], a real number.
     """
     n = channel.order
-    memories = math.ceil(delay)
+    memories = math.ceil(delay)  # D, the number of earlier commands in z
     m = n + memories + 1
     t = arb(sample_time)
     *units, integral = unit_rows(m)
-    sigma = with_zeros(channel.signals["sigma"], n, m)
     e = units[0]
-    slope_1, slope_2, slope_n = map(arb, proof["slopes"])
-    next_integral = integral + sigma * (t * slope_2)
-    equivalent = next_integral + sigma * slope_1
-    command = -equivalent - sigma * slope_n
+    sigma = with_zeros(channel.signals["sigma"], n, m)
+    k_1, k_2, k_3 = map(arb, proof["slopes"])
+    next_integral = integral + sigma * (t * k_2)  # q_k
+    equivalent = next_integral + sigma * k_1  # u_av
+    command = -equivalent - sigma * k_3
     if controller["nominal"] is not None:
         a_n, k_n, _ = controller["nominal"]
         l0 = arb(controller["l0"])
@@ -217,19 +253,20 @@ def sampled_channel(
     for unit, weight in zip(units[n:], weights, strict=True):
         acting = acting + unit * weight
     transition = flow(channel, t)
-    by_command_held = arb_mat([[row[n]] for row in transition.tolist()[:n]])
-    free = arb_mat([[*row[:n], *[arb(0)] * (m - n)] for row in transition.tolist()[:n]])
-    memory_rows = [command, *units[n : m - 2]] if memories else []
-    a = stack([free + by_command_held * acting, *memory_rows, next_integral])
-    by_command = [-fresh * row[0] for row in by_command_held.tolist()]
-    remainder = [arb(0)] * memories
+    phi = first_columns(transition, n).tolist()[:n]
+    free = arb_mat([[*row, *[arb(0)] * (m - n)] for row in phi])
+    held_command = arb_mat([[transition[i, n]] for i in range(n)])
+    memory_rows = [command, *units[n : m - 2]] if memories else []  # the earlier commands move on by one place
+    a = stack([free + held_command * acting, *memory_rows, next_integral])
+    by_omega_u = [-fresh * entry for (entry,) in held_command.tolist()] + [arb(0)] * memories
     if memories:
-        remainder[0] = arb(-1)
-    by_integral = arb_mat([[t * x] for x in [*by_command, *remainder, arb(1)]])
+        by_omega_u[n] = arb(-1)
+    # omega_q adds T_s omega_q to q, and q is subtracted from the command
+    by_omega_q = arb_mat([[t * entry] for entry in [*by_omega_u, arb(1)]])
     return SampledChannel(
         a=a,
-        by_command=arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]) + by_integral * arb(proof["share"]),
-        by_integral=by_integral,
+        by_command=arb_mat([[entry] for entry in [*by_omega_u, arb(0)]]) + by_omega_q * arb(proof["share"]),
+        by_integral=by_omega_q,
         acting=acting,
         fresh=fresh,
         equivalent=equivalent,
@@ -238,17 +275,17 @@ def sampled_channel(
 
 
 def first_columns(matrix: arb_mat, count: int) -> arb_mat:
-    """The first columns of a matrix."""
+    """The first ``count`` columns of a matrix."""
     return arb_mat([row[:count] for row in matrix.tolist()])
 
 
 def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
-    """The first n entries of a row, those of chi, extended by zeros to a row over z, (1, m)."""
+    """The first n entries of a row, which belong to chi, extended by zeros to a row over z, shape (1, m)."""
     return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
 
 
 def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: arb_mat) -> tuple[arb_mat, arb]:
-    """A signal within a sample: its row over z_k, (1, m), and its factor of the same sample's command deviation.
+    """A signal within a sample: as a row over z_k, shape (1, m), and its factor of this sample's own command u_k.
 
     Args:
         channel: The linear channel.

@@ -1,4 +1,8 @@
-"""The functions of a channel within a region: their distances from straight lines, and their largest gains."""
+"""(V2) The functions of a channel within a region: their distances from straight lines, and their largest gains.
+
+phi_1, phi_2 and phi_3 = sigma/(k_n tau_m) become k_1 sigma, k_2 sigma and k_3 sigma. What remains are omega_u = phi_1 +
+phi_3 - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u + omega_r, with the share s_q.
+"""
 
 import math
 from collections.abc import Sequence
@@ -18,18 +22,18 @@ DISTANCE_ROOM = 1e-3
 
 
 class Deviations(NamedTuple):
-    """Upper bounds of what a channel's functions deviate by from straight lines over a region of |sigma|, on one axis.
+    """Upper bounds of how far a channel's functions are from straight lines over a region of |sigma|, along one axis.
 
     Args:
-        d_1: D_1, of |phi_1 - k_1 sigma|.
-        d_2: D_2, of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|.
-        d_b: D_b, of |phi_1 + phi_3 - (k_1 + k_3) sigma|.
-        share_1: Of the first difference over |sigma|.
-        share_2: Of the second difference over |sigma|.
-        share_b: Of the third difference over |sigma|.
+        d_1: D_1, bound of |phi_1 - k_1 sigma|.
+        d_2: D_2, bound of |omega_r|.
+        d_b: D_b, bound of |omega_u|.
+        share_1: d_1 of docs/vehicle_proofs.md, bound of |phi_1 - k_1 sigma|/|sigma|.
+        share_2: Its d_2, bound of |omega_r|/|sigma|.
+        share_b: Its d_b, bound of |omega_u|/|sigma|.
         k_p: Largest K_P.
-        k_i: Largest K_I.
-        tau_av: Largest tau_av.
+        k_i: Largest K_I [1/s].
+        tau_av: Largest tau_av [s].
     """
 
     d_1: arb
@@ -43,29 +47,32 @@ class Deviations(NamedTuple):
     tau_av: arb
 
     def of_command(self, sigma: arb) -> arb:
-        """Bound of |omega_u|, what the command deviates by, for |sigma| up to a bound."""
+        """Bound of |omega_u|, what the command deviates by, for |sigma| up to ``sigma``: min(D_b, d_b |sigma|)."""
         return minimum_bound(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
-        """Bound of |omega_r|, what the sum q deviates by besides its share of omega_u, for |sigma| up to a bound."""
+        """Bound of |omega_r|, what the sum q deviates by, for |sigma| up to ``sigma``: min(D_2, d_2 |sigma|)."""
         return minimum_bound(self.d_2, self.share_2 * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
-        """Bound of what the first sum q deviates by.
+        """Bound of what q_(-1), the sum before the first sample, deviates by from that of straight lines.
+
+        q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and (T_s/2) phi_2(sigma_0) less for
+        ``midpoint``, which deviates by all of omega_q.
 
         Args:
-            start: Start of the predictor; ``midpoint`` takes half a sample of the integral, with all of omega_q.
-            sigma: Bound of |sigma| at t = 0.
+            start: Start of the predictor.
+            sigma: Sigma_0, bound of |sigma| at t = 0.
             sample_time: T_s [s].
-            share: Share of omega_u in omega_q.
+            share: s_q.
         """
         if start == "zero":
             return arb(0)
-        result = minimum_bound(self.d_1, self.share_1 * sigma)
+        deviation = minimum_bound(self.d_1, self.share_1 * sigma)
         if start == "midpoint":
-            integral = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
-            result = result + sample_time / 2 * integral
-        return result.upper()
+            omega_q = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
+            deviation = deviation + sample_time / 2 * omega_q
+        return deviation.upper()
 
 
 def deviations_in_regions(
@@ -77,12 +84,12 @@ def deviations_in_regions(
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
-        proof: Its proof, with the slopes of the lines.
+        name: Name of the channel.
+        proof: Its proof, with the slopes of the lines and the share s_q.
         sigmas: Bounds of |sigma|.
     """
-    regions: dict[float, Deviations] = {}
-    largest = None
+    regions: dict[float, Deviations] = {}  # by their bound
+    largest = None  # of all pieces so far
     low = 0.0
     for high in sorted({float_above(sigma) for sigma in sigmas}):
         piece = deviations_of(problem, name, proof, high, low)
@@ -99,8 +106,8 @@ def deviations_of(
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
-        proof: Its proof, with the slopes k_1, k_2 and k_3 of the lines.
+        name: Name of the channel.
+        proof: Its proof, with the slopes k_1, k_2 and k_3 of the lines and the share s_q.
         sigma: Largest |sigma|.
         sigma_from: Smallest |sigma|.
 
@@ -108,9 +115,10 @@ def deviations_of(
         Rejected: The functions cannot be enclosed.
     """
     controller = problem["channels"][name]
-    slopes = Balls(zip(("mean", "k_i", "k_n"), map(arb, proof["slopes"]), strict=True))
+    k_1, k_2, k_3 = map(arb, proof["slopes"])
+    slopes = {"mean": k_1, "k_i": k_2, "k_n": k_3}  # of phi_1, phi_2 and phi_3, by the gains that are their ratios
     loop = cast(
-        Problem,
+        Problem,  # only the entries that the gains depend on
         {
             "sample_time": problem["sample_time"],
             "l0": controller["l0"],
@@ -120,8 +128,10 @@ def deviations_of(
         },
     )
     try:
-        distances = function_distances(loop, sigma, 0.0, slopes, DISTANCE_ROOM, sigma_from, proof["share"])
-        gains = enclosed_gains(loop, sigma, 0.0, sigma_from)
+        distances = function_distances(
+            loop, sigma, e=0.0, centre=slopes, room=DISTANCE_ROOM, sigma_from=sigma_from, share=proof["share"]
+        )
+        gains = enclosed_gains(loop, sigma, e=0.0, sigma_from=sigma_from)
     except Rejected as rejected:
         raise with_premise(rejected, "V2", f" of {name}") from None
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
@@ -140,5 +150,5 @@ def deviations_of(
 
 
 def float_above(value: arb) -> float:
-    """The number of float64 above an exact number: the latter is rounded, and one more step covers the rounding."""
+    """A number of float64 above an exact number: its rounded value, and one step more for the rounding."""
     return math.nextafter(float(value), math.inf)

@@ -1,7 +1,8 @@
-"""Bounds of the drag, less the damping of the linear channels, and of its torques.
+"""Bounds of the drag that the linear channels' damping leaves over, and of its torques.
 
-The supremum of |-x r + c v| with r = v - w is taken under bounds of the velocity v and of the wind w. The factor x is
-between k |r|/M_+ and X(|r|) = k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
+The drag over mass is -x r, where r = v - w is the vehicle's velocity v against the wind w, and the damping takes -c v
+of it. So the supremum of |-x r + c v| is taken under bounds of v and w. The factor x is between k |r|/M_+ and X(|r|) =
+k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
 """
 
 from collections.abc import Mapping
@@ -19,20 +20,20 @@ from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 from dssc_jax.proofs.verifier.vehicle.rotors import RotorLag, Rotors
 
 CELLS = 4096
-"""Cells of |r| in the plane. The enclosure of a cell exceeds what is reached in it by about its share of the whole."""
+"""Number of cells of |r| in the plane. A cell's enclosure exceeds what is reached in it by about 1/CELLS."""
 
 
 class DragRegion(NamedTuple):
-    """Bounds of the velocity along an axis or in the plane, and the coefficients of drag there.
+    """Bounds of velocity and wind along z or in the plane, and the coefficients of drag there.
 
     Args:
-        speed: Bound a_max of |v| [m/s].
-        wind: Bound W of |w| [m/s].
+        speed: a_max, bound of |v| [m/s].
+        wind: W, bound of |w| [m/s].
         damping: c [1/s].
         drag: k [N s^2/m^2].
         mass_low: M_- [kg].
         mass_high: M_+ [kg].
-        across: Bound of the air's speed across v: V_z in the plane, V_h along z [m/s].
+        across: V, bound of the air's relative speed across v [m/s]: V_z in the plane, V_h along z.
         by_rotors: x_0, the propellers' share [1/s].
     """
 
@@ -47,15 +48,15 @@ class DragRegion(NamedTuple):
 
 
 class DragBounds(NamedTuple):
-    """Bounds of drag over mass and of torques over inertia, with their symbols in docs/vehicle_proofs.md.
+    """Bounds of drag over mass and of torques over inertia.
 
     Args:
-        drag_h: D_h, of the drag of a level vehicle less its damping, in the plane [m/s^2].
-        drag_z: D_z, of the same along z [m/s^2].
-        tilted_h: x_h, of what tilt and unequal rotors add to the drag in the plane [m/s^2].
-        tilted_z: x_z, of what they add to the drag along z [m/s^2].
-        torque_h: tau_h, of the torque across body z over inertia [rad/s^2].
-        torque_z: tau_z, of the torque along body z over inertia [rad/s^2].
+        drag_h: D_h, bound of |-x r + c v| in the plane [m/s^2].
+        drag_z: D_z, bound of |-x r + c v| along z [m/s^2].
+        tilted_h: x_h, bound of what tilt and unequal rotor speeds add to the drag in the plane [m/s^2].
+        tilted_z: x_z, bound of what they add to the drag along z [m/s^2].
+        torque_h: tau_h, bound of the torque across body z over inertia [rad/s^2].
+        torque_z: tau_z, bound of the torque along body z over inertia [rad/s^2].
     """
 
     drag_h: arb
@@ -75,7 +76,9 @@ def drag_of(
     rotors: Rotors,
     lag: RotorLag,
 ) -> DragBounds:
-    """Bounds of the drag of structure and propellers, and of its torque and the rotors' gyroscopic one.
+    """Bounds of the drag of structure and propellers, less the channels' damping, and of the torques on the body.
+
+    The torques are those of the propellers' drag and the gyroscopic one of the rotors.
 
     Args:
         problem: The certificate's problem.
@@ -84,7 +87,7 @@ def drag_of(
         dampings: Damping of drag c in the linear channels of x and z [1/s].
         attitude: Bounds of the attitude.
         rotors: Bounds of the rotors.
-        lag: Bounds of how far they are behind their commands.
+        lag: Bounds of how far the rotors are behind their commands.
     """
     n = arb(problem["rotors"])
     k_h, k_z = map(arb, problem["structure_drag"])
@@ -92,10 +95,10 @@ def drag_of(
     wind_h, wind_z = map(arb, problem["wind"])
     arm = arb(problem["arm"])
     rotor_inertia = arb(problem["rotor_inertia"])
-    air_speed_h = (bounds["x"]["speed"] + wind_h).upper()
-    air_speed_z = (bounds["z"]["e_dot"] + wind_z).upper()
-    air_speed = (air_speed_h * air_speed_h + air_speed_z * air_speed_z).sqrt().upper()
-    by_rotors = (k_p * rotors.sum / ranges.mass_low).upper()
+    air_speed_h = (bounds["x"]["speed"] + wind_h).upper()  # V_h
+    air_speed_z = (bounds["z"]["e_dot"] + wind_z).upper()  # V_z
+    air_speed = (air_speed_h * air_speed_h + air_speed_z * air_speed_z).sqrt().upper()  # V_r
+    by_rotors = (k_p * rotors.sum / ranges.mass_low).upper()  # k_p o_S/M_-
     region_h = DragRegion(
         speed=bounds["x"]["speed"],
         wind=wind_h,
@@ -125,7 +128,7 @@ def drag_of(
 
 
 def steepest(region: DragRegion, b: arb) -> arb:
-    """X(b), the largest factor x of the air's velocity at the air speed b [1/s]."""
+    """X(b), the largest factor x of the air's velocity r where |r| = b [m/s]; in 1/s."""
     return region.drag * (b * b + region.across * region.across).sqrt() / region.mass_low + region.by_rotors
 
 
@@ -134,38 +137,38 @@ def vertical_drag(region: DragRegion) -> arb:
 
     By symmetry v = a >= 0, so r is between a - W and a + W.
 
-    * r < 0, b = -r: |-x r + c v| = x b + c a, largest at b = W - a and x = X(b). This is convex in a, as X(b) b is
-      convex in b; so its largest value over 0 <= a <= min(a_max, W) is at an end.
-    * r >= 0, x r - c a: largest at r = a + W and x = X(r), convex in a, so at a = 0, as above, or at a = a_max.
-    * r >= 0, c a - x r: largest at the smallest r and x. If a <= W, r = 0 and c a is less than in the first case. Else
-      it is c a - k (a - W)^2/M_+, which rises until a - W = c M_+/(2 k), to c W + c^2 M_+/(4 k).
+    1. r < 0, b = -r: |-x r + c v| = x b + c a, largest at b = W - a and x = X(b). This is convex in a, as X(b) b is
+       convex in b; so its largest value over 0 <= a <= min(a_max, W) is at an end.
+    2. r >= 0, x r - c a: largest at r = a + W and x = X(r), convex in a, so at a = 0, as above, or at a = a_max.
+    3. r >= 0, c a - x r: largest at the smallest r and x. If a <= W, r = 0 and c a is less than in the first case. Else
+       it is c a - k (a - W)^2/M_+, which rises until a - W = c M_+/(2 k), to c W + c^2 M_+/(4 k).
     """
     speed, wind, damping = region.speed, region.wind, region.damping
-    sum_of_speeds = speed + wind
-    against = minimum(speed, wind)
-    remaining = wind - against
+    farthest = speed + wind
+    largest_a = minimum(speed, wind)
+    slowest = wind - largest_a
     candidates = [
-        steepest(region, wind) * wind,
-        steepest(region, remaining) * remaining + damping * against,
-        abs(steepest(region, sum_of_speeds) * sum_of_speeds - damping * speed),
+        steepest(region, wind) * wind,  # case 1 at a = 0
+        steepest(region, slowest) * slowest + damping * largest_a,  # case 1 at the largest a
+        abs(steepest(region, farthest) * farthest - damping * speed),  # case 2 at a = a_max
     ]
     excess = speed - wind
-    if excess > 0:
-        peak = damping * region.mass_high / 2  # where a - W is this over k
+    if excess > 0:  # case 3
+        peak = damping * region.mass_high / 2  # k (a - W) where it is largest
         if region.drag * excess <= peak:
             candidates.append(damping * speed - region.drag * excess * excess / region.mass_high)
         else:
             candidates.append(damping * wind + damping * peak / (2 * region.drag))
-    result = arb(0)
+    supremum = arb(0)
     for candidate in candidates:
         require_premise(candidate.is_finite(), "V4: the drag is not finite")
-        result = maximum(result, candidate.upper())
-    return result
+        supremum = maximum(supremum, candidate.upper())
+    return supremum
 
 
 @np.errstate(invalid="ignore", over="ignore")  # what is not finite is refused
 def plane_drag(region: DragRegion) -> arb:
-    """An upper bound of |-x r + c v| over vectors v and w of the plane, about CELLS^-1 above the supremum [m/s^2].
+    """An upper bound of |-x r + c v| over vectors v and w of the plane, about 1/CELLS above the supremum [m/s^2].
 
     Let a = |v| and b = |r|. Then |-x r + c v|^2 = x^2 b^2 + c^2 a^2 - 2 x c r.v is convex in x, so that both ends of x
     count. As w = v - r, |w|^2 = a^2 + b^2 - 2 r.v is at most W^2 if and only if r.v >= (a^2 + b^2 - W^2)/2; and r.v >=
@@ -181,26 +184,31 @@ def plane_drag(region: DragRegion) -> arb:
     edges = farthest * np.linspace(0.0, 1.0, CELLS + 1)
     b = Intervals(edges[:-1], edges[1:])
     speed, wind, damping, drag, light, heavy, across, by_rotors = map(enclosing_interval, region)
-    lowest = drag * b / heavy
-    highest = drag * square_roots(b * b + across * across) / light + by_rotors
-    difference = b - wind
-    gap = Intervals(
-        np.where(difference.low > 0.0, difference.low, np.maximum(-difference.high, 0.0)),
-        np.maximum(np.abs(difference.low), np.abs(difference.high)),
-    )
+    lowest = drag * b / heavy  # of x
+    highest = drag * square_roots(b * b + across * across) / light + by_rotors  # X(b)
     squares = []
-    for a in (at_most(gap, speed), at_most(b + wind, speed)):
+    for a in (at_most(magnitudes(b - wind), speed), at_most(b + wind, speed)):
         product = a * b
-        against = (a * a + b * b - wind * wind) * exactly(0.5)
-        smallest = Intervals(np.maximum(-product.high, against.low), np.maximum(-product.low, against.high))
+        by_wind = (a * a + b * b - wind * wind) * exactly(0.5)  # (a^2 + b^2 - W^2)/2
+        smallest = Intervals(  # the smallest r.v, the larger one of -a b and this
+            np.maximum(-product.high, by_wind.low), np.maximum(-product.low, by_wind.high)
+        )
         for x in (lowest, highest):
-            pull = x * b
-            ease = damping * a
-            square = pull * pull + ease * ease - exactly(2.0) * damping * x * smallest
+            drag_part = x * b
+            damping_part = damping * a
+            square = drag_part * drag_part + damping_part * damping_part - exactly(2.0) * damping * x * smallest
             squares.append(square.high)
-    result = float(np.max(squares))
-    require_premise(bool(np.isfinite(result)), "V4: the drag is not finite")
-    return arb(result).sqrt().upper()
+    largest_square = float(np.max(squares))
+    require_premise(bool(np.isfinite(largest_square)), "V4: the drag is not finite")
+    return arb(largest_square).sqrt().upper()
+
+
+def magnitudes(values: Intervals) -> Intervals:
+    """Intervals of |x| for x in intervals."""
+    return Intervals(
+        np.where(values.low > 0.0, values.low, np.maximum(-values.high, 0.0)),
+        np.maximum(np.abs(values.low), np.abs(values.high)),
+    )
 
 
 def at_most(values: Intervals, limit: Intervals) -> Intervals:
@@ -214,7 +222,7 @@ def square_roots(values: Intervals) -> Intervals:
 
 
 def enclosing_interval(value: arb) -> Intervals:
-    """An interval of float64 that holds a ball."""
+    """An interval of float64 that contains a ball, with room for rounding."""
     middle = np.asarray(np.float64(float(value.mid())))
     radius = np.asarray(np.float64(float(value.rad())))
     return outwards(middle - radius, middle + radius)

@@ -1,4 +1,7 @@
-"""The vehicle's signals and couplings, from the nominal flight and bounds of the deviation from it."""
+"""Bounds of a moving vehicle's own signals and couplings, from the nominal flight and bounds of the deviation from it.
+
+A vehicle that hovers has no nominal flight: its signals are their own deviation, and it has no couplings.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -16,9 +19,9 @@ class Flight(NamedTuple):
     """Bounds of the nominal flight.
 
     Args:
-        bounds: Bounds of its signals and differences, by channel and name.
-        lift: Bound of |z_m''| [m/s^2].
-        yaw: Bound of |psi_m'| [rad/s].
+        bounds: N, bounds of its signals and differences, by channel and name.
+        lift: A_m, bound of |z_m''| [m/s^2].
+        yaw: Psi_m, bound of |psi_m'| [rad/s].
     """
 
     bounds: Mapping[str, Balls]
@@ -27,15 +30,17 @@ class Flight(NamedTuple):
 
 
 class Coupling(NamedTuple):
-    """Bounds of the signals that couple the channels of a vehicle whose reference moves.
+    """Bounds of how far a moving vehicle is from what its reference needs, by which its channels are coupled.
+
+    alpha_0 = y_m'' + c y_m' is the alpha that the reference needs in the plane.
 
     Args:
-        alpha: G_alpha, of |alpha - alpha_0| [m/s^2].
-        wanted: G_a, of |a_h - alpha_0| [m/s^2].
-        lift: G_z, of |a_z - z_m''| [m/s^2].
-        yaw: G_psi, of |psi' - psi_m'| [rad/s].
-        lift_known: A_m, of |z_m''| [m/s^2].
-        yaw_known: Psi_m, of |psi_m'| [rad/s].
+        alpha: G_alpha, bound of |alpha - alpha_0| [m/s^2].
+        wanted: G_a, bound of |a_h - alpha_0| [m/s^2].
+        lift: G_z, bound of |a_z - z_m''| [m/s^2].
+        yaw: G_psi, bound of |psi' - psi_m'| [rad/s].
+        lift_known: A_m, bound of |z_m''| [m/s^2].
+        yaw_known: Psi_m, bound of |psi_m'| [rad/s].
     """
 
     alpha: arb
@@ -47,43 +52,55 @@ class Coupling(NamedTuple):
 
 
 def flight_of(problem: VehicleProblem, channels: Mapping[str, Balls]) -> Flight | None:
-    """The nominal flight from the bounds of its signals, by channel; None without a reference."""
+    """Bounds of the nominal flight; None if the vehicle hovers.
+
+    Args:
+        problem: The certificate's problem.
+        channels: Bounds of the flight's signals and differences, by channel.
+    """
     sines = problem["reference"]
     if sines is None:
         return None
-    lift = largest(rate(rate(sine_wave(sines["z"]))))
-    return Flight(channels, lift, largest(rate(sine_wave(sines["psi"]))))
+    lift = largest(rate(rate(sine_wave(sines["z"]))))  # of z_m''
+    yaw = largest(rate(sine_wave(sines["psi"])))  # of psi_m'
+    return Flight(channels, lift, yaw)
 
 
 def total_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
-    """Bounds of the vehicle's signals.
+    """Bounds N + Y of the vehicle's own signals.
 
     Args:
-        flight: The nominal flight; None: the vehicle hovers, and the bounds are its own.
-        bounds: Bounds of the vehicle's deviation from it, by channel and signal.
+        flight: The nominal flight, whose signals are at most N; None: the vehicle hovers, and N = 0.
+        bounds: Y, bounds of the vehicle's deviation from it, by channel and signal.
     """
     if flight is None:
         return bounds
-    result = {}
+    totals = {}
     for name in CHANNELS:
         nominal = flight.bounds[name]
-        result[name] = {signal: (y + nominal.get(signal, arb(0))).upper() for signal, y in bounds[name].items()}
-    return result
+        totals[name] = {signal: (y + nominal.get(signal, arb(0))).upper() for signal, y in bounds[name].items()}
+    return totals
 
 
 def body_bounds(flight: Flight | None, bounds: SignalBalls) -> SignalBalls:
-    """:func:`total_bounds`, where e_dot of z and psi is the vertical speed and the yaw rate in place of the errors'."""
-    totals = total_bounds(flight, bounds)
-    if flight is None:
-        return totals
-    rates = {
-        name: (bounds[name]["e_dot"] + flight.bounds[name][OUTPUT_RATE]).upper() for name in CHANNELS if name != "x"
-    }
-    return {name: {**signals, "e_dot": rates[name]} if name in rates else signals for name, signals in totals.items()}
+    """Bounds N + Y of the signals by which the vehicle's body moves, as the remainders take them.
+
+    In z and psi, ``e_dot`` is the vertical speed and the yaw rate themselves in place of the errors' rates. The
+    arguments are those of :func:`total_bounds`.
+    """
+    totals = dict(total_bounds(flight, bounds))
+    if flight is not None:
+        for name in ("z", "psi"):
+            output_rate = (bounds[name]["e_dot"] + flight.bounds[name][OUTPUT_RATE]).upper()
+            totals[name] = {**totals[name], "e_dot": output_rate}
+    return totals
 
 
 def coupling_under(flight: Flight | None, bounds: SignalBalls) -> Coupling | None:
-    """Bounds of the signals that couple the channels, from bounds of the deviation; None without a reference."""
+    """Bounds of how far the vehicle is from what its reference needs; None if it hovers.
+
+    The arguments are those of :func:`total_bounds`.
+    """
     if flight is None:
         return None
     return Coupling(
@@ -97,7 +114,10 @@ def coupling_under(flight: Flight | None, bounds: SignalBalls) -> Coupling | Non
 
 
 def initial_yaw_rate(problem: VehicleProblem, name: str) -> arb:
-    """|psi_m'| at t = 0, by which the reference increases |sigma_0| of psi, since the vehicle does not turn; else 0."""
+    """What a moving reference adds to |sigma_0| of a channel at the start: |psi_m'(0)| in psi [rad/s], else 0.
+
+    The vehicle starts with the velocity of its reference, but does not turn.
+    """
     sines = problem["reference"]
     if sines is None or name != "psi":
         return arb(0)

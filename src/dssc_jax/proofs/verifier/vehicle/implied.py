@@ -1,6 +1,6 @@
-"""The map F from bounds of all signals to the bounds that follow from them, from the start on or as time grows.
+"""The map F from bounds Y of all signals to the bounds that follow from them, and F_s, the same for upper limits.
 
-Bounds that exceed what F gives imply themselves, and so hold; docs/vehicle_proofs.md has the theorem.
+Bounds Y > F(Y) imply themselves, and so hold; docs/vehicle_proofs.md has the theorem.
 """
 
 from collections.abc import Mapping
@@ -32,22 +32,22 @@ from dssc_jax.proofs.verifier.vehicle.responses import (
 from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
 
 Responses = Mapping[str, Mapping[str, list[SignalResponse]]]
-"""The responses of the signals, by channel and name, one for each phase."""
+"""Responses of the signals, by channel and name, one for each phase of a sample."""
 REACH = 2 * len(PHASES)
-"""T_s over the longest time between a time within the sample and the nearest phase."""
+"""T_s over the largest distance of a time within a sample from the nearest phase, 8."""
 
 
 class Vehicle(NamedTuple):
-    """The data of the map F that do not depend on the bounds.
+    """What the map F needs besides the bounds: the linear channels of a vehicle and their responses.
 
     Args:
         problem: The certificate's problem.
-        middles: Slopes, damping, lambda and P of each linear channel.
+        middles: Slopes, share, damping, lambda and P of each linear channel.
         ranges: Numbers that follow from the problem's intervals.
         dampings: Damping of drag c of each linear channel [1/s].
         observations: The channels at their samples.
         responses: Responses of the signals, by channel and name, one for each phase.
-        flight: The nominal flight; None without a reference.
+        flight: The nominal flight; None: the vehicle hovers.
     """
 
     problem: VehicleProblem
@@ -60,12 +60,12 @@ class Vehicle(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Bounds of the inputs of the linear channels that bounds of the signals allow.
+    """Bounds of the inputs of the linear channels, which follow from bounds of the signals.
 
     Args:
         remainders: Bounds of the remainders.
-        deviations: Bounds of what the functions deviate by from straight lines, by channel.
-        sigma: Bounds of |sigma| of the vehicle, by channel.
+        deviations: How far the functions are from straight lines, by channel.
+        sigma: Bounds of the vehicle's |sigma|, by channel.
     """
 
     remainders: Remainders
@@ -78,7 +78,7 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
 
     Args:
         problem: The certificate's problem.
-        middles: Slopes, damping, lambda and P of each channel.
+        middles: Slopes, share, damping, lambda and P of each channel.
 
     Raises:
         Rejected: A channel is not shown to be stable, or its responses decay too slowly.
@@ -96,13 +96,13 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
 
 
 def sigmas_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, arb]:
-    """Bounds of the vehicle's |sigma|, by channel, from bounds of the signals."""
+    """Bounds of the vehicle's |sigma|, by channel, from bounds Y of the signals or of their deviation."""
     totals = total_bounds(vehicle.flight, bounds)
     return {name: totals[name]["sigma"] for name in CHANNELS}
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
-    """(V2) What the functions deviate by from straight lines under bounds of the signals, by channel."""
+    """(V2) How far the functions are from straight lines while the signals are within bounds, by channel."""
     regions = {name: float_above(sigma) for name, sigma in sigmas_under(vehicle, bounds).items()}
     return {name: deviations_of(vehicle.problem, name, vehicle.middles[name], regions[name]) for name in CHANNELS}
 
@@ -110,15 +110,15 @@ def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviati
 def inputs_under(
     vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], earlier: Inputs | None = None
 ) -> Inputs:
-    """(V3) Bounds of the inputs under bounds of the signals.
+    """(V3) Bounds of the inputs while the signals are within bounds.
 
     Args:
-        vehicle: The data of F.
-        bounds: Bounds of the signals.
-        deviations: What the functions deviate by, by channel.
-        earlier: The inputs in the time cell before; None in the first one.
+        vehicle: The linear channels and their responses.
+        bounds: Y, bounds of the signals or of their deviation from the nominal flight.
+        deviations: How far the functions are from straight lines, by channel.
+        earlier: Bounds of the inputs in the time cell before; None in the first one.
     """
-    earlier_remainders = earlier.remainders if earlier is not None else None
+    earlier_remainders = None if earlier is None else earlier.remainders
     totals = body_bounds(vehicle.flight, bounds)
     coupling = coupling_under(vehicle.flight, bounds)
     remainders = remainders_of(vehicle.problem, vehicle.ranges, totals, vehicle.dampings, earlier_remainders, coupling)
@@ -126,32 +126,32 @@ def inputs_under(
 
 
 def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, from_start: bool) -> dict[str, Balls]:
-    """F of bounds of the signals: the bounds that follow from them, by channel and signal.
+    """F(Y), the bounds that follow from bounds Y of the signals, by channel and signal; or F_s(Y) for upper limits.
 
     Args:
-        vehicle: The data of F.
-        bounds: Bounds of the signals.
+        vehicle: The linear channels and their responses.
+        bounds: Y, bounds of the signals.
         inputs: Bounds of the inputs that they allow.
-        from_start: Whether the bounds hold from the start on; otherwise they are those of the upper limits.
+        from_start: Whether to take F, from the start on; otherwise F_s, which has no start.
 
     Raises:
         Rejected: A bound is not finite.
     """
     t = arb(vehicle.problem["sample_time"])
-    result = {}
+    implied = {}
     for name in CHANNELS:
         slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
         starts = start_sizes(vehicle, name) if from_start else None
-        result[name] = Balls()
+        implied[name] = Balls()
         for signal, phases in vehicle.responses[name].items():
             largest = arb(0)
             for response in phases:
                 value = signal_bound(name, inputs, response, starts, vector_share(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
                 largest = maximum(largest, value.upper())
-            growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
-            result[name][signal] = (largest + growth).upper()
-    return result
+            growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]  # u_av has no time between samples
+            implied[name][signal] = (largest + growth).upper()
+    return implied
 
 
 def signal_bound(
@@ -161,13 +161,13 @@ def signal_bound(
     starts: list[arb] | None,
     share: arb,
 ) -> arb:
-    """The bound of a signal at one phase.
+    """The bound of a signal at one phase: the sum of its responses to all inputs, to the constant and to the start.
 
     Args:
-        name: The channel.
+        name: Name of the channel.
         inputs: Bounds of the inputs.
-        response: Response of the signal at the phase.
-        starts: Bounds of |e|, |e'| and the first sum's deviation at t = 0; None for the upper limits.
+        response: Response of the signal at the phase, to inputs of size 1.
+        starts: E_0, V_0 and the bound of q_(-1)'s deviation; None for upper limits, which no start affects.
         share: h, by :func:`vector_share`.
     """
     deviations = inputs.deviations[name]
@@ -188,12 +188,12 @@ def signal_bound(
 
 
 def vector_share(name: str, signal: str) -> arb:
-    """h, the ratio of a vector of two axes' deviations to each of them: 2^(1/2) in vectors of the plane, else 1."""
+    """h, the factor of the omegas' bounds: 2^(1/2) in a signal that is a norm of the plane, since both axes add."""
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
 def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
-    """Bounds at t = 0 in a channel: E_0 of |e|, V_0 of |e'|, and of what the first sum q deviates by."""
+    """Bounds at t = 0 in a channel: E_0 of |e|, V_0 of |e'|, and of what q_(-1) deviates by."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
     start_sigma = first_sigma(vehicle.problem, name).upper()
@@ -206,7 +206,7 @@ def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:
-    """Sigma_0, the bound of |sigma| of a channel at t = 0."""
+    """Sigma_0, the bound of |sigma| of a channel at t = 0: V_0 + l_0 E_0, in psi plus |psi_m'(0)|."""
     controller = problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
     return e_dot + initial_yaw_rate(problem, name) + arb(controller["l0"]) * e

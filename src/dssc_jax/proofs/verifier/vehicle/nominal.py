@@ -1,5 +1,6 @@
 """The nominal flight of a moving reference: the steady response of the linear channels to sums of sines, in balls.
 
+The reference is known motion, so the theorem subtracts it: bounds Y are those of the deviation from the nominal flight.
 At every frequency f a sampled channel has the steady response Z_f e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z_f =
 D_f, where D_f is what drives the channel within a sample. A signal at the time t_k + s is the real part of
 X(s) e^(2 pi i f t_k).
@@ -27,20 +28,20 @@ from dssc_jax.proofs.verifier.vehicle.waves import (
 )
 
 AXES = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
-"""The axes of each channel."""
+"""The axes that each channel stands for."""
 OUTPUT_RATE = "rate"
-"""The rate of the output itself, beside e_dot, that of the error."""
+"""Name of the rate of the output itself, besides ``e_dot``, the rate of the error."""
 Phasors = dict[str, list[acb]]
-"""Phasors of signals, one for each phase."""
+"""Phasors of signals by name, one for each phase of a sample."""
 
 
 class AxisInputs(NamedTuple):
-    """Sums of sines that drive the linear loop of an axis, and others with which its signals are compared.
+    """The known motion along one axis, as sums of sines.
 
     Args:
         reference: The reference y_m without its constant.
-        known_remainders: The known parts of the remainders, by name.
-        comparisons: By the name of a difference: the signal, and the sum of sines that is subtracted from it.
+        known_remainders: The known parts of the remainders, by name; they drive the linear loop as y_m does.
+        comparisons: Differences to bound, by name: a signal, and the sum of sines that is subtracted from it.
     """
 
     reference: Waves
@@ -49,7 +50,7 @@ class AxisInputs(NamedTuple):
 
     @property
     def frequencies(self) -> set[Fraction]:
-        """The frequencies of all inputs [Hz]."""
+        """The frequencies [Hz] of all that drives the loop."""
         return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
@@ -57,9 +58,9 @@ class ChannelFlight(NamedTuple):
     """The nominal flight in one channel.
 
     Args:
-        bounds: Bounds of the flight's signals and of its differences, by name.
-        starts: Known difference of the vehicle's state z_0 from that of the flight, (m, 1) for each axis. The problem's
-            bounds of |e| and |e'| at the start count besides.
+        bounds: N, bounds of the flight's signals and of its differences, by name.
+        starts: For each axis, the known part of the vehicle's z_0 less the flight's z_0, shape (m, 1). The unknown part
+            is within E_0 and V_0.
     """
 
     bounds: Balls
@@ -67,21 +68,25 @@ class ChannelFlight(NamedTuple):
 
 
 def axis_inputs_of(problem: VehicleProblem, name: str, damping: arb) -> list[AxisInputs]:
-    """The inputs of each axis of a channel.
+    """The known motion along each axis of a channel.
+
+    With alpha_0 = y_m'' + c y_m', the remainders of x and y have the known parts force = z_m'' alpha_0/g and torque =
+    a_1 psi_m' K alpha_0 - a_0 z_m'' alpha_0/g, where K is a quarter turn of the plane.
 
     Args:
         problem: The certificate's problem, with a reference.
-        name: The channel.
-        damping: Damping of drag c in the linear channel of x [1/s].
+        name: Name of the channel.
+        damping: c, damping of drag in the linear channel of x [1/s].
     """
     sines = problem["reference"]
     assert sines is not None
     references = {axis: sine_wave(sines[axis]) for axis in sines}
     if name == "psi":
-        return [AxisInputs(references["psi"], {}, {"yaw_gap": (OUTPUT_RATE, rate(references["psi"]))})]
-    lift = rate(rate(references["z"]))
+        comparisons = {"yaw_gap": (OUTPUT_RATE, rate(references["psi"]))}
+        return [AxisInputs(references["psi"], known_remainders={}, comparisons=comparisons)]
+    lift = rate(rate(references["z"]))  # z_m''
     if name == "z":
-        return [AxisInputs(references["z"], {}, {"lift_gap": ("wanted", lift)})]
+        return [AxisInputs(references["z"], known_remainders={}, comparisons={"lift_gap": ("wanted", lift)})]
     yaw_rate = rate(references["psi"])
     alpha_0 = {axis: sum_of(rate(rate(references[axis])), multiple(rate(references[axis]), damping)) for axis in "xy"}
     quarter_turn = {"x": multiple(alpha_0["y"], arb(-1)), "y": alpha_0["x"]}
@@ -103,15 +108,17 @@ def channel_flight(
     sampled: SampledChannel,
     phases: Sequence[arb],
 ) -> ChannelFlight:
-    """(V1) The nominal flight in a channel: the sum of the steady responses to all frequencies.
+    """(V1) Bounds of the nominal flight in a channel, the sum of the steady responses to all frequencies.
+
+    Each frequency adds the largest size of a signal at the phases, plus T_s/8 times the largest slope.
 
     Args:
         problem: The certificate's problem, with a reference.
-        name: The channel.
-        proof: Its proof, with the slopes of its functions.
+        name: Name of the channel.
+        proof: Its proof, with the slopes of the straight lines.
         channel: Its linear channel.
         sampled: The channel at its samples.
-        phases: The times within a sample at which signals are seen [s]; every time is at most T_s/8 from one.
+        phases: Times within a sample at which signals are bounded [s]; every time is within T_s/8 of one of them.
     """
     axes = axis_inputs_of(problem, name, arb(proof["drag_damping"]))
     frequencies = sorted({frequency for inputs in axes for frequency in inputs.frequencies})
@@ -133,12 +140,12 @@ def channel_flight(
 
 
 class SteadyResponse(NamedTuple):
-    """The response of a channel to what drives an axis at one frequency; see the module's text.
+    """The steady response of a channel to what drives one of its axes at one frequency.
 
     Args:
-        state: The real part of Z_f, that of z at t = 0, (m, 1).
-        phasors: X at the phases, by signal.
-        slopes: A ball of the derivative of X over the whole sample, by signal.
+        state: The real part of Z_f, the flight's z at t = 0, shape (m, 1).
+        phasors: X(s) of each signal at the phases, by name.
+        slopes: A ball that contains the derivative of X(s) throughout a sample, by signal.
     """
 
     state: arb_mat
@@ -150,9 +157,9 @@ class InputPhasors(NamedTuple):
     """Phasors at one frequency of what drives an axis.
 
     Args:
-        speed: That of y_m'.
-        acceleration: That of y_m''.
-        known_remainders: Those of the known parts of the remainders, by name.
+        speed: Phasor of y_m'.
+        acceleration: Phasor of y_m''.
+        known_remainders: Phasors of the known parts of the remainders, by name.
     """
 
     speed: acb
@@ -161,7 +168,7 @@ class InputPhasors(NamedTuple):
 
 
 def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
-    """The phasors at one frequency [Hz] of an axis's inputs."""
+    """The phasors at one frequency [Hz] of the known motion along an axis; 0 where it has no such frequency."""
     i_omega = acb(0, angular(frequency))
     speed = i_omega * inputs.reference.get(frequency, acb(0))
     known_remainders = {name: waves.get(frequency, acb(0)) for name, waves in inputs.known_remainders.items()}
@@ -169,9 +176,17 @@ def input_phasors(inputs: AxisInputs, frequency: Fraction) -> InputPhasors:
 
 
 def driven_generator(channel: Channel, phasors: InputPhasors, i_omega: acb) -> acb_mat:
-    """The generator of (chi, U, e^(i omega t)) within a sample: the last entry drives chi."""
+    """The generator of (chi, U, e^(i omega t)) within a sample, shape (n + 2, n + 2).
+
+    U is held, and the last entry, a wave, drives chi: e' = v - y_m', and the known remainders act.
+
+    Args:
+        channel: The linear channel.
+        phasors: Phasors of what drives the axis.
+        i_omega: i times the angular frequency [1/s].
+    """
     n = channel.order
-    forces = [-phasors.speed] + [acb(0)] * (n - 1)  # e' = y' - y_m'
+    forces = [-phasors.speed] + [acb(0)] * (n - 1)  # of e' and the other states
     for remainder, phasor in phasors.known_remainders.items():
         column = channel.inputs[remainder].tolist()
         forces = [entry + phasor * b for entry, (b,) in zip(forces, column, strict=True)]
@@ -184,12 +199,23 @@ def driven_generator(channel: Channel, phasors: InputPhasors, i_omega: acb) -> a
 def signal_rows(
     channel: Channel, inputs: AxisInputs, phasors: InputPhasors, l0: arb, frequency: Fraction
 ) -> dict[str, list[acb]]:
-    """Rows over (chi, U, e^(i omega t)) of the signals without u_av, of the output's rate and of the differences."""
+    """Rows over (chi, U, e^(i omega t)) of all signals but u_av, of the output's rate and of the differences, by name.
+
+    In the channel of a moving reference the state e' is the output's own rate v, so that e' = v - y_m'.
+
+    Args:
+        channel: The linear channel.
+        inputs: The known motion along the axis.
+        phasors: Its phasors at the frequency.
+        l0: Error pole [1/s].
+        frequency: The frequency [Hz].
+    """
     rows = {signal: [*map(acb, row.tolist()[0]), acb(0)] for signal, row in channel.signals.items()}
     rows[OUTPUT_RATE] = list(rows["e_dot"])
     for signal in ("e_dot", "sigma"):
         rows[signal][-1] = -phasors.speed
     force = phasors.known_remainders.get("force", acb(0))
+    # sigma' = v' - y_m'' + l_0 (v - y_m'), where v' contains the known force
     rows["bend"][-1] = force - phasors.acceleration - l0 * phasors.speed
     for gap, (signal, waves) in inputs.comparisons.items():
         rows[gap] = [*rows[signal][:-1], rows[signal][-1] - waves.get(frequency, acb(0))]
@@ -206,17 +232,17 @@ def steady_response(
     frequency: Fraction,
     phases: Sequence[arb],
 ) -> SteadyResponse:
-    """The steady response of a channel to what drives an axis at one frequency.
+    """The steady response of a channel to what drives one of its axes at one frequency f.
 
     Args:
         problem: The certificate's problem, with a reference.
-        name: The channel.
-        proof: Its proof, with the slopes of its functions.
+        name: Name of the channel.
+        proof: Its proof, with the slopes of the straight lines.
         channel: Its linear channel.
         sampled: The channel at its samples.
-        inputs: The inputs of an axis of the channel.
-        frequency: The frequency [Hz].
-        phases: The times within a sample at which signals are seen [s].
+        inputs: The known motion along the axis.
+        frequency: f [Hz].
+        phases: Times within a sample at which signals are bounded [s].
 
     Raises:
         Rejected: The response cannot be enclosed.
@@ -224,37 +250,47 @@ def steady_response(
     controller = problem["channels"][name]
     t = arb(problem["sample_time"])
     l0 = arb(controller["l0"])
-    slope_1, slope_2, slope_n = map(arb, proof["slopes"])
+    k_1, k_2, k_3 = map(arb, proof["slopes"])
     i_omega = acb(0, angular(frequency))
     drive = input_phasors(inputs, frequency)
-    integral_input = -t * slope_2 * drive.speed  # of sigma = y' - y_m' + l_0 e
-    command_input = (slope_1 + slope_n) * drive.speed - integral_input
+    integral_input = -t * k_2 * drive.speed  # into q, by -y_m' in sigma
+    command_input = (k_1 + k_3) * drive.speed - integral_input
     if controller["nominal"] is not None:  # (l_0 - a_n) y_m' of sigma, and a_n y_m' + y_m'' of the control itself
         command_input = command_input + (l0 * drive.speed + drive.acceleration) / arb(controller["nominal"][1])
     n = channel.order
     generator = driven_generator(channel, drive, i_omega)
     transition = (generator * acb(t)).exp()
-    sample_input = [transition[i, n] * sampled.fresh * command_input + transition[i, n + 1] for i in range(n)]
-    memories = sampled.a.nrows() - n - 1
-    sample_input += [command_input] * (memories > 0) + [acb(0)] * max(memories - 1, 0) + [integral_input]
-    state = steady_state(sampled.a, (i_omega * acb(t)).exp(), sample_input, name)
+    sample_input = [transition[i, n] * sampled.fresh * command_input + transition[i, n + 1] for i in range(n)]  # D_f
+    memory_inputs = [acb(0)] * (sampled.a.nrows() - n - 1)  # of the earlier commands in z
+    if memory_inputs:
+        memory_inputs[0] = command_input
+    sample_input += [*memory_inputs, integral_input]
+    state = steady_state(sampled.a, (i_omega * acb(t)).exp(), sample_input, name)  # Z_f
     acting_command = row_product(sampled.acting, state) + sampled.fresh * command_input
-    begin = acb_mat([[state[i, 0]] for i in range(n)] + [[acting_command], [acb(1)]])
+    begin = acb_mat([[state[i, 0]] for i in range(n)] + [[acting_command], [acb(1)]])  # (chi, U, wave)
     rows = signal_rows(channel, inputs, drive, l0, frequency)
     states_at_phases = [(generator * acb(time)).exp() * begin for time in phases]
-    state_slope = (generator * acb(t * interval_ball(0.0, 1.0))).exp() * (generator * begin)
+    over_sample = acb(t * interval_ball(0.0, 1.0))  # all times within a sample
+    state_slope = (generator * over_sample).exp() * (generator * begin)
     phasors = Phasors()
     slopes = {}
     for signal, row in rows.items():
         phasors[signal] = [(acb_mat([row]) * phase_state)[0, 0] for phase_state in states_at_phases]
         slopes[signal] = (acb_mat([row]) * state_slope)[0, 0]
-    phasors[EQUIVALENT] = [row_product(sampled.equivalent, state) + integral_input - slope_1 * drive.speed]
-    slopes[EQUIVALENT] = acb(0)
-    return SteadyResponse(arb_mat([[state[i, 0].real] for i in range(state.nrows())]), phasors, slopes)
+    phasors[EQUIVALENT] = [row_product(sampled.equivalent, state) + integral_input - k_1 * drive.speed]
+    slopes[EQUIVALENT] = acb(0)  # it exists at the samples only
+    first_values = arb_mat([[state[i, 0].real] for i in range(state.nrows())])
+    return SteadyResponse(state=first_values, phasors=phasors, slopes=slopes)
 
 
 def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> acb_mat:
-    """Z_f with (rotation - A) Z_f = drive, (m, 1): the state of the channel ``name`` at t = 0 in its steady response.
+    """Z_f with (rotation - A) Z_f = drive, shape (m, 1).
+
+    Args:
+        a: A, shape (m, m).
+        rotation: e^(2 pi i f T_s).
+        drive: D_f, what drives each entry of z in a sample.
+        name: Name of the channel, for the message.
 
     Raises:
         Rejected: The equation's solution cannot be enclosed.
@@ -268,19 +304,19 @@ def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> 
 
 
 def row_product(row: arb_mat, column: acb_mat) -> acb:
-    """The product of a row and a column."""
+    """The product of a real row and a complex column."""
     return (acb_mat(row) * column)[0, 0]
 
 
 def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
-    """A bound of a signal at some phases, from its phasors along each axis.
+    """A bound of a signal at all phases, from its phasors along each axis.
 
     Of a signal along an axis it is the larger amplitude, of a vector of the plane the largest norm. The vector of
-    Re(X w) and Re(Y w) with |w| = 1 is a sum of two that turn in opposite senses. Their lengths are |X + i Y|/2 and
+    Re(X w) and Re(Y w) with |w| = 1 is a sum of two that turn in opposite senses, of lengths |X + i Y|/2 and
     |X - i Y|/2.
 
     Args:
-        signal: The signal's name.
+        signal: Name of the signal.
         axes: Phasors at the phases, for each axis.
 
     Raises:
@@ -301,9 +337,9 @@ def size_of(signal: str, axes: Sequence[Sequence[acb]]) -> arb:
 def first_state(
     problem: VehicleProblem, name: str, proof: MiddleProof, sampled: SampledChannel, inputs: AxisInputs
 ) -> arb_mat:
-    """The known part of the vehicle's z_0 on an axis, (m, 1).
+    """The known part of the vehicle's z_0 on an axis, shape (m, 1).
 
-    The vehicle moves with its reference, but does not turn: psi' = 0, so that sigma_0 of psi is -psi_m'.
+    The vehicle starts with the velocity of its reference, but does not turn: there sigma_0 = -psi_m' sets q_(-1).
     """
     speed = at_start(rate(inputs.reference))
     entries = [arb(0)] * sampled.a.nrows()
@@ -316,12 +352,12 @@ def first_state(
 
 
 def start_ratio(proof: MiddleProof, start: str, t: arb) -> arb:
-    """-q_(-1)/sigma_0, what the first sum q takes from sigma_0, where straight lines replace the functions.
+    """-q_(-1)/sigma_0, the share of sigma_0 in the sum before the first sample, with straight lines for functions.
 
     Args:
         proof: The proof of a channel, with the slopes of the lines.
         start: Start of the predictor: ``zero``, ``matched`` or ``midpoint``.
         t: T_s [s].
     """
-    slope_1, slope_2, _ = map(arb, proof["slopes"])
-    return {"zero": arb(0), "matched": slope_1, "midpoint": slope_1 + t * slope_2 / 2}[start]
+    k_1, k_2, _ = map(arb, proof["slopes"])
+    return {"zero": arb(0), "matched": k_1, "midpoint": k_1 + t * k_2 / 2}[start]

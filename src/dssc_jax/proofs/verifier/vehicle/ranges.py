@@ -1,4 +1,4 @@
-"""The largest deviations and ratios of a vehicle's mass and inertia, from their intervals."""
+"""Extremes of a vehicle's mass, thrust and inertia over their intervals, as the remainders need them."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ GRAVITY = 9.81
 
 
 class Ranges(NamedTuple):
-    """Extremes over a vehicle's intervals of mass, thrust and inertia, with their symbols in docs/vehicle_proofs.md.
+    """Extremes over a vehicle's intervals of mass, thrust and inertia; upper bounds are rounded up.
 
     Args:
         gravity: g [m/s^2].
@@ -54,9 +54,9 @@ class Ranges(NamedTuple):
 
 
 def ranges_of(problem: VehicleProblem) -> Ranges:
-    """The extremes over the intervals of a problem."""
+    """Compute the extremes over the intervals of a problem."""
     inertia = problem["inertia"]
-    believed = [(value, value) for value in problem["believed_inertia"]]
+    believed = [(value, value) for value in problem["believed_inertia"]]  # intervals without width
     believed_x, believed_y, believed_z = problem["believed_inertia"]
     mass_low, mass_high = problem["mass"]
     (x_low, _), (y_low, _), (z_low, _) = inertia
@@ -95,15 +95,19 @@ def largest_difference(first: Interval, second: Interval) -> arb:
 
 def largest_sum(first: Interval, second: Interval) -> arb:
     """The largest x + y over two intervals."""
-    return (arb(first[1]) + arb(second[1])).upper()
+    _, first_high = map(arb, first)
+    _, second_high = map(arb, second)
+    return (first_high + second_high).upper()
 
 
 def horizontal_ratio(inertia: Sequence[Interval], size: Callable[[Interval, Interval], arb]) -> arb:
-    """The larger of size(J_z, J_y)/J_x and size(J_z, J_x)/J_y over intervals of the inertia.
+    """The larger one of size(J_z, J_y)/J_x and size(J_z, J_x)/J_y, the ratio that matters across body z.
 
     Args:
         inertia: Intervals of J_x, J_y and J_z [kg m^2].
-        size: The largest sum or difference of two numbers in intervals.
+        size: :func:`largest_difference` or :func:`largest_sum`.
     """
     x, y, z = inertia
-    return maximum((size(z, y) / arb(x[0])).upper(), (size(z, x) / arb(y[0])).upper())
+    x_low, _ = x
+    y_low, _ = y
+    return maximum((size(z, y) / arb(x_low)).upper(), (size(z, x) / arb(y_low)).upper())

@@ -1,6 +1,7 @@
-"""The map from bounds of the signals to bounds of the remainders, the vehicle's deviations from its linear channels.
+"""Bounds of the remainders, what the vehicle has besides its linear channels, from bounds of its signals.
 
-Every number is rounded up. docs/vehicle_proofs.md has the formulas in this order, and the meaning of the symbols.
+Every number is rounded up. The formulas are those of docs/vehicle_proofs.md, in their order; their symbols stand beside
+each line.
 """
 
 from collections.abc import Mapping
@@ -19,14 +20,14 @@ from dssc_jax.proofs.verifier.vehicle.rotors import RotorLag, Rotors, rotor_lag_
 
 
 class Remainders(NamedTuple):
-    """Bounds of what the vehicle deviates by from its linear channels.
+    """Bounds of the remainders, and of the tilt and the rotors on the way to them.
 
     Args:
-        channels: Bounds of the remainders, by channel and name.
-        constant: Bound of the constant o of the channel z [m/s^2].
-        tilt: Bound of the tilt [rad].
+        channels: Bounds of the remainders ``force``, ``torque`` and ``lag``, by channel and name.
+        constant: k g, bound of the constant o of the channel z [m/s^2].
+        tilt: beta, bound of the tilt [rad].
         rotors: Bounds of the rotors' thrusts and speeds.
-        shortfall: d, of how far a thrust is behind its command [N]; 0 without a rotor lag.
+        shortfall: d, bound of how far a thrust is behind its command [N]; 0 without a rotor lag.
     """
 
     channels: dict[str, Balls]
@@ -44,15 +45,16 @@ def remainders_of(
     earlier: Remainders | None = None,
     coupling: Coupling | None = None,
 ) -> Remainders:
-    """(V3) Bounds of the remainders under bounds of the signals; with a moving reference without their known parts.
+    """(V3) Bounds of the remainders, without their known parts, while the signals stay within their bounds.
 
     Args:
         problem: The certificate's problem.
         ranges: Numbers that follow from its intervals.
-        bounds: Bounds of the signals.
+        bounds: Bounds of the vehicle's signals.
         dampings: Damping of drag c in the linear channels of x and z [1/s].
         earlier: Remainders in the time cell before; None in the first one.
-        coupling: Bounds of the signals that couple the channels, with a moving reference; then there is no rotor lag.
+        coupling: Bounds of the products that couple the channels of a moving vehicle, which has no rotor lag. None: the
+            vehicle hovers, and no part is known.
 
     Raises:
         Rejected: The vehicle may leave the range of the theorem.
@@ -77,9 +79,9 @@ def remainders_of(
 
 
 def plane_force(ranges: Ranges, attitude: Attitude, drag: DragBounds, coupling: Coupling | None) -> arb:
-    """The remainder ``force`` of x and y: lift, a deviating thrust, and drag [m/s^2]."""
+    """x.force [m/s^2]: what p_h'' has besides alpha - c v, by a tilt that is not small, lift, thrust and drag."""
     g = ranges.gravity
-    k = ranges.thrust_deviation
+    k = ranges.thrust_deviation  # the largest |kappa - 1|
     s = attitude.tilt
     thrust_force = (1 + k) * g * s * (attitude.secant - 1) + k * g * s + k * attitude.achieved_lift * attitude.tangent
     force = thrust_force + drag.drag_h + drag.tilted_h + lift_force(ranges, attitude, coupling)
@@ -87,12 +89,12 @@ def plane_force(ranges: Ranges, attitude: Attitude, drag: DragBounds, coupling: 
 
 
 def lift_force(ranges: Ranges, attitude: Attitude, coupling: Coupling | None) -> arb:
-    """Bound of the horizontal force over mass of the lift q on a tilted vehicle, q beta [m/s^2].
+    """Bound of |q beta|, the horizontal force over mass of the lift q on a tilted vehicle [m/s^2].
 
-    With a moving reference its known part z_m'' alpha_0/g is left out.
+    Of a moving vehicle it is |q beta - z_m'' alpha_0/g|, without the known part.
     """
     if coupling is None:
-        return attitude.achieved_lift * attitude.tangent
+        return attitude.achieved_lift * attitude.tangent  # Q t
     gap_force = (coupling.lift * ranges.gravity * attitude.tilt + coupling.lift_known * coupling.alpha) / ranges.gravity
     return attitude.achieved_lift * attitude.tilt * (attitude.secant - 1) + gap_force
 
@@ -100,12 +102,13 @@ def lift_force(ranges: Ranges, attitude: Attitude, coupling: Coupling | None) ->
 def vertical_remainders(
     problem: VehicleProblem, ranges: Ranges, attitude: Attitude, drag: DragBounds, lag: RotorLag
 ) -> Balls:
-    """The remainders of z: ``force`` [m/s^2] and, with a rotor lag, ``lag`` [m/s^3]."""
+    """z.force [m/s^2], what z'' has besides q - c e' + o; with a rotor lag also z.lag [m/s^3], what q' has besides."""
     force = ranges.thrust_deviation * attitude.achieved_lift + drag.drag_z + drag.tilted_z
     remainders = {"force": force.upper()}
     if problem["rotor_lag"] > 0:
-        lift_defect = arb(problem["rotors"]) * lag.defect / arb(problem["believed_mass"])
-        turn_of_thrust = (ranges.gravity + attitude.achieved_lift) * attitude.tangent * attitude.euler_rate
+        lift_defect = arb(problem["rotors"]) * lag.defect / arb(problem["believed_mass"])  # n zeta/M_n
+        thrust = ranges.gravity + attitude.achieved_lift  # g + Q
+        turn_of_thrust = thrust * attitude.tangent * attitude.euler_rate
         remainders["lag"] = (lift_defect + turn_of_thrust).upper()
     return remainders
 
@@ -113,17 +116,17 @@ def vertical_remainders(
 def coupled_torque(
     problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls, attitude: Attitude, coupling: Coupling | None
 ) -> arb:
-    """Bound of a_0 g r_2, by a desired tilt that is not linear, and of a_1 psi' Q alpha, by the turn of the plane.
+    """Bound of |a_0 g (b_d - a_h/g)| + |a_1 psi' K alpha| [m/s^2], without the known parts of a moving vehicle.
 
-    With a moving reference their known parts are left out.
+    The first term is there because the desired tilt b_d is not linear, the second because the plane turns.
     """
     g = ranges.gravity
     stiffness = arb(problem["stiffness"])
     damping = arb(problem["damping"])
     if coupling is None:
         return stiffness * g * attitude.tilt_defect + g * damping * attitude.yaw_rate * attitude.tilt
-    demand = bounds["x"]["wanted"]
-    desired_tangent = demand / (g - attitude.lift)
+    demand = bounds["x"]["wanted"]  # A_h
+    desired_tangent = demand / (g - attitude.lift)  # t_d
     tilt_term = g * desired_tangent**3 / 3 + attitude.lift * attitude.lift * desired_tangent / g
     lift_term = (coupling.lift * demand + coupling.lift_known * coupling.wanted) / g
     yaw_term = coupling.yaw * g * attitude.tilt + coupling.yaw_known * coupling.alpha
@@ -138,19 +141,19 @@ def torques_without_lag(
     drag: DragBounds,
     coupling: Coupling | None,
 ) -> tuple[Balls, Balls]:
-    """The remainders ``torque`` of x and y and of psi, without a rotor lag.
+    """x.torque [m/s^2] and psi.torque [rad/s^2] without a rotor lag, each in a table by its name.
 
-    m_h and m_z bound what the angular acceleration across and along body z deviates by [rad/s^2].
+    m_h and m_z bound how far the body's angular acceleration is from the wanted one, across and along body z [rad/s^2].
     """
-    s, t, psi_1 = attitude.tilt, attitude.tangent, attitude.yaw_rate
+    s, t = attitude.tilt, attitude.tangent
     tilt_demand, yaw_demand = attitude.tilt_demand, attitude.yaw_demand
     rate_h, rate_z = attitude.rate_h, attitude.rate_z
-    m_h = tilt_demand + s * yaw_demand + attitude.frame_h + ranges.sum_ratio_h * rate_h * rate_z
-    m_z = yaw_demand + s * tilt_demand + attitude.frame_z + ranges.sum_ratio_z * rate_h * rate_h / 2
-    m_h = ranges.turn_deviation * m_h + drag.torque_h
-    m_z = ranges.turn_deviation * m_z + drag.torque_z
-    yaw = (t * m_h + attitude.secant * m_z).upper()
-    turn = (yaw_demand + yaw) * s + 2 * psi_1 * attitude.tilt_rate + psi_1 * psi_1 * s
+    turning_h = tilt_demand + s * yaw_demand + attitude.frame_h + ranges.sum_ratio_h * rate_h * rate_z
+    turning_z = yaw_demand + s * tilt_demand + attitude.frame_z + ranges.sum_ratio_z * rate_h * rate_h / 2
+    m_h = ranges.turn_deviation * turning_h + drag.torque_h
+    m_z = ranges.turn_deviation * turning_z + drag.torque_z
+    yaw = (t * m_h + attitude.secant * m_z).upper()  # psi.torque
+    turn = turn_of_plane(attitude, yaw_acceleration=yaw_demand + yaw)  # psi_2 = H_psi + psi.torque
     turn = turn + (1 + s * t) * m_h + t * m_z
     plane = ranges.gravity * turn + coupled_torque(problem, ranges, bounds, attitude, coupling)
     return {"torque": plane.upper()}, {"torque": yaw}
@@ -159,12 +162,12 @@ def torques_without_lag(
 def torques_with_lag(
     problem: VehicleProblem, ranges: Ranges, bounds: SignalBalls, attitude: Attitude, drag: DragBounds, lag: RotorLag
 ) -> tuple[Balls, Balls]:
-    """The remainders ``torque`` and ``lag`` of x and y and of psi, with a rotor lag.
+    """x.torque [m/s^2], x.lag [m/s^3], psi.torque [rad/s^2] and psi.lag [rad/s^3], by channel, with a rotor lag.
 
-    mu_h and mu_z bound the believed angular acceleration that the rotors achieve, m_h and m_z what the true one
-    deviates by, across and along body z [rad/s^2].
+    mu_h and mu_z bound mu, the angular acceleration that the rotors achieve as the inner loops believe. m_h and m_z
+    bound how far the body's true one is from it. Each is across and along body z [rad/s^2].
     """
-    s, t, psi_1 = attitude.tilt, attitude.tangent, attitude.yaw_rate
+    s, t = attitude.tilt, attitude.tangent
     g = ranges.gravity
     time_constant = arb(problem["rotor_lag"])
     rate_h, rate_z = attitude.rate_h, attitude.rate_z
@@ -172,14 +175,25 @@ def torques_with_lag(
     mu_z = bounds["psi"]["gamma"]
     m_h = ranges.turn_deviation * mu_h + drag.torque_h + ranges.ratio_h * rate_h * rate_z + attitude.frame_h
     m_z = ranges.turn_deviation * mu_z + drag.torque_z + ranges.ratio_z * rate_h * rate_h / 2 + attitude.frame_z
-    yaw = (t * mu_h + (attitude.secant - 1) * mu_z + t * m_h + attitude.secant * m_z).upper()
-    turn = (mu_z + yaw) * s + 2 * psi_1 * attitude.tilt_rate + psi_1 * psi_1 * s
+    yaw = (t * mu_h + (attitude.secant - 1) * mu_z + t * m_h + attitude.secant * m_z).upper()  # psi.torque
+    turn = turn_of_plane(attitude, yaw_acceleration=mu_z + yaw)  # psi_2 = mu_z + psi.torque
     turn = turn + s * t * mu_h + t * mu_z + (1 + s * t) * m_h + t * m_z
-    half_defect = arb(problem["rotors"]) * lag.defect / 2
-    arm_term = g * arb(problem["arm"]) * half_defect / ranges.believed_least
-    plane = {
-        "torque": (g * turn).upper(),
-        "lag": (lag.moment_h / time_constant + psi_1 * bounds["x"]["gamma"] + arm_term).upper(),
-    }
-    spin_term = arb(problem["torque_coefficient"]) * half_defect / ranges.believed_z
-    return plane, {"torque": yaw, "lag": (lag.moment_z / time_constant + spin_term).upper()}
+    half_defect = arb(problem["rotors"]) * lag.defect / 2  # n zeta/2
+    arm_term = g * arb(problem["arm"]) * half_defect / ranges.believed_least  # g L n zeta/(2 J_nl)
+    turn_term = attitude.yaw_rate * bounds["x"]["gamma"]  # psi_1 Y[x.gamma]
+    spin_term = arb(problem["torque_coefficient"]) * half_defect / ranges.believed_z  # c_tau n zeta/(2 J_nz)
+    plane_lag = lag.moment_h / time_constant + turn_term + arm_term
+    yaw_lag = lag.moment_z / time_constant + spin_term
+    return {"torque": (g * turn).upper(), "lag": plane_lag.upper()}, {"torque": yaw, "lag": yaw_lag.upper()}
+
+
+def turn_of_plane(attitude: Attitude, yaw_acceleration: arb) -> arb:
+    """Bound of |psi'' K b + 2 psi' K b' + psi'^2 b| [rad/s^2], the part of b'' by the turn of the plane.
+
+    Args:
+        attitude: Bounds of the attitude.
+        yaw_acceleration: psi_2, bound of |psi''| [rad/s^2].
+    """
+    s = attitude.tilt
+    psi_1 = attitude.yaw_rate
+    return yaw_acceleration * s + 2 * psi_1 * attitude.tilt_rate + psi_1 * psi_1 * s

@@ -1,9 +1,10 @@
-"""Upper bounds of what the inputs of a channel do to its signals: sums and integrals of responses, and their peaks.
+"""Upper bounds of what inputs and starts of size 1 do to a channel's signals: sums, integrals and peaks of responses.
 
-A signal is seen at the times ``PHASES`` of each sample. With f(r) = C_s A^k e^(A_c r) b the integral of |f| over a time
-h is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex,
-and f is apart from this line. A sample is cut into pieces. f'' has the column e^(A_c r) A_c^2 b, which is enclosed
-over the sample as a middle column plus a radius in each unit column.
+Signals are bounded at the times ``PHASES`` of each sample. A remainder acts through f(r) = C_s A^k e^(A_c r) b at all
+times r of a sample, so its effect is the integral of |f|. A sample is cut into pieces. Over a piece of length h the
+integral is at most h/2 (|f(0)| + |f(h)|), that of the straight line between the ends, plus h^3/12 sup |f''|, how far f
+is from this line. f'' has the column e^(A_c r) A_c^2 b, which is enclosed over the sample as a middle column plus a
+radius in each unit column.
 """
 
 import math
@@ -40,29 +41,30 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     forced_response,
     row_at,
     sampled_channel,
-    with_zeros,
 )
 from dssc_jax.proofs.verifier.vehicle.nominal import channel_flight, start_ratio
 
 PIECES = 4
-"""Pieces of each half of the rotors' lag, or of a shorter sample; a straight line replaces a response over each."""
+"""Number of pieces of a sample; with a rotor lag, of each half of the lag. A straight line stands for f over each."""
 MOST_PIECES = 32
 """Largest number of pieces of a sample."""
 PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
-"""Times within a sample at which the signals are seen, over T_s."""
+"""Times within a sample at which the signals are bounded, over T_s."""
+FIRST_OFFSET = 4
+"""Place of the first known offset among the columns of the starts, after e, e', q_(-1) and the constant."""
 
 
 class SignalResponse(NamedTuple):
     """Upper bounds of a signal at one phase of the samples, for inputs and starts of size 1.
 
     Args:
-        command: For |omega_u| <= 1, what the command deviates by.
-        integral: For |omega_r| <= 1, what the sum q deviates by besides.
+        command: For |omega_u| <= 1, omega_u being what the command deviates by.
+        integral: For |omega_r| <= 1, omega_r being what the sum q deviates by besides.
         remainders: For each remainder |r_j| <= 1, by name.
         constant: For a constant 1 in place of o, from t = 0 on.
-        settled_constant: For that constant as time grows.
-        starts: For e = 1 and for e' = 1 at t = 0, and for a deviation 1 of the first sum q.
-        start_offset: For the known difference of the start from the nominal flight's; 0 without a reference.
+        settled_constant: For this constant as time grows.
+        starts: For e = 1 at t = 0, for e' = 1, and for a deviation 1 of q_(-1).
+        start_offset: For the known part of z_0 less the nominal flight's; 0 if the vehicle hovers.
     """
 
     command: arb
@@ -80,7 +82,7 @@ class PhaseSignal(NamedTuple):
     Args:
         name: Name of the signal.
         time: Time since the sample [s].
-        row: Row of the signal over the state z_k at the sample, (1, m).
+        row: C_s, the signal as a row over the state z_k at the sample, shape (1, m).
         command_effect: Bound of the signal for |omega_u| <= 1 in the same sample.
         integral_effect: Bound of the signal for |omega_r| <= 1 in the same sample.
     """
@@ -98,16 +100,17 @@ class ChannelObservation(NamedTuple):
     Args:
         channel: The linear channel.
         sampled: The channel at its samples.
-        p: P of V, (m, m).
+        p: P of V = z'Pz, shape (m, m).
         decay: T_s lambda, the share of V that is lost in a sample.
         phase_signals: The signals at their phases.
-        rows: Rows of these signals, (phase signals, m).
+        rows: Rows of these signals, shape (phase signals, m).
         curves: The columns of the remainders within a sample, by name.
-        inputs: Columns of omega_u and omega_r, points and bend of each remainder, and the unit columns of chi,
-            (m, inputs).
-        starts: Columns of e, e', the first sum q, the constant, and the known offset along each axis, (m, 4 + axes).
-        offsets: Constants that are added to the responses to the starts, (phase signals, 4 + axes).
-        flight: Bounds of the nominal flight's signals; empty without a reference.
+        inputs: Columns b_u and b_q of omega_u and omega_r; then, for each remainder, its column at the points of a
+            sample and the middle of its bend; then the unit columns of chi. Shape (m, inputs).
+        starts: Columns of e = 1, of e' = 1, of q_(-1) = 1, of the constant, and of the known offset along each axis,
+            shape (m, 4 + axes).
+        offsets: Constants that are added to the responses to the starts, shape (phase signals, 4 + axes).
+        flight: N, bounds of the nominal flight's signals; empty if the vehicle hovers.
     """
 
     channel: Channel
@@ -123,17 +126,13 @@ class ChannelObservation(NamedTuple):
     flight: Balls
 
 
-FIRST_OFFSET = 4
-"""Place of the first known offset among the columns of the starts."""
-
-
 def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> ChannelObservation:
-    """(V1) A linear channel at its samples, of which it is shown that V = z'Pz falls.
+    """(V1) A channel at its samples, its signals and its inputs; it is shown that V = z'Pz falls.
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
-        proof: Its proof, with slopes, damping, lambda and P.
+        name: Name of the channel.
+        proof: Its proof, with slopes, share, damping, lambda and P.
 
     Raises:
         Rejected: V does not fall.
@@ -184,7 +183,7 @@ def channel_responses(
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
+        name: Name of the channel.
         observation: Its signals and inputs at the samples.
 
     Raises:
@@ -202,11 +201,11 @@ def channel_responses(
     )
     if bounds is None:
         raise Rejected(f"V1: the responses of {name} decay too slowly")
-    result: dict[str, list[SignalResponse]] = {}
+    responses: dict[str, list[SignalResponse]] = {}
     for i, phase_signal in enumerate(observation.phase_signals):
         response = response_of(i, phase_signal, observation.channel, observation.curves, bounds, observation.offsets, t)
-        result.setdefault(phase_signal.name, []).append(response)
-    return result
+        responses.setdefault(phase_signal.name, []).append(response)
+    return responses
 
 
 def phase_signals_of(channel: Channel, sampled: SampledChannel, t: arb, share: arb) -> list[PhaseSignal]:
@@ -216,10 +215,10 @@ def phase_signals_of(channel: Channel, sampled: SampledChannel, t: arb, share: a
         channel: The linear channel.
         sampled: The channel at its samples.
         t: T_s [s].
-        share: Share of omega_u in omega_q, the deviation of the sum q.
+        share: s_q, the share of omega_u in omega_q.
     """
     phase_signals = []
-    both_effects = abs(1 + t * share)
+    both_effects = abs(1 + t * share)  # of omega_u on the command: directly, and through T_s omega_q in the sum q
     for phase in PHASES:
         time = t * phase.numerator / phase.denominator
         transition = flow(channel, time)
@@ -233,9 +232,9 @@ class CurvedColumn(NamedTuple):
     """The column e^(A_c r) b of a remainder for times r within a sample.
 
     Args:
-        points: The column at the ends of all pieces of the sample, (n, 1) each.
-        bend: Middle of the column's second derivative over the sample, (n, 1).
-        radii: Radii about this middle, for each state.
+        points: The column at the ends of all pieces of the sample, shape (n, 1) each.
+        bend: Middle of the column's second derivative over the sample, shape (n, 1).
+        radii: Radius about this middle, for each state.
     """
 
     points: list[arb_mat]
@@ -249,30 +248,31 @@ class CurvedColumn(NamedTuple):
 
 
 def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample, each of which a straight line replaces; more pieces give a smaller bound."""
+    """Number of pieces of a sample; more pieces give a smaller bound, and a short rotor lag needs more."""
     lag = problem["rotor_lag"]
     if lag <= 0:
         return PIECES
-    return min(PIECES * math.ceil(min(2.0 * problem["sample_time"] / lag, MOST_PIECES)), MOST_PIECES)
+    half_lags = math.ceil(min(2.0 * problem["sample_time"] / lag, MOST_PIECES))  # in a sample
+    return min(PIECES * half_lags, MOST_PIECES)
 
 
 def curved_columns(channel: Channel, t: arb, pieces: int) -> dict[str, CurvedColumn]:
-    """The columns of the remainders within a sample of the duration ``t`` [s], by name."""
-    f = channel.dynamics
-    over_sample = (f * (t * interval_ball(0.0, 1.0))).exp()
-    result = {}
+    """The columns e^(A_c r) b of the remainders for r within a sample of the duration t [s], by name."""
+    a_c = channel.dynamics
+    over_sample = (a_c * (t * interval_ball(0.0, 1.0))).exp()  # e^(A_c r) for all r
+    curves = {}
     for name, b in channel.inputs.items():
-        second_derivative = over_sample * (f * (f * b))
+        second_derivative = over_sample * (a_c * (a_c * b))
         radii = [entry.rad() for (entry,) in second_derivative.tolist()]
-        points = [(f * (t * piece / pieces)).exp() * b for piece in range(pieces + 1)]
-        result[name] = CurvedColumn(points, second_derivative.mid(), radii)
-    return result
+        points = [(a_c * (t * piece / pieces)).exp() * b for piece in range(pieces + 1)]
+        curves[name] = CurvedColumn(points=points, bend=second_derivative.mid(), radii=radii)
+    return curves
 
 
 def extended_column(column_block: arb_mat, sampled: SampledChannel) -> arb_mat:
-    """A column over the states chi, extended by zeros to one over z, (m, 1)."""
-    remainder = sampled.a.nrows() - column_block.nrows()
-    return stack([column_block, arb_mat(remainder, 1)])
+    """A column over chi, extended by zeros to a column over z, shape (m, 1)."""
+    zero_count = sampled.a.nrows() - column_block.nrows()
+    return stack([column_block, arb_mat(zero_count, 1)])
 
 
 def start_columns(
@@ -283,30 +283,34 @@ def start_columns(
     t: arb,
     phase_signals: Sequence[PhaseSignal],
 ) -> tuple[arb_mat, arb_mat]:
-    """Columns z_0 of the starts, (m, 4), and constants that are added to the responses to them, (phase signals, 4).
+    """The states z_0 of some starts, and constants that are added to the responses to them.
 
-    The starts are e = 1, e' = 1, a first sum q = 1, and a constant force 1 from t = 0 on. The constant leads to the
+    The starts are e = 1, e' = 1, q_(-1) = 1, and a constant force 1 from t = 0 on. The constant leads to the
     equilibrium z*, so that z_k = z* + A^k (0 - z*). The signal at s has the integral of C e^(A_c r) b up to s besides.
 
     Args:
         channel: The linear channel.
         sampled: The channel at its samples.
-        proof: Its proof, with the slopes of its functions.
+        proof: Its proof, with the slopes of the straight lines.
         start: Start of the predictor.
         t: T_s [s].
         phase_signals: The signals at their phases.
+
+    Returns:
+        Columns z_0, shape (m, 4), and the constants, shape (phase signals, 4).
 
     Raises:
         Rejected: The equilibrium cannot be enclosed.
     """
     m = sampled.a.nrows()
-    ratio = start_ratio(proof, start, t)
+    ratio = start_ratio(proof, start, t)  # -q_(-1)/sigma_0
     units = identity(m)
-    end = column(units, m - 1)
-    columns = []
-    for place in range(2):  # of sigma_0 = e' + l_0 e
-        columns.append(column(units, place) - end * (ratio * sampled.sigma[0, place]))
-    columns.append(end)
+    e, e_dot, q = column(units, 0), column(units, 1), column(units, m - 1)
+    columns = [
+        e - q * (ratio * sampled.sigma[0, 0]),  # sigma_0 = e' + l_0 e sets q_(-1), too
+        e_dot - q * (ratio * sampled.sigma[0, 1]),
+        q,
+    ]
     offsets = arb_mat(len(phase_signals), 4)
     b = channel.constant
     if b is None:
@@ -315,11 +319,13 @@ def start_columns(
         equilibrium = (units - sampled.a).solve(extended_column(forced_response(channel, b, t), sampled))
     except ZeroDivisionError:
         raise Rejected("V1: the response to the constant cannot be enclosed") from None
+    constant_place = 3
     for i, phase_signal in enumerate(phase_signals):
-        offsets[i, 3] = (phase_signal.row * equilibrium)[0, 0]
+        offset = (phase_signal.row * equilibrium)[0, 0]
         if phase_signal.name != EQUIVALENT:
-            within = with_zeros(channel.signals[phase_signal.name], channel.order, channel.order)
-            offsets[i, 3] = offsets[i, 3] + (within * forced_response(channel, b, phase_signal.time))[0, 0]
+            row = first_columns(channel.signals[phase_signal.name], channel.order)  # C
+            offset = offset + (row * forced_response(channel, b, phase_signal.time))[0, 0]
+        offsets[i, constant_place] = offset
     return side_by_side(*columns, -equilibrium), offsets
 
 
@@ -332,10 +338,10 @@ def response_of(
     offsets: arb_mat,
     t: arb,
 ) -> SignalResponse:
-    """The response of one signal at one phase, from the sums and peaks of its row.
+    """The response of one signal at one phase, from the sums and peaks of the responses of its row.
 
     Args:
-        i: Row of the signal.
+        i: Number of the signal's row.
         phase_signal: The signal at its phase.
         channel: The linear channel.
         curves: The columns of the remainders within a sample.
@@ -343,31 +349,32 @@ def response_of(
         offsets: Constants that are added to the responses to the starts.
         t: T_s [s].
     """
-    command, integral, *sums = [arb(float(value)) for value in bounds.sums[i]]
-    pieces = next(iter(curves.values())).pieces
-    count = pieces + 2
-    units = sums[count * len(curves) :]
+    command, integral, *sums = [arb(float(value)) for value in bounds.sums[i]]  # of the columns of ``inputs``
+    pieces = next(iter(curves.values())).pieces  # the same for all remainders
+    columns_of_curve = pieces + 2  # the points, and the middle of the bend
+    units = sums[columns_of_curve * len(curves) :]
     piece = t / pieces
     remainders = Balls()
     for place, (name, curve) in enumerate(curves.items()):
-        start, *inner, end, middle = sums[count * place : count * (place + 1)]
+        start, *inner, end, middle = sums[columns_of_curve * place : columns_of_curve * (place + 1)]
+        lines = piece * ((start + end) / 2 + total(inner))
         curvature = middle + total([radius * unit for radius, unit in zip(curve.radii, units, strict=True)])
-        lines = piece * ((start + end) / 2 + total(inner)) + pieces * piece**3 / 12 * curvature
-        remainders[name] = (lines + integral_within(channel, phase_signal, curve)).upper()
-    peaks = [arb(float(value)) for value in bounds.peaks[i]]
+        later_effect = lines + pieces * piece**3 / 12 * curvature
+        remainders[name] = (later_effect + integral_within(channel, phase_signal, curve)).upper()
+    e, e_dot, q, constant, *start_offsets = [arb(float(value)) for value in bounds.peaks[i]]
     return SignalResponse(
         command=(command + phase_signal.command_effect).upper(),
         integral=(integral + phase_signal.integral_effect).upper(),
         remainders=remainders,
-        constant=peaks[3],
-        settled_constant=abs(offsets[i, 3]).upper(),
-        starts=(peaks[0], peaks[1], peaks[2]),
-        start_offset=size_over_axes(phase_signal.name, peaks[FIRST_OFFSET:]),
+        constant=constant,
+        settled_constant=abs(offsets[i, 3]).upper(),  # at the constant's equilibrium
+        starts=(e, e_dot, q),
+        start_offset=size_over_axes(phase_signal.name, start_offsets),
     )
 
 
 def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
-    """A bound of a signal from those on each axis: of a signal along an axis the larger one, of a vector the norm."""
+    """A bound of a signal from bounds along each axis: the larger one, or the norm where the signal is a vector."""
     if not axes:
         return arb(0)
     if len(axes) == 1 or signal in ALONG_AXES:
@@ -376,18 +383,18 @@ def size_over_axes(signal: str, axes: Sequence[arb]) -> arb:
 
 
 def integral_within(channel: Channel, phase_signal: PhaseSignal, curve: CurvedColumn) -> arb:
-    """Bound of the integral of |C e^(A_c r) b| from the sample to a signal's phase, in as many pieces as a sample has.
+    """Bound of what a remainder of size 1 does to a signal in the same sample.
 
-    It is what a remainder of size 1 does to the signal in the same sample.
+    It is the integral of |C e^(A_c r) b| over r from 0 to the signal's phase, in as many pieces as a sample has.
     """
     if phase_signal.name == EQUIVALENT:
         return arb(0)
     b = curve.points[0]
     pieces = curve.pieces
-    f = channel.dynamics
-    row = first_columns(channel.signals[phase_signal.name], channel.order)
-    over_time = (f * (phase_signal.time * interval_ball(0.0, 1.0))).exp()
-    curvature = abs((row * over_time * (f * (f * b)))[0, 0])
+    a_c = channel.dynamics
+    row = first_columns(channel.signals[phase_signal.name], channel.order)  # C
+    over_time = (a_c * (phase_signal.time * interval_ball(0.0, 1.0))).exp()
+    curvature = abs((row * over_time * (a_c * (a_c * b)))[0, 0])
     piece = phase_signal.time / pieces
-    start, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(pieces + 1)]
+    start, *inner, end = [abs((row * (a_c * (piece * i)).exp() * b)[0, 0]) for i in range(pieces + 1)]
     return (piece * ((start + end) / 2 + total(inner)) + pieces * piece**3 / 12 * curvature).upper()

@@ -1,6 +1,7 @@
 """Bounds of the rotors' thrusts and speeds, and of how far a lag keeps them behind their commands.
 
-docs/vehicle_proofs.md has the formulas. A lower bound is rounded down.
+docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here. An upper bound is rounded up,
+a lower bound down.
 """
 
 from typing import NamedTuple
@@ -14,17 +15,17 @@ from dssc_jax.proofs.verifier.vehicle.channels import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
 LEAST_ROTORS = 4
-"""Number of rotors whose thrusts follow from net thrust and moments."""
+"""Number of rotors whose thrusts follow from net thrust and moments alone."""
 
 
 class Rotors(NamedTuple):
-    """Bounds of the rotors' thrusts and speeds, with their symbols in docs/vehicle_proofs.md.
+    """Bounds of the rotors' thrusts and speeds.
 
     Args:
-        smallest: f_min, a lower bound of every thrust [N].
-        largest: f_max, an upper bound of every thrust [N].
-        difference: w_o, of the difference of two rotors' speeds [rad/s].
-        sum: o_S, of the sum of the speeds [rad/s].
+        smallest: f_min, lower bound of every thrust [N].
+        largest: f_max, upper bound of every thrust [N].
+        difference: w_o, bound of the difference of two rotors' speeds [rad/s].
+        sum: o_S, bound of the sum of the speeds [rad/s].
     """
 
     smallest: arb
@@ -34,14 +35,14 @@ class Rotors(NamedTuple):
 
 
 class RotorLag(NamedTuple):
-    """Bounds of how far rotors with a lag are behind their commands, with their symbols in docs/vehicle_proofs.md.
+    """Bounds of how far rotors with a lag are behind their commands.
 
     Args:
-        moment_h: r_mh, of g times the deviation of the commanded angular acceleration from m across body z [m/s^2].
-        moment_z: r_mz, of that along body z from eta_psi [rad/s^2].
-        shortfall: d, of |f_ci - f_i|, how far a thrust is behind its command [N].
-        defect: zeta, of the slope of a thrust that a lag of its speed adds to that of a lag of the thrust [N/s].
-        spin_up: Bound of the sum of the speeds' slopes [rad/s^2].
+        moment_h: r_mh, bound of how far g times the commanded angular acceleration across body z is from m [m/s^2].
+        moment_z: r_mz, bound of how far the commanded angular acceleration along body z is from eta_psi [rad/s^2].
+        shortfall: d, bound of |f_ci - f_i|, how far a thrust is behind its command [N].
+        defect: zeta, bound of what a lag of the speed adds to the derivative of a thrust with a lag of its own [N/s].
+        spin_up: Bound of the signed sum of the speeds' derivatives [rad/s^2].
     """
 
     moment_h: arb
@@ -58,7 +59,8 @@ def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earli
         problem: The certificate's problem.
         ranges: Numbers that follow from its intervals.
         attitude: Bounds of the attitude.
-        earlier: Those in the time cell before, whose thrusts still count with a rotor lag; None in the first cell.
+        earlier: Bounds of the rotors in the time cell before, whose thrusts still count with a rotor lag; None in the
+            first cell.
 
     Raises:
         Rejected: The command of a thrust may reach 0 or its limit.
@@ -67,26 +69,25 @@ def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earli
     believed_mass = arb(problem["believed_mass"])
     coefficient = arb(problem["thrust_coefficient"])
     g = ranges.gravity
-    m_h = (
+    m_h = (  # M_h, bound of the commanded angular acceleration across body z
         attitude.tilt_demand
         + attitude.tilt * attitude.yaw_demand
         + attitude.frame_h
         + ranges.believed_ratio_h * attitude.rate_h * attitude.rate_z
     )
-    m_z = (
+    m_z = (  # M_z, the same along body z
         attitude.yaw_demand
         + attitude.tilt * attitude.tilt_demand
         + attitude.frame_z
         + ranges.believed_ratio_z * attitude.rate_h * attitude.rate_h / 2
     )
-    by_moment = 2 * ranges.believed_h * m_h / (n * arb(problem["arm"]))
-    by_moment = by_moment + ranges.believed_z * m_z / (n * arb(problem["torque_coefficient"]))
+    by_moment = moment_thrust(problem, ranges, m_h, m_z)  # d_M
     smallest = (believed_mass * (g - attitude.lift) / n - by_moment).lower()
     largest = (believed_mass * (g + attitude.lift) * attitude.secant / n + by_moment).upper()
     require_premise(bool(smallest > 0), "V3: a rotor's commanded thrust may reach 0")
     require_premise(bool(largest < arb(problem["rotor_limit"])), "V3: a rotor's commanded thrust may reach its limit")
     lift = g + maximum(attitude.lift, attitude.achieved_lift)
-    if earlier is not None and problem["rotor_lag"] > 0:
+    if earlier is not None and problem["rotor_lag"] > 0:  # the thrusts follow the commands of earlier cells
         smallest = minimum(smallest, earlier.smallest)
         largest = maximum(largest, earlier.largest)
     return Rotors(
@@ -95,6 +96,20 @@ def rotors_of(problem: VehicleProblem, ranges: Ranges, attitude: Attitude, earli
         difference=((largest.sqrt() - smallest.sqrt()) / coefficient.sqrt()).upper(),
         sum=(n * believed_mass * lift * attitude.secant / coefficient).sqrt().upper(),
     )
+
+
+def moment_thrust(problem: VehicleProblem, ranges: Ranges, m_h: arb, m_z: arb) -> arb:
+    """Bound of the thrust that the allocation adds to a rotor for commanded angular accelerations [N].
+
+    Args:
+        problem: The certificate's problem.
+        ranges: Numbers that follow from its intervals.
+        m_h: Bound of the angular acceleration across body z [rad/s^2].
+        m_z: Bound of the angular acceleration along body z [rad/s^2].
+    """
+    n = arb(problem["rotors"])
+    across = 2 * ranges.believed_h * m_h / (n * arb(problem["arm"]))
+    return across + ranges.believed_z * m_z / (n * arb(problem["torque_coefficient"]))
 
 
 def rotor_lag_of(
@@ -107,9 +122,9 @@ def rotor_lag_of(
 ) -> RotorLag:
     """(V3) Bounds of how far the rotors are behind their commands; zeros without a lag.
 
-    In a later time cell the part xi of :func:`largest_shortfall` begins with what it had before. So the shortfall d is
-    the larger of that of this cell and that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger
-    root is not below: then xi cannot grow beyond what belongs to d.
+    In a later time cell the part xi of :func:`largest_shortfall` begins with what it had before. So d is the larger one
+    of this cell's and the earlier cell's d. The latter must be at most 4 f_min/(n - 4)^(1/2): the larger root of the
+    equation for d is not below this, so xi cannot reach it.
 
     Args:
         problem: The certificate's problem.
@@ -123,7 +138,8 @@ def rotor_lag_of(
         Rejected: The rotors may be too far behind their commands.
     """
     if problem["rotor_lag"] == 0:
-        return RotorLag(arb(0), arb(0), arb(0), arb(0), arb(0))
+        zero = arb(0)
+        return RotorLag(moment_h=zero, moment_z=zero, shortfall=zero, defect=zero, spin_up=zero)
     n = arb(problem["rotors"])
     time_constant = arb(problem["rotor_lag"])
     g = ranges.gravity
@@ -131,29 +147,28 @@ def rotor_lag_of(
     tilt_demand = attitude.tilt_demand
     yaw_demand = attitude.yaw_demand
     rate_h = attitude.rate_h
-    product = attitude.frame_h + ranges.believed_ratio_h * rate_h * attitude.rate_z
-    inner = arb(problem["damping"]) * attitude.yaw_rate * s + s * yaw_demand + s * s * tilt_demand / 2 + product
-    moment_h = (arb(problem["stiffness"]) * g * attitude.tilt_defect + g * inner).upper()
-    coupling_z = ranges.believed_ratio_z * rate_h * rate_h / 2
-    moment_z = (s * tilt_demand + s * s * yaw_demand / 2 + attitude.frame_z + coupling_z).upper()
-    shortfall = arb(problem["believed_mass"]) * bounds["z"]["behind"] * attitude.secant / n
+    coupled_h = attitude.frame_h + ranges.believed_ratio_h * rate_h * attitude.rate_z
+    turn_terms = arb(problem["damping"]) * attitude.yaw_rate * s + s * yaw_demand + s * s * tilt_demand / 2 + coupled_h
+    moment_h = (arb(problem["stiffness"]) * g * attitude.tilt_defect + g * turn_terms).upper()  # r_mh
+    coupled_z = ranges.believed_ratio_z * rate_h * rate_h / 2
+    moment_z = (s * tilt_demand + s * s * yaw_demand / 2 + attitude.frame_z + coupled_z).upper()  # r_mz
     behind_h = bounds["x"]["behind"] + moment_h
-    shortfall = shortfall + 2 * ranges.believed_h * behind_h / (g * n * arb(problem["arm"]))
     behind_z = bounds["psi"]["behind"] + moment_z
-    shortfall = shortfall + ranges.believed_z * behind_z / (n * arb(problem["torque_coefficient"]))
-    shortfall = largest_shortfall(n, shortfall, rotors.smallest)
+    d_4 = arb(problem["believed_mass"]) * bounds["z"]["behind"] * attitude.secant / n
+    d_4 = d_4 + 2 * ranges.believed_h * behind_h / (g * n * arb(problem["arm"]))
+    d_4 = d_4 + ranges.believed_z * behind_z / (n * arb(problem["torque_coefficient"]))
+    shortfall = largest_shortfall(n, d_4, rotors.smallest)
     if earlier_shortfall is not None and problem["rotors"] > LEAST_ROTORS:
         is_bounded = (n - LEAST_ROTORS).sqrt() * earlier_shortfall <= 4 * rotors.smallest
         require_premise(bool(is_bounded), "V3: the rotors may be too far behind their commands")
         shortfall = maximum(shortfall, earlier_shortfall)
-    defect = shortfall * shortfall / (4 * time_constant * rotors.smallest)
-    slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
-    spin_up = n * shortfall / (2 * time_constant * slowest)
+    defect = shortfall * shortfall / (4 * time_constant * rotors.smallest)  # zeta
+    spin_up = n * shortfall / (2 * time_constant * (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt())
     return RotorLag(moment_h, moment_z, shortfall, defect.upper(), spin_up.upper())
 
 
 def largest_shortfall(n: arb, d_4: arb, f_min: arb) -> arb:
-    """(V3) A bound d of |f_ci - f_i|, the shortfall of each rotor's thrust behind its command [N].
+    """(V3) d, a bound of |f_ci - f_i|, how far each rotor's thrust is behind its command [N].
 
     With more than four rotors the thrusts f_i have a part xi_i in the null space of the allocation, too. The commands
     f_ci have none, so xi' = -xi/tau - (projection of the zeta_i on that space), with the lag tau and the defects zeta_i
@@ -169,6 +184,6 @@ def largest_shortfall(n: arb, d_4: arb, f_min: arb) -> arb:
     Raises:
         Rejected: The equation for d has no root.
     """
-    discriminant_deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
-    require_premise(bool(discriminant_deficit < 1), "V3: the rotors may be too far behind their commands")
-    return (2 * d_4 / (1 + (1 - discriminant_deficit).sqrt())).upper()
+    deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)  # 1 less the discriminant
+    require_premise(bool(deficit < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - deficit).sqrt())).upper()

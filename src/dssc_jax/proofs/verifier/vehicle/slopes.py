@@ -1,4 +1,7 @@
-"""Bounds of how fast the signals change within a sample, from bounds of the signals and of the remainders."""
+"""Bounds of how fast the signals change within a sample, from bounds of the signals and of the remainders.
+
+They are the table of slopes in docs/vehicle_proofs.md.
+"""
 
 from collections.abc import Mapping
 
@@ -13,7 +16,7 @@ from dssc_jax.proofs.verifier.vehicle.remainders import Remainders
 def signal_slopes(
     problem: VehicleProblem, name: str, damping: float, bounds: SignalBalls, remainders: Remainders
 ) -> Balls:
-    """Bounds of the slopes of a channel's signals within a sample, by name; u_av has none.
+    """Bounds of the derivatives of a channel's signals within a sample, by name; u_av, constant there, has none.
 
     Args:
         problem: The certificate's problem.
@@ -34,7 +37,7 @@ def signal_slopes(
 
 
 def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], remainders: Balls) -> Balls:
-    """Bounds of the slopes of the signals of x and y, by name.
+    """Bounds of the derivatives of the signals of x and y, by name.
 
     Args:
         problem: The certificate's problem.
@@ -70,9 +73,7 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
 def vertical_slopes(
     problem: VehicleProblem, damping: arb, y: Mapping[str, arb], remainders: Balls, constant: arb
 ) -> Balls:
-    """Bounds of the slopes of the signals of z, by name: the same steps as :func:`plane_slopes`, without attitude.
-
-    With a rotor lag, ``behind`` is the lift that is wanted and not there yet.
+    """Bounds of the derivatives of the signals of z, by name.
 
     Args:
         problem: The certificate's problem.
@@ -82,26 +83,18 @@ def vertical_slopes(
         constant: Bound of the constant o of the channel.
     """
     l0 = arb(problem["channels"]["z"]["l0"])
-    velocity_slope = y["acceleration"] + remainders["force"] + constant
-    demand_slope = arb(problem["velocity_gain"]) * velocity_slope
-    lift_slope = demand_slope
-    slopes = {
-        "e": y["e_dot"],
-        "e_dot": velocity_slope,
-        "sigma": y["bend"] + remainders["force"] + constant,
-        "wanted": demand_slope,
-    }
+    e_dot = y["acceleration"] + remainders["force"] + constant
+    demand = arb(problem["velocity_gain"]) * e_dot
+    lift = demand  # without a rotor lag the lift is the wanted acceleration
+    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + remainders["force"] + constant, "wanted": demand}
     if problem["rotor_lag"] > 0:
-        lift_slope = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
-        slopes["lift"] = lift_slope
-        slopes["behind"] = demand_slope + lift_slope
-    slopes["acceleration"] = damping * velocity_slope + lift_slope
-    slopes["bend"] = abs(l0 - damping) * velocity_slope + lift_slope
-    return slopes
+        lift = y["behind"] / arb(problem["rotor_lag"]) + remainders["lag"]
+        slopes |= {"lift": lift, "behind": demand + lift}
+    return slopes | {"acceleration": damping * e_dot + lift, "bend": abs(l0 - damping) * e_dot + lift}
 
 
 def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], remainders: Balls) -> Balls:
-    """Bounds of the slopes of the signals of psi, by name; see :func:`plane_slopes`."""
+    """Bounds of the derivatives of the signals of psi, by name; the arguments are those of :func:`plane_slopes`."""
     l0 = arb(problem["channels"]["psi"]["l0"])
     lagging = problem["rotor_lag"] > 0
     e_dot = (y["gamma"] if lagging else y["wanted"]) + remainders["torque"]

@@ -1,6 +1,6 @@
-"""The verifier of the whole vehicle's theorem: a certificate is proved if (V0) to (V5) hold in ball arithmetic.
+"""The verifier of a vehicle's certificate: it is proved if every premise, (V0) to (V5), holds in ball arithmetic.
 
-docs/vehicle_proofs.md states the theorem. The numbers of the certificate are exact.
+It takes the numbers of the certificate as exact. docs/vehicle_proofs.md states the theorem.
 """
 
 import math
@@ -37,11 +37,11 @@ from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
 from dssc_jax.proofs.verifier.verdict import ball_precision
 
 MOST_ITERATIONS = 40
-"""Largest number of iterations of F_s."""
+"""Largest number of times that F_s is applied."""
 LEAST_FALL = 1e-4
-"""Fall of a bound, as a share of it, below which no more is gained."""
+"""Fall of a bound, as a share of the bound, below which F_s is no longer applied."""
 REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
-"""The remainder in the slope of sigma."""
+"""The remainder in sigma', by channel."""
 FloatBounds = dict[str, dict[str, float]]
 """Bounds of the signals, rounded up, by channel and name."""
 Envelope = Mapping[str, Mapping[str, list[float]]]
@@ -49,21 +49,21 @@ Envelope = Mapping[str, Mapping[str, list[float]]]
 
 
 class VehicleVerdict(NamedTuple):
-    """What the verifier says of a vehicle's certificate.
+    """Whether a vehicle's certificate is proved, and which bounds it proves, in SI units and rounded outwards.
 
     Args:
         proved: Whether every premise holds.
         reason: The first premise that could not be shown, and its signal; empty if proved.
-        bounds: Bounds of the signals at all times, by channel and name; SI units. Empty if not proved.
-        settled: Bounds of the signals' upper limits as time grows. Empty if not proved.
+        bounds: Bounds of the signals at all times, by channel and name; empty if not proved.
+        settled: Bounds of the signals' upper limits (limits superior), by channel and name; empty if not proved.
         tilt: Bound of the tilt [rad]; infinite if not proved.
-        settled_tilt: Bound of its upper limit [rad].
-        rotor_min: Lower bound of the rotors' commanded thrusts [N].
-        rotor_max: Upper bound of the rotors' commanded thrusts [N].
-        slopes: Bounds of abs(sigma') between the samples, by channel. Empty if not proved.
+        settled_tilt: Bound of the tilt's upper limit [rad]; infinite if not proved.
+        rotor_min: Lower bound of the rotors' commanded thrusts [N]; minus infinity if not proved.
+        rotor_max: Upper bound of the rotors' commanded thrusts [N]; infinite if not proved.
+        slopes: Bounds of |sigma'| between the samples, by channel; empty if not proved.
         cell: Duration of a time cell [s]; 0 without cells.
-        envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
-        nominal: Bounds of |e| of the nominal flight, by channel. Empty without a reference.
+        envelope: Bounds of the signals in each cell in order, by channel and name; empty without cells.
+        nominal: Bounds of |e| of the nominal flight, by channel; empty if the vehicle hovers.
     """
 
     proved: bool
@@ -81,7 +81,7 @@ class VehicleVerdict(NamedTuple):
 
 
 def verify_vehicle(content: object) -> VehicleVerdict:
-    """Verify a vehicle's certificate.
+    """Verify a vehicle's certificate: its form (V0), and the premises (V1) to (V5).
 
     Args:
         content: The content of a certificate's file.
@@ -91,29 +91,28 @@ def verify_vehicle(content: object) -> VehicleVerdict:
             certificate = require_certificate(content)
             return proved_verdict(certificate["problem"], certificate["proof"])
         except Rejected as rejected:
-            infinite = float("inf")
             return VehicleVerdict(
                 proved=False,
                 reason=str(rejected),
                 bounds={},
                 settled={},
-                tilt=infinite,
-                settled_tilt=infinite,
-                rotor_min=-infinite,
-                rotor_max=infinite,
+                tilt=math.inf,
+                settled_tilt=math.inf,
+                rotor_min=-math.inf,
+                rotor_max=math.inf,
                 slopes={},
             )
 
 
 def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
-    """The verdict on a well-formed certificate, by (V1) to (V5).
+    """Check (V1) to (V5) of a well-formed certificate, and state what it proves.
 
     Raises:
         Rejected: A premise cannot be shown.
     """
     vehicle = vehicle_of(problem, proof["channels"])
     cells_proof = proof["cells"]
-    cells = bounds_in_cells(proof)
+    cells = bounds_in_cells(proof)  # one cell without time cells
     inputs = inputs_in_cells(vehicle, cells)
     implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, cells_proof))
     require_implied(cells, implied)
@@ -121,12 +120,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     extremes = largest_inputs(inputs)
     for name in CHANNELS:
         require_sliding(problem, name, largest, extremes)
-    settled = settled_bounds(vehicle, cells[-1])
-    if proof["settled"] is not None:
-        converted_bounds = bounds_for_channels(proof["channels"], proof["settled"], settled)
-        settled = settled_bounds(vehicle_of(problem, proof["settled"]), converted_bounds)
-    settled = total_bounds(vehicle.flight, settled)
-    gravity = vehicle.ranges.gravity
+    settled = total_bounds(vehicle.flight, upper_limits(vehicle, proof, cells[-1]))
     rotors = extremes.remainders.rotors
     nominal = {}
     if vehicle.flight is not None:
@@ -137,7 +131,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
         bounds=rounded_up(largest),
         settled=rounded_up(settled),
         tilt=float_above(extremes.remainders.tilt),
-        settled_tilt=float_above((settled["x"]["alpha"] / gravity).upper()),
+        settled_tilt=float_above((settled["x"]["alpha"] / vehicle.ranges.gravity).upper()),
         rotor_min=math.nextafter(float(rotors.smallest), -math.inf),
         rotor_max=float_above(rotors.largest),
         slopes={name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
@@ -147,8 +141,30 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     )
 
 
+def upper_limits(vehicle: Vehicle, proof: VehicleProof, last_bounds: SignalBalls) -> SignalBalls:
+    """Bounds of the upper limits of the signals, or of their deviation from the nominal flight.
+
+    What happened before any time decays in every stable linear channel, so a proof may have other channels for them.
+
+    Args:
+        vehicle: The linear channels of the cells and their responses.
+        proof: The proof.
+        last_bounds: Bounds of the signals in the last cell.
+    """
+    settled = settled_bounds(vehicle, last_bounds)
+    if proof["settled"] is None:
+        return settled
+    converted_bounds = bounds_for_channels(proof["channels"], proof["settled"], settled)
+    return settled_bounds(vehicle_of(vehicle.problem, proof["settled"]), converted_bounds)
+
+
 def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]) -> None:
-    """(V4) Require that every bound, in each time cell, exceeds the one that follows from the bounds: ``implied``."""
+    """(V4) Require F(Y) < Y: in each time cell, every bound exceeds the bound that follows from all of them.
+
+    Args:
+        cells: Y, bounds of the signals in each cell.
+        implied: F(Y).
+    """
     for j, bounds in enumerate(cells):
         for name in CHANNELS:
             for signal, bound in bounds[name].items():
@@ -158,7 +174,7 @@ def require_implied(cells: Sequence[SignalBalls], implied: Sequence[SignalBalls]
 
 
 def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
-    """A bound of |sigma'| of a channel between the samples [m/s^2; rad/s^2 of psi]."""
+    """S', a bound of abs(sigma') of a channel between the samples [m/s^2; rad/s^2 in psi]."""
     slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
     return slope + inputs.remainders.constant if name == "z" else slope
 
@@ -168,7 +184,7 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
 
     Args:
         problem: The certificate's problem.
-        name: The channel.
+        name: Name of the channel.
         bounds: Bounds of the vehicle's signals at all times.
         inputs: Bounds of the inputs at all times.
     """
@@ -177,9 +193,9 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     rho = arb(controller["rho"])
     y = bounds[name]
     functions = inputs.deviations[name]
-    slope = sigma_slope(name, bounds, inputs)
-    integral_rate = functions.k_i * y["sigma"]
-    level = maximum((y["u_av"] + functions.d_1).upper(), (t / 2 * functions.k_i * y["sigma"]).upper())
+    slope = sigma_slope(name, bounds, inputs)  # S'
+    integral_rate = functions.k_i * y["sigma"]  # K_I Y[sigma]
+    level = maximum((y["u_av"] + functions.d_1).upper(), (t / 2 * functions.k_i * y["sigma"]).upper())  # V_a
     equivalent = level + (t + functions.tau_av) * (functions.k_p * slope + integral_rate)
     require_premise(bool(equivalent <= rho), f"V5: the equivalent control of {name} may exceed rho")
     if controller["start"] == "zero":
@@ -199,35 +215,35 @@ def first_equivalent(problem: VehicleProblem, name: str, functions: Deviations) 
 def bounds_for_channels(
     middles: Mapping[str, MiddleProof], settled_middles: Mapping[str, MiddleProof], bounds: SignalBalls
 ) -> SignalBalls:
-    """Bounds of the signals of other linear channels, which differ in the damping c and the slope k_1.
+    """Convert bounds of the signals to those of other linear channels, with another damping c and other slopes.
 
-    Only ``bend``, ``u_av`` and ``acceleration`` depend on these.
+    Only ``bend`` and ``acceleration``, which contain c e', and ``u_av``, which contains k_1 sigma, become larger.
 
     Args:
         middles: The linear channels of the bounds.
         settled_middles: The other linear channels.
         bounds: Bounds of the signals, by channel and name.
     """
-    result = {name: dict(signals) for name, signals in bounds.items()}
-    for name, signals in result.items():
+    converted = {name: dict(signals) for name, signals in bounds.items()}
+    for name, signals in converted.items():
+        k_1, _, _ = map(arb, middles[name]["slopes"])
+        settled_k_1, _, _ = map(arb, settled_middles[name]["slopes"])
+        slope = abs(k_1 - settled_k_1)
         damping = abs(arb(middles[name]["drag_damping"]) - arb(settled_middles[name]["drag_damping"]))
-        slope = abs(arb(middles[name]["slopes"][0]) - arb(settled_middles[name]["slopes"][0]))
         signals["bend"] = (signals["bend"] + damping * signals["e_dot"]).upper()
         signals["u_av"] = (signals["u_av"] + slope * signals["sigma"]).upper()
         if "acceleration" in signals:
             speed = signals["speed" if name == "x" else "e_dot"]
             signals["acceleration"] = (signals["acceleration"] + damping * speed).upper()
-    return result
+    return converted
 
 
 def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
-    """Bounds of the signals' upper limits as time grows.
-
-    The map F_s for upper limits is applied again and again, and the smallest bound of each signal counts.
+    """Bounds of the signals' upper limits (limits superior): Y_(i+1) is the smaller one of Y_i and F_s(1.0001 Y_i).
 
     Args:
-        vehicle: The data of the map.
-        bounds: Bounds of the signals at all times.
+        vehicle: The linear channels and their responses.
+        bounds: Y_0, bounds of the signals from some time on.
     """
     enter_factor = arb(ENTERED)
     for _ in range(MOST_ITERATIONS):
@@ -237,15 +253,15 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
             implied = implied_bounds(vehicle, wider, inputs, from_start=False)
         except Rejected:  # the bounds satisfy the premises, but 1.0001 times them need not
             return bounds
-        lower = {}
+        next_bounds = {}
         falls = False
         for name in CHANNELS:
-            lower[name] = {}
+            next_bounds[name] = {}
             for signal, bound in bounds[name].items():
                 value = implied[name][signal]
                 falls = falls or bool(value < bound * (1 - arb(LEAST_FALL)))
-                lower[name][signal] = value if value < bound else bound
-        bounds = lower
+                next_bounds[name][signal] = value if value < bound else bound
+        bounds = next_bounds
         if not falls:
             break
     return bounds
@@ -257,7 +273,8 @@ def rounded_up(bounds: SignalBalls) -> FloatBounds:
 
 
 def envelope_of(cells: Sequence[SignalBalls]) -> Envelope:
-    """The bounds of each signal in all time cells, in float64, rounded up, by channel and name."""
-    return {
-        name: {signal: [float_above(y[name][signal]) for y in cells] for signal in cells[0][name]} for name in CHANNELS
-    }
+    """Bounds of each signal in all time cells, in float64, rounded up, by channel and name."""
+    envelope = {}
+    for name in CHANNELS:
+        envelope[name] = {signal: [float_above(y[name][signal]) for y in cells] for signal in cells[0][name]}
+    return envelope

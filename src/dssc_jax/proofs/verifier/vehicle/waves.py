@@ -1,4 +1,4 @@
-"""Sums of sines in balls: the phasor c of each frequency f [Hz], whose sine is the real part of c e^(2 pi i f t).
+"""Sums of sines in balls, as a phasor c for each frequency f: the sum of Re(c e^(2 pi i f t)) over all f.
 
 Frequencies are exact rational numbers, so that the difference of two equal ones is exactly zero.
 """
@@ -11,14 +11,14 @@ from flint import acb, arb, fmpq
 from dssc_jax.proofs.verifier.balls import total
 
 Waves = Mapping[Fraction, acb]
-"""Phasors by frequency, which is not negative; the phasor of a constant is real."""
+"""Phasor of each frequency [Hz], which is not negative; a constant has the frequency 0 and a real phasor."""
 
 
 def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
-    """The sum of single sines, each given by its frequency, which may be negative, and its phasor."""
+    """Add up single sines, each given by its frequency [Hz], which may be negative, and its phasor."""
     result: dict[Fraction, acb] = {}
     for frequency, phasor in parts:
-        if frequency < 0:
+        if frequency < 0:  # Re(c e^(-i w t)) is Re(conj(c) e^(i w t))
             frequency, phasor = -frequency, phasor.conjugate()
         elif frequency == 0:
             phasor = acb(phasor.real)
@@ -27,13 +27,18 @@ def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
 
 
 def sine_wave(sine: Sequence[float]) -> Waves:
-    """The sine with the amplitude, the period [s] and the phase [rad] of a certificate's reference."""
-    amplitude, phase = arb(sine[0]), arb(sine[2])
-    return {1 / Fraction(sine[1]): acb(amplitude * phase.sin(), -amplitude * phase.cos())}
+    """The sine amplitude sin(2 pi t/period + phase) of a certificate's reference.
+
+    Args:
+        sine: Amplitude [m, rad], period [s] and phase [rad].
+    """
+    amplitude, period, phase = sine
+    size, angle = arb(amplitude), arb(phase)
+    return {1 / Fraction(period): acb(size * angle.sin(), -size * angle.cos())}
 
 
 def angular(frequency: Fraction) -> arb:
-    """The angular frequency [rad/s] of a frequency [Hz]."""
+    """The angular frequency [rad/s] that belongs to a frequency [Hz]."""
     return 2 * arb.pi() * arb(fmpq(frequency.numerator, frequency.denominator))
 
 
@@ -53,7 +58,7 @@ def sum_of(*sums: Waves) -> Waves:
 
 
 def times(left: Waves, right: Waves) -> Waves:
-    """The product of two sums of sines: half the cosines of the sums and of the differences of the angles."""
+    """The product of two sums of sines: sines of the sums and of the differences of the frequencies."""
     parts = []
     for f, a in left.items():
         for h, b in right.items():
@@ -63,7 +68,7 @@ def times(left: Waves, right: Waves) -> Waves:
 
 
 def largest(waves: Waves) -> arb:
-    """A bound of the magnitude of a sum of sines at all times."""
+    """A bound of the magnitude of a sum of sines at all times: the sum of the amplitudes."""
     return total([abs(phasor).upper() for phasor in waves.values()]).upper()
 
 

@@ -1,4 +1,4 @@
-"""(V0) What a vehicle's certificate has to look like before anything in it is computed with."""
+"""(V0) The form of a vehicle's certificate: it is checked before anything is computed."""
 
 import math
 from typing import Any, cast
@@ -36,10 +36,13 @@ from dssc_jax.proofs.verifier.well_formed import (
 )
 
 KIND = "vehicle"
+"""The entry ``kind`` of a vehicle's certificate."""
 VERSION = 2
+"""The entry ``version`` of a vehicle's certificate."""
 MOST_SAMPLES = 2000
-"""Most samples of a time cell."""
+"""Largest number of samples of a time cell."""
 MOST_TIME_CELLS = 400
+"""Largest number of time cells before the last one."""
 POSITIVE = (
     "sample_time",
     "velocity_gain",
@@ -52,14 +55,17 @@ POSITIVE = (
     "thrust_coefficient",
     "rotor_limit",
 )
+"""Numbers of a problem that must be positive."""
 NOT_NEGATIVE = ("yaw_integral_gain", "rotor_lag", "rotor_inertia", "propeller_drag")
+"""Numbers of a problem that may be 0."""
 REFERENCE_AXES = {"x", "y", "z", "psi"}
+"""Axes that a moving reference has a sine for."""
 NOT_COVERED = ("vgsta", "sta")
 """Functions that depend on e, or whose slope is infinite at 0."""
 
 
 def require_certificate(content: object) -> VehicleCertificate:
-    """Return a certificate whose problem and proof have the right form; reject anything else."""
+    """Return the content of a file as a certificate whose parts all have the right form; reject anything else."""
     try:
         certificate = require_entries(content, VehicleCertificate.__required_keys__, "the certificate")
         version = certificate["version"]
@@ -73,7 +79,7 @@ def require_certificate(content: object) -> VehicleCertificate:
 
 
 def require_problem(content: object) -> VehicleProblem:
-    """Return the problem of a vehicle of the class; reject anything else."""
+    """Return the problem of a vehicle that the theorem covers; reject anything else."""
     problem: dict[str, Any] = require_entries(content, VehicleProblem.__required_keys__, "problem")
     for name in POSITIVE:
         require_positive(problem[name], name)
@@ -102,7 +108,7 @@ def require_problem(content: object) -> VehicleProblem:
 
 
 def require_reference(content: object) -> None:
-    """Reject anything but amplitude, period and phase of a sine for every axis."""
+    """Reject anything but amplitude, period and phase of a sine for every axis, with a positive period."""
     sines = require_entries(content, REFERENCE_AXES, "reference")
     for axis in REFERENCE_AXES:
         _, period, _ = require_numbers(sines[axis], 3, f"reference.{axis}")
@@ -116,7 +122,7 @@ def require_positive_interval(content: object, place: str) -> None:
 
 
 def require_channel(content: object, name: str) -> None:
-    """Reject anything but the controller and the start of the channel ``name``."""
+    """Reject anything but the controller and the start of a channel, whose functions depend on sigma alone."""
     channel: dict[str, Any] = require_entries(content, ChannelProblem.__required_keys__, f"channels.{name}")
     require_positive(channel["l0"], f"{name}.l0")
     require_positive(channel["rho"], f"{name}.rho")
@@ -129,7 +135,7 @@ def require_channel(content: object, name: str) -> None:
 
 
 def require_proof(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but a proof of the problem's channels, with time cells and settled channels of the same form."""
+    """Reject anything but a proof whose channels, time cells and channels of the upper limits fit the problem."""
     proof = require_entries(content, VehicleProof.__required_keys__, "proof")
     channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
     for name in CHANNELS:
@@ -145,11 +151,11 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
 
 
 def require_cells(problem: VehicleProblem, content: object) -> None:
-    """Reject anything but positive bounds of all signals in time cells, equally many for every signal."""
+    """Reject anything but positive bounds of all signals in time cells, in the same number of cells for each."""
     cells: dict[str, Any] = require_entries(content, CellsProof.__required_keys__, "cells")
     require_count(cells["samples"], MOST_SAMPLES, "cells.samples", f"is no integer from 1 to {MOST_SAMPLES}")
     channels = require_entries(cells["bounds"], set(CHANNELS), "cells.bounds")
-    count = None
+    count = None  # of cells: any number for the first signal, then the same for all others
     for name in CHANNELS:
         names = signal_names(name, lagging=problem["rotor_lag"] > 0)
         for signal, values in require_entries(channels[name], names, f"cells.{name}").items():
@@ -161,7 +167,7 @@ def require_cells(problem: VehicleProblem, content: object) -> None:
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
-    """Reject anything but the linear channel ``name`` and positive bounds of its signals."""
+    """Reject anything but a linear channel and positive bounds of its signals."""
     proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
     require_middle(problem, name, proof)
     names = signal_names(name, lagging=problem["rotor_lag"] > 0)
@@ -170,11 +176,12 @@ def require_channel_proof(problem: VehicleProblem, name: str, content: object) -
 
 
 def require_middle(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
-    """Reject anything but slopes, damping, lambda and P of the channel ``name``, with P of the channel's order."""
+    """Reject anything but slopes, share, damping, lambda and P of a linear channel, whose P has the size of z."""
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
     require_finite(proof["share"], f"{name}.share")
     require_not_negative(proof["drag_damping"], f"{name}.drag_damping")
     require_shape(name != "psi" or proof["drag_damping"] == 0, f"{name}.drag_damping", "is not 0")
     require_positive(proof["rate"], f"{name}.rate")
-    order = channel_of(problem, name, proof["drag_damping"]).order + math.ceil(problem["delay"]) + 1
-    require_symmetric(proof["p"], order, f"{name}.p")
+    chi = channel_of(problem, name, proof["drag_damping"]).order
+    memories = math.ceil(problem["delay"])
+    require_symmetric(proof["p"], chi + memories + 1, f"{name}.p")  # z has q besides
