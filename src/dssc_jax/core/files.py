@@ -103,7 +103,7 @@ def require_readable(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise unsafe(path, f"is {file_type(mode)}, not a file")
+        raise unsafe_error(path, f"is {file_type(mode)}, not a file")
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
@@ -244,7 +244,7 @@ def require_replaceable(path: Path) -> int | None:
     """
     mode = mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):
-        raise unsafe(path, f"is {file_type(mode)}, which is not overwritten")
+        raise unsafe_error(path, f"is {file_type(mode)}, which is not overwritten")
     return mode
 
 
@@ -266,7 +266,7 @@ def require_inside(path: Path, within: Path | None) -> None:
         folder = folder / part
         mode = mode_of(folder)
         if mode is not None and not stat.S_ISDIR(mode):
-            raise unsafe(folder, f"is {file_type(mode)}, not a folder")
+            raise unsafe_error(folder, f"is {file_type(mode)}, not a folder")
 
 
 def require_plain_tree(folder: Path) -> None:
@@ -343,7 +343,7 @@ def delete_partials(folder: Path) -> None:
                 (Path(place) / name).unlink(missing_ok=True)
 
 
-def unsafe(path: Path, rule: str) -> UnsafeFileError:
+def unsafe_error(path: Path, rule: str) -> UnsafeFileError:
     """The error for a path that is not followed or overwritten; ``rule`` continues a sentence about the path."""
     return UnsafeFileError(errno.ELOOP, f"'{path}' {rule}", str(path))
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from dssc_jax.engine.sampling import mixing, unit_points
+from dssc_jax.engine.sampling import score_mixing_matrix, unit_points
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.law_changes import Change
 from dssc_jax.statistics.worst_changes import WeightedDraws
@@ -23,7 +23,7 @@ def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
     Returns:
         The score of each draw in each law, shape (n, laws).
     """
-    return special.ndtri(unit_points(study, indices)) @ mixing(study).T
+    return special.ndtri(unit_points(study, indices)) @ score_mixing_matrix(study).T
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class ScoredDraws:
     @cached_property
     def precision(self) -> np.ndarray:
         """The inverse of the scores' correlation matrix, shape (laws, laws)."""
-        matrix = mixing(self.study)
+        matrix = score_mixing_matrix(self.study)
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:

@@ -14,7 +14,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import copy_block, in_memory
-from dssc_jax.runs.design_choice import DesignChoice, plain
+from dssc_jax.runs.design_choice import DesignChoice, with_plain_draws
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
@@ -127,7 +127,7 @@ def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
         return study, {}
     reason = "plain draws: the law of a data-driven stop is known for independent draws only"
     request = study.hash, study.config.draws
-    choice = DesignChoice(plain(study), reason, pilot=0, request=request)
+    choice = DesignChoice(with_plain_draws(study), reason, pilot=0, request=request)
     return choice.study, choice.entry
 
 

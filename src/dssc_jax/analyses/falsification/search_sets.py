@@ -8,7 +8,7 @@ from scipy import special
 from scipy.stats import qmc
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.sampling import Arrays, inside_cube, mixing, values_at_levels
+from dssc_jax.engine.sampling import Arrays, inside_cube, score_mixing_matrix, values_at_levels
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 
@@ -107,7 +107,7 @@ class Support(SearchSet):
 
     def scores(self, points: np.ndarray) -> np.ndarray:
         """Normal scores of the levels, made independent by the inverse of the copula's root, shape (n, laws)."""
-        return np.linalg.solve(mixing(self.study), special.ndtri(points).T).T
+        return np.linalg.solve(score_mixing_matrix(self.study), special.ndtri(points).T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """Derivatives by the levels from those by the numbers, with differences of the laws' quantiles."""
@@ -164,7 +164,7 @@ class ScoreBall(SearchSet):
 
     def levels(self, points: np.ndarray) -> np.ndarray:
         """Quantile levels of the correlated scores, shape (n, laws)."""
-        return inside_cube(special.ndtr(points @ mixing(self.study).T))
+        return inside_cube(special.ndtr(points @ score_mixing_matrix(self.study).T))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
         """The coordinates themselves, shape (n, laws)."""
@@ -172,7 +172,7 @@ class ScoreBall(SearchSet):
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """Derivatives by the scores from those by the numbers, with differences of the laws' quantiles."""
-        matrix = mixing(self.study)
+        matrix = score_mixing_matrix(self.study)
         scores = points @ matrix.T
         rates = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
