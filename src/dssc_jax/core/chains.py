@@ -12,6 +12,7 @@ It is of order 1 at jumps.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple, TypeAlias
@@ -121,6 +122,101 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
     return Arrangement(tuple(sampled), tuple(integrated), tuple(linear))
 
 
+@dataclass(frozen=True)
+class Chain:
+    """The functions of several actuators in series, of which :func:`chain` makes one model.
+
+    Parameters and states are tuples with an element for each actuator, in the order of the study.
+
+    Args:
+        elements: The actuators.
+        arrangement: Their groups, in the order in which they act.
+    """
+
+    elements: tuple[Element, ...]
+    arrangement: Arrangement
+
+    @property
+    def models(self) -> tuple[Unmodelled, ...]:
+        """The model of each actuator."""
+        return tuple(element.model for element in self.elements)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether an actuator moves between the samples and is integrated."""
+        return bool(self.arrangement.integrated)
+
+    def init(self, params: Values) -> States:
+        """The states of all actuators at rest."""
+        return tuple(model.init(p) for model, p in zip(self.models, params, strict=True))
+
+    def sample(self, params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
+        """The states once the actuators that act at the samples have received the command in turn."""
+        models = self.models
+        next_states = list(states)
+        value = command
+        for index in self.arrangement.sampled:
+            element_key = jax.random.fold_in(key, index)
+            next_states[index] = models[index].sample(params[index], states[index], value, element_key, dt)
+            value = models[index].output(params[index], next_states[index], value)
+        return tuple(next_states)
+
+    def output(self, params: Values, states: States, command: Scalar) -> Scalar:
+        """The command behind all actuators, in their present states."""
+        return self.output_behind(self.arrangement.head + self.arrangement.linear, params, states, command)
+
+    def output_behind(self, indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
+        """The command behind some actuators, which act in the order of their ``indices``."""
+        models = self.models
+        value = command
+        for index in indices:
+            value = models[index].output(params[index], states[index], value)
+        return value
+
+    def linear(self, params: Values) -> LinearSystem:
+        """The linear actuators at the end as one system, whose states are the states of all actuators."""
+        sizes = [len(jax.tree.leaves(state)) for state in self.init(params)]
+        places: list[int] = []  # index of each state of a linear actuator among all states
+        for index in self.arrangement.linear:
+            start = sum(sizes[:index])
+            places += range(start, start + sizes[index])
+        return spread(in_series(self.models, self.arrangement.linear, params), places, sum(sizes))
+
+    def advance(self, params: Values, dt: Scalar) -> Mover:
+        """Return the function that advances the actuators before the linear ones by a step."""
+        stages = stages_of(self.models, self.arrangement.integrated, params, dt)
+
+        def move(states: States, command: Scalar) -> tuple[States, Moments]:
+            """The states after the step, and the line that enters the linear actuators or the plant."""
+            value = self.output_behind(self.arrangement.sampled, params, states, command)
+            course = Course((value,) * len(NODES), Moments(value, rise=0.0))
+            next_states = dict(enumerate(states))
+            for stage in stages:
+                stage_states, course = stage(states, course)
+                next_states |= stage_states
+            return tuple(next_states.values()), course.line
+
+        return move
+
+    def step(self, params: Values, states: States, command: Scalar, dt: Scalar) -> States:
+        """The states of all actuators after a step with the command held."""
+        move = self.advance(params, dt)
+        next_states, line = move(states, command)
+        if not self.arrangement.linear:
+            return next_states
+        stage = linear_stage(self.models, self.arrangement.linear, params, dt, constant=not self.is_moving)
+        linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
+        return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
+
+    def smoothness(self, params: Values) -> Smoothness:
+        """Where the chain has a derivative; see :func:`smoothness_of`."""
+        return smoothness_of(self.elements, params)
+
+    def averages(self, params: Values) -> bool:
+        """Whether the output of an actuator may change within a sample, and then acts through its mean."""
+        return any(model.averages(p) for model, p in zip(self.models, params, strict=True))
+
+
 @lru_cache(maxsize=256)
 def chain(elements: tuple[Element, ...]) -> Unmodelled:
     """Several actuators in series as one model of unmodelled dynamics.
@@ -131,82 +227,23 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         ConfigError: As for :func:`arrange`.
     """
     arrangement = arrange(elements)
-    models = tuple(element.model for element in elements)
-    is_moving = bool(arrangement.integrated)
-
-    def init(params: Values) -> States:
-        """The states of all elements at rest."""
-        return tuple(model.init(p) for model, p in zip(models, params, strict=True))
-
-    def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
-        """The states once the elements that act at the samples have received the command in turn."""
-        next_states = list(states)
-        value = command
-        for index in arrangement.sampled:
-            element_key = jax.random.fold_in(key, index)
-            next_states[index] = models[index].sample(params[index], states[index], value, element_key, dt)
-            value = models[index].output(params[index], next_states[index], value)
-        return tuple(next_states)
-
-    def output_of(indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
-        """The command after some elements in turn, in their present states."""
-        value = command
-        for index in indices:
-            value = models[index].output(params[index], states[index], value)
-        return value
-
-    def output(params: Values, states: States, command: Scalar) -> Scalar:
-        """The command after all elements."""
-        return output_of(arrangement.head + arrangement.linear, params, states, command)
-
-    def linear_among_all(params: Values) -> LinearSystem:
-        """The linear elements at the end as one system, in the states of all elements."""
-        sizes = [len(jax.tree.leaves(state)) for state in init(params)]
-        places = []  # index of each state of a linear element among all states
-        for index in arrangement.linear:
-            start = sum(sizes[:index])
-            places += range(start, start + sizes[index])
-        return spread(in_series(models, arrangement.linear, params), places, sum(sizes))
-
-    def advance(params: Values, dt: Scalar) -> Mover:
-        """Return the function that advances the elements before the linear ones by a step."""
-        stages = stages_of(models, arrangement.integrated, params, dt)
-
-        def move(states: States, command: Scalar) -> tuple[States, Moments]:
-            """The states after the step, and the line that enters the linear elements or the plant."""
-            value = output_of(arrangement.sampled, params, states, command)
-            course = Course((value,) * len(NODES), Moments(value, rise=0.0))
-            next_states = dict(enumerate(states))
-            for stage in stages:
-                stage_states, course = stage(states, course)
-                next_states |= stage_states
-            return tuple(next_states.values()), course.line
-
-        return move
-
-    def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
-        """The states of all elements after a step with the command held."""
-        next_states, line = advance(params, dt)(states, command)
-        if not arrangement.linear:
-            return next_states
-        stage = linear_stage(models, arrangement.linear, params, dt, constant=not is_moving)
-        linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
-        return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
-
+    functions = Chain(elements, arrangement)
+    is_moving = functions.is_moving
+    has_advance = is_moving or (arrangement.sampled and arrangement.linear)
     return Unmodelled(
         NoParams,
-        init,
-        step,
-        output,
-        sample=sample,
-        linear=linear_among_all if arrangement.linear else None,
+        functions.init,
+        functions.step,
+        functions.output,
+        sample=functions.sample,
+        linear=functions.linear if arrangement.linear else None,
         held=not is_moving and bool(arrangement.sampled),
-        smooth=lambda params: smoothness_of(elements, params),
-        continuous=all(model.continuous for model in models),
-        time_constant=time_constant_path(models),
-        advance=advance if is_moving or (arrangement.sampled and arrangement.linear) else None,
+        smooth=functions.smoothness,
+        continuous=all(model.continuous for model in functions.models),
+        time_constant=time_constant_path(functions.models),
+        advance=functions.advance if has_advance else None,
         order=ORDER if is_moving else None,
-        averages=lambda params: any(model.averages(part) for model, part in zip(models, params, strict=True)),
+        averages=functions.averages,
     )
 
 

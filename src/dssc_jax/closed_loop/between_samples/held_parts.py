@@ -50,7 +50,7 @@ class HeldParts(NamedTuple):
 
 
 def term_count(model: Unmodelled) -> int:
-    """Number of terms, in time over a step, of the signal that :func:`make_mover` gives: 1 for a constant, 2 for a line.
+    """Number of terms, in time over a step, of the signal of :func:`make_mover`: 1 for a constant, 2 for a line.
 
     The signal enters the linear part of the unmodelled dynamics, or the plant if they have no linear part.
     """
