@@ -115,6 +115,11 @@ def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
     return tuple(NamedSignal.of(signal, variable.quantity) for signal, variable in connected)
 
 
+def value_references(connected: Iterable[Connection]) -> tuple[int, ...]:
+    """The numbers by which the FMU knows the connected variables, in their order."""
+    return tuple(variable.reference for _, variable in connected)
+
+
 def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
     """The variables that a study sets once, before t = 0.
 
