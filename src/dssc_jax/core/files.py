@@ -201,11 +201,7 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
 
 
 def create_file(path: Path) -> BinaryIO:
-    """Create a file and open it for writing.
-
-    Raises:
-        FileExistsError: The path exists, be it as a symbolic link.
-    """
+    """Create a file and open it for writing; raises FileExistsError if the path exists, be it as a symbolic link."""
     for_all_users = 0o666  # less what the user's umask forbids
     return os.fdopen(os.open(path, CREATION, for_all_users), "wb")
 
@@ -270,11 +266,7 @@ def require_inside(path: Path, within: Path | None) -> None:
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder contains regular files and folders only, before anything is written.
-
-    Raises:
-        ConfigError: It contains something else, such as a symbolic link.
-    """
+    """Require that a folder contains only regular files and folders, before anything is written; raises ConfigError."""
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -366,11 +358,7 @@ class HeldFolder:
         self._identity = device_and_inode(path)
 
     def require_in_place(self) -> None:
-        """Require that the path still leads to the folder.
-
-        Raises:
-            ConfigError: It leads to another folder, or to none.
-        """
+        """Require that the path still leads to the folder, and not to another or to none; raises ConfigError."""
         try:
             present = device_and_inode(self.path)
         except OSError:
