@@ -53,7 +53,7 @@ ALLOWED = {
     "lanes/tracing/origins.py": {"Path(file).read_text"},  # a module's source
     "plotting/style.py": {"figure.savefig", "imsave"},  # into the writer's file
     "report/vector.py": {"draw().savefig"},  # in memory
-    "results/analysis_folder.py": {"plain.to_zarr", "xr.open_zarr"},  # with ArrayFiles
+    "results/analysis_folder.py": {"stored.to_zarr", "xr.open_zarr"},  # with ArrayFiles
     "results/array_files.py": {"LocalStore"},  # the type from which ArrayFiles derives
     "results/arrays.py": {"open_group", "zarr.open_group"},  # with ArrayFiles, or in memory
     "results/export.py": {"data.to_netcdf", "parquet.ParquetWriter", "piece.to_csv", "savemat"},  # the writer's file
