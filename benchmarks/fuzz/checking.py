@@ -217,7 +217,7 @@ def falls_back(program: Program) -> str:
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         try:
-            start = kernels.compiled("lanes", numbers, ["a"], 16, None, None)
+            start = kernels.compile_batches("lanes", numbers, ["a"], 16, None, None)
             start({"a": np.arange(16.0)}, np.arange(16))()
         except Exception as problem:
             return "" if xla_fails(program) else f"no result: {type(problem).__name__}: {problem}"

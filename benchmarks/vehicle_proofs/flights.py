@@ -17,7 +17,7 @@ import numpy as np
 
 import dssc_jax as dj
 from benchmarks.vehicle_proofs.problems import Columns, random_starts, random_vehicles, study_of
-from dssc_jax.closed_loop.draw import conclude, initial_progress, is_running, sampler
+from dssc_jax.closed_loop.draw import conclude, initial_progress, is_running, make_sample_step
 from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope, Window, final_value, peak_update
 from dssc_jax.closed_loop.time_loops import until_all_ended
@@ -184,7 +184,7 @@ def lane_of(study: dj.Study) -> Lane:
         params = tree.unflatten([values.get(path, leaves[path]) for path in paths])
         gust = gust_of(values)
         key = draw_key(study.config.seed, index)
-        sample = sampler(loop, params, key, measures, (), freeze=False)
+        sample = make_sample_step(loop, params, key, measures, (), freeze=False)
 
         def advance(at: Any) -> Any:
             t = at.k * loop.sample_time

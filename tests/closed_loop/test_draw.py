@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.draw import initial_progress, sampler
+from dssc_jax.closed_loop.draw import initial_progress, make_sample_step
 from dssc_jax.closed_loop.metrics.requirements import Requirement
 from dssc_jax.closed_loop.metrics.streaming import Measure, Window
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
@@ -28,7 +28,7 @@ def test_a_draw_that_has_ended_is_frozen_where_that_is_asked_for(freeze):
     """Either way its outcome and its samples stay; the state stays finite only where it is frozen."""
     study = dj.Study.from_table(DIVERGING)
     key, params = jax.random.key(0), study.params({})
-    sample = sampler(study.loop, params, key, study.measures, (), freeze)
+    sample = make_sample_step(study.loop, params, key, study.measures, (), freeze)
     begin = initial_progress(study.loop, params, key, study.measures)
     end = jax.lax.fori_loop(0, study.loop.steps, lambda _, at: sample(at)[0], begin)
     assert int(end.outcome) == Outcome.NON_FINITE

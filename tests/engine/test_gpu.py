@@ -67,7 +67,7 @@ def test_a_machine_without_a_driver_says_so(form, remedy, monkeypatch):
 
 def test_what_a_kernel_cannot_express_is_refused(monkeypatch):
     with emulated(monkeypatch), pytest.raises(ConfigError, match="a kernel cannot express 'sort' in sorts"):
-        kernels.compiled("gpu", sorts, ["a"], LANES, None, None)
+        kernels.compile_batches("gpu", sorts, ["a"], LANES, None, None)
 
 
 def test_a_batch_for_which_the_gpu_has_no_memory_is_refused(monkeypatch):

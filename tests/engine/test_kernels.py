@@ -61,7 +61,7 @@ def test_what_is_not_exact_runs_as_plain_xla(name):
     lane, reason = REFUSED[name]
     x = np.linspace(-2.0, 2.0, 21)
     with pytest.warns(kernels.KernelWarning, match=f"no machine code for .*{reason}"):
-        start = kernels.compiled("lanes", lane, ["a"], len(x), None, None)
+        start = kernels.compile_batches("lanes", lane, ["a"], len(x), None, None)
     results = start({"a": x}, np.arange(len(x)))()[0]
     expected = jax.vmap(lambda a: lane({"a": a}, 0))(x)
     for key in expected:
@@ -71,5 +71,5 @@ def test_what_is_not_exact_runs_as_plain_xla(name):
 def test_what_has_no_translation_runs_as_plain_xla():
     x = np.linspace(-2.0, 2.0, LANES)
     with pytest.warns(kernels.KernelWarning, match="no machine code for 'sort' in sorts"):
-        start = kernels.compiled("lanes", sorts, ["a"], LANES, None, None)
+        start = kernels.compile_batches("lanes", sorts, ["a"], LANES, None, None)
     np.testing.assert_array_equal(start({"a": x}, np.arange(LANES))()[0]["largest"], np.maximum(x, 1.0))

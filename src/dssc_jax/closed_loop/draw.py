@@ -136,7 +136,7 @@ def is_running(loop: Loop, at: Progress) -> Scalar:
     return is_ok & (at.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
 
 
-def sampler(
+def make_sample_step(
     loop: Loop,
     params: LoopParams,
     key: jax.Array,
@@ -226,8 +226,8 @@ def simulate_draw(
     A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
     metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its metrics.
 
-    The state of a draw that has ended is frozen (see :func:`sampler`) in two cases. If derivatives may be taken
-    (``axis_name`` is None), later values must be finite. If draws may settle, their metrics must stay.
+    The state of a draw that has ended is frozen (see :func:`make_sample_step`) in two cases. If derivatives may be
+    taken (``axis_name`` is None), later values must be finite. If draws may settle, their metrics must stay.
 
     Args:
         loop: The models and the clock.
@@ -241,7 +241,7 @@ def simulate_draw(
         margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
     freeze = axis_name is None or loop.settled is not None
-    sample = sampler(loop, params, key, measures, requirements, freeze)
+    sample = make_sample_step(loop, params, key, measures, requirements, freeze)
     begin = initial_progress(loop, params, key, measures, requirements, margins)
 
     def advance(at: Progress) -> Progress:
@@ -279,7 +279,7 @@ def simulate_recorded(
     Returns:
         The draw's result, and the trajectory with leaves of shape (ceil(steps/stride),).
     """
-    advance = sampler(loop, params, key, measures, requirements, freeze=True)
+    advance = make_sample_step(loop, params, key, measures, requirements, freeze=True)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         """The carry after one sample, and the signals of a trajectory."""

@@ -10,20 +10,19 @@ signals are smooth. It is of order 2 where a signal passes a corner such as a li
 It is of order 1 at jumps.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from itertools import groupby
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 
+from dssc_jax.core.chain_stages import NODES, Course, States, Values, in_series, linear_stage, stages_of
 from dssc_jax.core.contracts import Moments, Mover, NoParams, Timing, Unmodelled
 from dssc_jax.core.default_functions import ignore_sample
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot
-from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold, series, spread
-from dssc_jax.core.signals import Params, Scalar, State
+from dssc_jax.core.sampled_linear import LinearSystem, spread
+from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import (
     SMOOTH,
     SmoothExtent,
@@ -34,9 +33,6 @@ from dssc_jax.core.smoothness import (
     piecewise,
 )
 
-HALF_DISTANCE = math.sqrt(3.0) / 6.0  # of the two Gauss nodes, in units of the step
-NODES = (0.0, 0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
-"""The start of a step, its Gauss nodes, and its end, in units of the step."""
 ORDER = 2
 """Order of the error of elements that are not linear, behind elements that move between the samples."""
 
@@ -51,26 +47,6 @@ class Element(NamedTuple):
 
     kind: str
     model: Unmodelled
-
-
-class Course(NamedTuple):
-    """A signal over a step.
-
-    Args:
-        nodes: Values of the signal at :data:`NODES`.
-        line: The straight line with the mean and the first moment of the signal.
-    """
-
-    nodes: tuple[Scalar, ...]
-    line: Moments
-
-
-States: TypeAlias = tuple[State, ...]
-"""The state of each element, in the order of the study."""
-Values: TypeAlias = tuple[Params, ...]
-"""The parameters of each element."""
-Stage: TypeAlias = Callable[[States, Course], tuple[dict[int, State], Course]]
-"""``(states, input) -> (new states by index of the element, output)`` of one or several elements over a step."""
 
 
 class Arrangement(NamedTuple):
@@ -121,6 +97,101 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
     return Arrangement(tuple(sampled), tuple(integrated), tuple(linear))
 
 
+@dataclass(frozen=True)
+class Chain:
+    """The functions of several actuators in series, of which :func:`chain` makes one model.
+
+    Parameters and states are tuples with an element for each actuator, in the order of the study.
+
+    Args:
+        elements: The actuators.
+        arrangement: Their groups, in the order in which they act.
+    """
+
+    elements: tuple[Element, ...]
+    arrangement: Arrangement
+
+    @property
+    def models(self) -> tuple[Unmodelled, ...]:
+        """The model of each actuator."""
+        return tuple(element.model for element in self.elements)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether an actuator moves between the samples and is integrated."""
+        return bool(self.arrangement.integrated)
+
+    def init(self, params: Values) -> States:
+        """The states of all actuators at rest."""
+        return tuple(model.init(p) for model, p in zip(self.models, params, strict=True))
+
+    def sample(self, params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
+        """The states once the actuators that act at the samples have received the command in turn."""
+        models = self.models
+        next_states = list(states)
+        value = command
+        for index in self.arrangement.sampled:
+            element_key = jax.random.fold_in(key, index)
+            next_states[index] = models[index].sample(params[index], states[index], value, element_key, dt)
+            value = models[index].output(params[index], next_states[index], value)
+        return tuple(next_states)
+
+    def output(self, params: Values, states: States, command: Scalar) -> Scalar:
+        """The command behind all actuators, in their present states."""
+        return self.output_behind(self.arrangement.head + self.arrangement.linear, params, states, command)
+
+    def output_behind(self, indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
+        """The command behind some actuators, which act in the order of their ``indices``."""
+        models = self.models
+        value = command
+        for index in indices:
+            value = models[index].output(params[index], states[index], value)
+        return value
+
+    def linear(self, params: Values) -> LinearSystem:
+        """The linear actuators at the end as one system, whose states are the states of all actuators."""
+        sizes = [len(jax.tree.leaves(state)) for state in self.init(params)]
+        places: list[int] = []  # index of each state of a linear actuator among all states
+        for index in self.arrangement.linear:
+            start = sum(sizes[:index])
+            places += range(start, start + sizes[index])
+        return spread(in_series(self.models, self.arrangement.linear, params), places, sum(sizes))
+
+    def advance(self, params: Values, dt: Scalar) -> Mover:
+        """Return the function that advances the actuators before the linear ones by a step."""
+        stages = stages_of(self.models, self.arrangement.integrated, params, dt)
+
+        def move(states: States, command: Scalar) -> tuple[States, Moments]:
+            """The states after the step, and the line that enters the linear actuators or the plant."""
+            value = self.output_behind(self.arrangement.sampled, params, states, command)
+            course = Course((value,) * len(NODES), Moments(value, rise=0.0))
+            next_states = dict(enumerate(states))
+            for stage in stages:
+                stage_states, course = stage(states, course)
+                next_states |= stage_states
+            return tuple(next_states.values()), course.line
+
+        return move
+
+    def step(self, params: Values, states: States, command: Scalar, dt: Scalar) -> States:
+        """The states of all actuators after a step with the command held."""
+        move = self.advance(params, dt)
+        next_states, line = move(states, command)
+        if not self.arrangement.linear:
+            return next_states
+        stage = linear_stage(self.models, self.arrangement.linear, params, dt, constant=not self.is_moving)
+        linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
+        return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
+
+    def smoothness(self, params: Values) -> Smoothness:
+        """Where the chain has a derivative; see :func:`smoothness_of`."""
+        return smoothness_of(self.elements, params)
+
+    def averages(self, params: Values) -> bool:
+        """Whether the output of an actuator may change within a sample, and then acts through its mean."""
+        return any(model.averages(p) for model, p in zip(self.models, params, strict=True))
+
+
 @lru_cache(maxsize=256)
 def chain(elements: tuple[Element, ...]) -> Unmodelled:
     """Several actuators in series as one model of unmodelled dynamics.
@@ -131,203 +202,30 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         ConfigError: As for :func:`arrange`.
     """
     arrangement = arrange(elements)
-    models = tuple(element.model for element in elements)
-    is_moving = bool(arrangement.integrated)
-
-    def init(params: Values) -> States:
-        """The states of all elements at rest."""
-        return tuple(model.init(p) for model, p in zip(models, params, strict=True))
-
-    def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
-        """The states once the elements that act at the samples have received the command in turn."""
-        next_states = list(states)
-        value = command
-        for index in arrangement.sampled:
-            element_key = jax.random.fold_in(key, index)
-            next_states[index] = models[index].sample(params[index], states[index], value, element_key, dt)
-            value = models[index].output(params[index], next_states[index], value)
-        return tuple(next_states)
-
-    def output_of(indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
-        """The command after some elements in turn, in their present states."""
-        value = command
-        for index in indices:
-            value = models[index].output(params[index], states[index], value)
-        return value
-
-    def output(params: Values, states: States, command: Scalar) -> Scalar:
-        """The command after all elements."""
-        return output_of(arrangement.head + arrangement.linear, params, states, command)
-
-    def linear_among_all(params: Values) -> LinearSystem:
-        """The linear elements at the end as one system, in the states of all elements."""
-        sizes = [len(jax.tree.leaves(state)) for state in init(params)]
-        places = []  # index of each state of a linear element among all states
-        for index in arrangement.linear:
-            start = sum(sizes[:index])
-            places += range(start, start + sizes[index])
-        return spread(in_series(models, arrangement.linear, params), places, sum(sizes))
-
-    def advance(params: Values, dt: Scalar) -> Mover:
-        """Return the function that advances the elements before the linear ones by a step."""
-        stages = stages_of(models, arrangement.integrated, params, dt)
-
-        def move(states: States, command: Scalar) -> tuple[States, Moments]:
-            """The states after the step, and the line that enters the linear elements or the plant."""
-            value = output_of(arrangement.sampled, params, states, command)
-            course = Course((value,) * len(NODES), Moments(value, rise=0.0))
-            next_states = dict(enumerate(states))
-            for stage in stages:
-                stage_states, course = stage(states, course)
-                next_states |= stage_states
-            return tuple(next_states.values()), course.line
-
-        return move
-
-    def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
-        """The states of all elements after a step with the command held."""
-        next_states, line = advance(params, dt)(states, command)
-        if not arrangement.linear:
-            return next_states
-        stage = linear_stage(models, arrangement.linear, params, dt, constant=not is_moving)
-        linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
-        return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
-
+    functions = Chain(elements, arrangement)
+    is_moving = functions.is_moving
+    has_advance = is_moving or (arrangement.sampled and arrangement.linear)
     return Unmodelled(
         NoParams,
-        init,
-        step,
-        output,
-        sample=sample,
-        linear=linear_among_all if arrangement.linear else None,
+        functions.init,
+        functions.step,
+        functions.output,
+        sample=functions.sample,
+        linear=functions.linear if arrangement.linear else None,
         held=not is_moving and bool(arrangement.sampled),
-        smooth=lambda params: smoothness_of(elements, params),
-        continuous=all(model.continuous for model in models),
-        time_constant=time_constant_path(models),
-        advance=advance if is_moving or (arrangement.sampled and arrangement.linear) else None,
+        smooth=functions.smoothness,
+        continuous=all(model.continuous for model in functions.models),
+        time_constant=time_constant_path(functions.models),
+        advance=functions.advance if has_advance else None,
         order=ORDER if is_moving else None,
-        averages=lambda params: any(model.averages(part) for model, part in zip(models, params, strict=True)),
+        averages=functions.averages,
     )
-
-
-def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
-    """Linear elements in series as one system, whose state is the sequence of their states.
-
-    Args:
-        models: The models of the chain.
-        indices: The linear elements, at least one.
-        params: Parameters of each element of the chain.
-    """
-    systems = []
-    for index in indices:
-        system = models[index].linear
-        assert system is not None  # the caller gives only indices of linear elements
-        systems.append(system(params[index]))
-    total = systems[0]
-    for system in systems[1:]:
-        total = series(total, system)
-    return total
 
 
 def time_constant_path(models: Sequence[Unmodelled]) -> str:
     """Dotted path of the ``time_constant`` if exactly one element declares it, such as ``1.mu``; else empty."""
     names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
     return names[0] if len(names) == 1 else ""
-
-
-def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar) -> list[Stage]:
-    """The stages of a step in order: consecutive linear elements are one stage, every other element is a stage.
-
-    Args:
-        models: The models of the chain.
-        indices: The elements that move between the samples.
-        params: Parameters of each element of the chain.
-        dt: Length of the step [s].
-    """
-    stages: list[Stage] = []  # only the input of the first one, the held command, is constant
-    for is_linear, group in groupby(indices, key=lambda index: models[index].linear is not None):
-        if is_linear:
-            stages.append(linear_stage(models, tuple(group), params, dt, constant=not stages))
-            continue
-        for index in group:
-            stages.append(stepped_stage(models[index], index, params[index], dt, constant=not stages))
-    return stages
-
-
-def linear_stage(
-    models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar, constant: bool
-) -> Stage:
-    """The stage of linear elements, by their exact solution at the nodes.
-
-    Args:
-        models: The models of the chain.
-        indices: The linear elements.
-        params: Parameters of each element of the chain.
-        dt: Length of the step [s].
-        constant: Whether the input is constant over the step.
-    """
-    system = in_series(models, indices, params)
-    forcing = Forcing(system.b, 1 if constant else 2)
-    transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
-
-    def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The elements' states after the step, and their output, for the straight line of the input."""
-        leaves, structure = jax.tree.flatten([states[index] for index in indices])
-        line = source.line
-        solutions = [tuple(leaves)]
-        for share, transition in zip(NODES[1:], transitions, strict=True):
-            terms = (line.mean,) if constant else (line.mean - 0.5 * line.rise, share * line.rise)
-            solutions.append(transition.apply(leaves, (terms,)))
-        row = (*system.c, system.d)
-        nodes = tuple(dot(row, (*x, value)) for x, value in zip(solutions, source.nodes, strict=True))
-        next_states = dict(zip(indices, structure.unflatten(list(solutions[-1])), strict=True))
-        return next_states, Course(nodes, line_through(nodes))
-
-    return stage
-
-
-def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
-    """The stage of an element that is not linear, by steps from node to node.
-
-    Args:
-        model: The element.
-        index: Index of the element in the chain.
-        params: Parameters of the element.
-        dt: Length of the step [s].
-        constant: Whether the input is constant over the step; then the element's own ``moments`` give the output.
-    """
-    follow = model.follow or follow_mean(model)
-
-    def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The element's state after the step, and its output, for an input that is straight between the nodes."""
-        begin = states[index]
-        start = source.nodes[0]
-        state = model.step(params, begin, start, 0.0)  # after a time of 0: an element may react at once
-        nodes = [model.output(params, state, start)]
-        for i, value in enumerate(source.nodes[1:]):
-            if constant:
-                state = model.step(params, begin, value, NODES[i + 1] * dt)
-            else:
-                state = follow(params, state, source.nodes[i], value, (NODES[i + 1] - NODES[i]) * dt)
-            nodes.append(model.output(params, state, value))
-        if constant and model.moments is not None:
-            line = model.moments(params, begin, start, dt)
-        else:
-            line = line_through(nodes)
-        return {index: state}, Course(tuple(nodes), line)
-
-    return stage
-
-
-def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
-    """Return the ``follow`` of a model that declares none: its step with the mean of the command, of order 2."""
-    return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
-
-
-def line_through(nodes: Sequence[Scalar]) -> Moments:
-    """Mean and rise of a signal over a step from its values at :data:`NODES`, exact for polynomials of degree 2."""
-    _, first, second, _ = nodes
-    return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))
 
 
 def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:

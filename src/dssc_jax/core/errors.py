@@ -95,7 +95,7 @@ def is_of_library(file: str) -> bool:
     return any(part in file for part in LIBRARIES)
 
 
-def folded(name: str) -> str:
+def fold_name(name: str) -> str:
     """A name in small letters without underscores and hyphens, so that misspelt names compare equal."""
     return name.lower().replace("_", "").replace("-", "")
 
@@ -103,10 +103,10 @@ def folded(name: str) -> str:
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
     """The valid name nearest to a misspelt name, in a list of length 1; an empty list if no name is near.
 
-    A name that is equal after :func:`folded` is nearest; without one, the most similar name is.
+    A name that is equal after :func:`fold_name` is nearest; without one, the most similar name is.
     """
     names = sorted(map(str, valid))
-    equal_names = [valid_name for valid_name in names if folded(valid_name) == folded(name)]
+    equal_names = [valid_name for valid_name in names if fold_name(valid_name) == fold_name(name)]
     return equal_names[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
 
 

@@ -103,7 +103,7 @@ def require_readable(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise unsafe(path, f"is {file_type(mode)}, not a file")
+        raise unsafe_error(path, f"is {file_type(mode)}, not a file")
 
 
 def read_text(path: str | Path, errors: str = "strict") -> str:
@@ -201,11 +201,7 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
 
 
 def create_file(path: Path) -> BinaryIO:
-    """Create a file and open it for writing.
-
-    Raises:
-        FileExistsError: The path exists, be it as a symbolic link.
-    """
+    """Create a file and open it for writing; raises FileExistsError if the path exists, be it as a symbolic link."""
     for_all_users = 0o666  # less what the user's umask forbids
     return os.fdopen(os.open(path, CREATION, for_all_users), "wb")
 
@@ -244,7 +240,7 @@ def require_replaceable(path: Path) -> int | None:
     """
     mode = mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):
-        raise unsafe(path, f"is {file_type(mode)}, which is not overwritten")
+        raise unsafe_error(path, f"is {file_type(mode)}, which is not overwritten")
     return mode
 
 
@@ -266,15 +262,11 @@ def require_inside(path: Path, within: Path | None) -> None:
         folder = folder / part
         mode = mode_of(folder)
         if mode is not None and not stat.S_ISDIR(mode):
-            raise unsafe(folder, f"is {file_type(mode)}, not a folder")
+            raise unsafe_error(folder, f"is {file_type(mode)}, not a folder")
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder contains regular files and folders only, before anything is written.
-
-    Raises:
-        ConfigError: It contains something else, such as a symbolic link.
-    """
+    """Require that a folder contains only regular files and folders, before anything is written; raises ConfigError."""
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -343,7 +335,7 @@ def delete_partials(folder: Path) -> None:
                 (Path(place) / name).unlink(missing_ok=True)
 
 
-def unsafe(path: Path, rule: str) -> UnsafeFileError:
+def unsafe_error(path: Path, rule: str) -> UnsafeFileError:
     """The error for a path that is not followed or overwritten; ``rule`` continues a sentence about the path."""
     return UnsafeFileError(errno.ELOOP, f"'{path}' {rule}", str(path))
 
@@ -366,11 +358,7 @@ class HeldFolder:
         self._identity = device_and_inode(path)
 
     def require_in_place(self) -> None:
-        """Require that the path still leads to the folder.
-
-        Raises:
-            ConfigError: It leads to another folder, or to none.
-        """
+        """Require that the path still leads to the folder, and not to another or to none; raises ConfigError."""
         try:
             present = device_and_inode(self.path)
         except OSError:

@@ -71,27 +71,27 @@ def end_pairs(a: Interval, b: Interval) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def add(a: Interval, b: Interval) -> Interval:
-    """a + b."""
+    """The sums a + b."""
     return hull([a.low + b.low, a.high + b.high], a, b)
 
 
 def subtract(a: Interval, b: Interval) -> Interval:
-    """a - b."""
+    """The differences a - b."""
     return hull([a.low - b.high, a.high - b.low], a, b)
 
 
 def negative(a: Interval) -> Interval:
-    """-a."""
+    """The numbers -a."""
     return Interval(-a.high, -a.low, a.defined)
 
 
 def multiply(a: Interval, b: Interval) -> Interval:
-    """a b."""
+    """The products a b."""
     return hull([x * y for x, y in end_pairs(a, b)], a, b)
 
 
 def divide(a: Interval, b: Interval) -> Interval:
-    """a/b, undefined where b may vanish."""
+    """The quotients a/b, undefined where b may be 0."""
     return hull([x / y for x, y in end_pairs(a, b)], a, b, defined=~contains(b, 0.0))
 
 
@@ -101,7 +101,11 @@ def contains(a: Interval, value: float) -> np.ndarray:
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """a^b, undefined where a may be negative and b is not one whole number, or a may vanish and b may be negative."""
+    """a^b as an interval, and where it is defined.
+
+    It is not where a may be negative and b is not one whole number, nor where a may be 0 and b is neither positive nor
+    the number 0.
+    """
     corners = [np.power(x, y) for x, y in end_pairs(a, b)]
     is_integer = (b.low == b.high) & (b.low == np.round(b.low))  # b is one whole number
     has_zero = contains(a, 0.0)
@@ -147,17 +151,17 @@ def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a:
 
 
 def sine(a: Interval) -> Interval:
-    """sin a."""
+    """The values of sin a."""
     return range_of_sine(np.sin, math.pi / 2.0, a)
 
 
 def cosine(a: Interval) -> Interval:
-    """cos a."""
+    """The values of cos a."""
     return range_of_sine(np.cos, 0.0, a)
 
 
 def absolute(a: Interval) -> Interval:
-    """|a|."""
+    """The sizes |a|."""
     return maximum(a, negative(a))
 
 

@@ -225,7 +225,7 @@ class Engine:
             lane = CountedLane(self.program(self.study), self.clock)
             names = [*self.names, *margins_of(self.study.measures)]
             with arithmetic(self.study.config.loop.precision):
-                self._start = kernels.compiled(self.kernel, lane, names, self.lanes, self.tile, self.devices)
+                self._start = kernels.compile_batches(self.kernel, lane, names, self.lanes, self.tile, self.devices)
             self.clock.compile_seconds += time.perf_counter() - start_time
         return self._start
 

@@ -93,7 +93,7 @@ def compiler_settings() -> list[str]:
     return [*machine.code_settings(), *gpus, *requests]
 
 
-def compiled(
+def compile_batches(
     choice: str, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
 ) -> Start:
     """Compile the program of a lane for batches.
@@ -126,7 +126,7 @@ def compiled(
     return PlainBatch(lane, names, lanes, tile, devices).start
 
 
-def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:
+def compile_single_lane(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:
     """Compile the program of a single lane, which may record arrays.
 
     Args:

@@ -207,7 +207,7 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
     return values
 
 
-def mixing(study: Study) -> np.ndarray:
+def score_mixing_matrix(study: Study) -> np.ndarray:
     """The matrix M that correlates the laws' scores, shape (laws, laws).
 
     For independent standard normal scores z, M z are the scores of the Gaussian copula: M is the Cholesky factor of its

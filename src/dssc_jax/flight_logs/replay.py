@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.control import ControlState, control, initial_control, near_reference
-from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
+from dssc_jax.closed_loop.draw import Progress, initial_progress, make_sample_step
 from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
@@ -354,7 +354,7 @@ def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[Dra
     draws = study.config.draws
     values = values_of_draws(study, slice(0, draws))
     with arithmetic(study.config.loop.precision):
-        compiled = kernels.compiled_single(program, list(study.laws))
+        compiled = kernels.compile_single_lane(program, list(study.laws))
     for index in range(draws):
         with arithmetic(study.config.loop.precision):
             yield compiled({name: float(column[index]) for name, column in values.items()}, index)
@@ -367,7 +367,7 @@ def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str
     def lane(values: dict[str, Scalar], index: jax.Array) -> DrawCurves:
         params = study.params(values)
         key = draw_key(study.config.seed, index)
-        advance = sampler(loop, params, key, (), (), freeze=True)
+        advance = make_sample_step(loop, params, key, (), (), freeze=True)
 
         def sample(progress: Progress) -> tuple[Progress, DrawCurves]:
             """One sample: the progress after it, and each channel's signals, NaN once the draw has ended."""

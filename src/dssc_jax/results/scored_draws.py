@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
-from dssc_jax.engine.sampling import mixing, unit_points
+from dssc_jax.engine.sampling import score_mixing_matrix, unit_points
 from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.law_changes import Change
 from dssc_jax.statistics.worst_changes import WeightedDraws
@@ -24,7 +24,7 @@ def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
         The score of each draw in each law, shape (n, laws).
     """
     independent_scores = special.ndtri(unit_points(study, indices))
-    return independent_scores @ mixing(study).T
+    return independent_scores @ score_mixing_matrix(study).T
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ScoredDraws:
     @cached_property
     def precision(self) -> np.ndarray:
         """The inverse of the scores' correlation matrix, shape (laws, laws)."""
-        matrix = mixing(self.study)
+        matrix = score_mixing_matrix(self.study)
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:

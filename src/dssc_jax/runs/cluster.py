@@ -83,7 +83,7 @@ _device_lock = Lock()
 
 
 @lru_cache(maxsize=1)
-def prepared(job: Job) -> tuple[Engine, Chunks]:
+def prepare_worker(job: Job) -> tuple[Engine, Chunks]:
     """A worker's engine and its access to the results folder, created when the first task of a job arrives."""
     if job.local:
         allow_imports(job.local)
@@ -104,7 +104,7 @@ def compute(job: Job, blocks: list[Block]) -> Share:
 
     with _device_lock:  # the threads of a worker share one device
         try:
-            engine, chunks = prepared(job)
+            engine, chunks = prepare_worker(job)
         except ConfigError as error:
             raise error.within(f"worker {get_worker().address}") from None
         seconds_before = engine.clock.run_seconds
@@ -185,7 +185,7 @@ class Cluster:
         for share in self._finished_shares(job, block_ranges(target.pending, workers)):
             shares.append(share)
             advance(share.lanes)
-        times = summed(shares, study.loop.steps, time.perf_counter() - began)
+        times = sum_times(shares, study.loop.steps, time.perf_counter() - began)
         return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
     def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
@@ -235,7 +235,7 @@ def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
     return [blocks[first : first + size] for first in range(0, len(blocks), size)]
 
 
-def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
+def sum_times(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
     """The times of a run for its manifest: the workers' rates add up, and their compilations run in parallel.
 
     Args:

@@ -55,7 +55,7 @@ class DesignChoice:
         return {"design": content}
 
 
-def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoice:
+def choose_design(study: Study, folder: Path | None, resume: bool) -> DesignChoice:
     """Choose the design of a study's draws.
 
     Args:
@@ -69,18 +69,20 @@ def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
     request = study.hash, study.config.draws
     nets, size = nets_of(study.config.draws)
     if size < LEAST_NET:
-        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", pilot=0, request=request)
+        return DesignChoice(
+            with_plain_draws(study), f"plain draws: too few for {NETS} Sobol nets", pilot=0, request=request
+        )
     if not study.laws:
-        return DesignChoice(plain(study), "plain draws: no number is uncertain", pilot=0, request=request)
+        return DesignChoice(with_plain_draws(study), "plain draws: no number is uncertain", pilot=0, request=request)
     earlier_choice = recorded_choice(study, folder, resume) if folder else None
     if earlier_choice:
         return earlier_choice
     middle = {name: axis[len(axis) // 2] for name, axis in study.axes.items()}
-    engine = Engine(plain(study).without_sweep().override(middle), PILOT)
+    engine = Engine(with_plain_draws(study).without_sweep().override(middle), PILOT)
     place = " in the middle of the sweep" if middle else ""
     if is_noisy(engine):
         reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
-        return DesignChoice(plain(study), reason, pilot=2 * PROBES, request=request)
+        return DesignChoice(with_plain_draws(study), reason, pilot=2 * PROBES, request=request)
     simulations = PILOT + 2 * PROBES
     failures = count_pilot_failures(engine)
     expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws  # never 0 nor all of them
@@ -88,9 +90,9 @@ def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
     if min(expected_failures, study.config.draws - expected_failures) < LEAST_CASES:
         rule = f"Sobol points save nothing with fewer than {LEAST_CASES} failures, or draws without"
         reason = f"plain draws: {share}; {rule}"
-        return DesignChoice(plain(study), reason, simulations, request)
+        return DesignChoice(with_plain_draws(study), reason, simulations, request)
     reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
-    return DesignChoice(sobol(study, nets, size), reason, simulations, request)
+    return DesignChoice(with_sobol_draws(study, nets, size), reason, simulations, request)
 
 
 def warn_of_open_choice(study: Study) -> None:
@@ -109,12 +111,12 @@ def warn_of_open_choice(study: Study) -> None:
         )
 
 
-def plain(study: Study) -> Study:
+def with_plain_draws(study: Study) -> Study:
     """The study with plain draws: independent random points."""
     return study.override({"sampling": "random"})
 
 
-def sobol(study: Study, nets: int, size: int) -> Study:
+def with_sobol_draws(study: Study, nets: int, size: int) -> Study:
     """The study with Sobol points as draws: ``nets`` independently scrambled nets of ``size`` points each."""
     return study.override({"sampling": "sobol", "replicates": nets, "draws": nets * size})
 
@@ -168,8 +170,8 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     request = study.hash, study.config.draws
     recorded_study = manifest["study"]
     if recorded_study["sampling"] == "random":
-        return DesignChoice(plain(study), entry["reason"], entry["pilot"], request)
+        return DesignChoice(with_plain_draws(study), entry["reason"], entry["pilot"], request)
     nets = recorded_study["replicates"]
     points = math.ceil(study.config.draws / nets)  # of each net
     size = 1 << (points - 1).bit_length()  # rounded up to a power of two, as a Sobol net needs
-    return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], request)
+    return DesignChoice(with_sobol_draws(study, nets, size), entry["reason"], entry["pilot"], request)

@@ -21,7 +21,7 @@ from dssc_jax.results.result import Result
 from dssc_jax.results.schema import copy_block, in_memory
 from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
-from dssc_jax.runs.design_choice import chosen_design
+from dssc_jax.runs.design_choice import choose_design
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.correlation import normal_correlation
 
@@ -126,7 +126,7 @@ def run(
     """
     entries: Manifest = {}
     if study.config.sampling == "auto":
-        choice = chosen_design(study, None if out is None else Path(out), resume)
+        choice = choose_design(study, None if out is None else Path(out), resume)
         study = choice.study
         entries = choice.entry
     amounts_entry = stated_entry(study, within, shift, widening)

@@ -3,10 +3,12 @@
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import Engine, Layout, computing, execute, join_batches, values_of_draws
 from dssc_jax.engine.evaluation import require_independent
@@ -14,7 +16,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import copy_block, in_memory
-from dssc_jax.runs.design_choice import DesignChoice, plain
+from dssc_jax.runs.design_choice import DesignChoice, with_plain_draws
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
@@ -68,33 +70,13 @@ def run_until(
         require_same_rule(Path(out), longest, rule, most)
     began = time.perf_counter()
     engine = Engine(longest, min(most, BATCH))
-    starts = range(0, most, engine.lanes)
-    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in starts]  # of draws, without swept numbers
-    batches = execute(engine, blocks)
-    batches_done: list[Arrays] = []
-    has_failed = np.empty(0, dtype=bool)  # of each draw so far
-    past_looks: list[Look] = []
-    counts: list[int] = []  # failures at each look
-    verdict = None
-    for look in rule.looks(most):
-        while len(has_failed) < look.draws:
-            _, results, _ = next(batches)
-            batches_done.append(results)
-            has_failed = np.concatenate([has_failed, results["outcome"] != Outcome.OK])
-            if progress:
-                progress(len(has_failed), most)
-        failures = int(np.count_nonzero(has_failed[: look.draws]))
-        past_looks.append(look)
-        counts.append(failures)
-        verdict = rule.verdict(look, failures)
-        if verdict:
-            break
-    draws = past_looks[-1].draws
+    stop = simulate_until_stop(engine, rule, most, progress)
+    draws = stop.draws
     if progress:
         progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
-    columns = {name: column[:draws] for name, column in join_batches(batches_done).items()}
+    columns = {name: column[:draws] for name, column in join_batches(stop.batches).items()}
     copy_block(dataset, (slice(0, draws),), columns, values_of_draws(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
@@ -102,19 +84,86 @@ def run_until(
         **integration_entry(final, check),
         **amounts_entry,
         **entries,
-        "stopping": {
-            "data_driven": True,
-            "rule": rule.text,
-            "most": most,
-            "verdict": verdict or UNDECIDED,
-            "looks": [look._asdict() | {"failures": count} for look, count in zip(past_looks, counts, strict=True)],
-            "stops": rule.stops(most),
-        },
+        "stopping": stopping_entry(rule, stop, most),
     }
     result = Result.of(final, dataset, manifest)
     if out is not None:
         result.save(out)
     return result
+
+
+class Stop(NamedTuple):
+    """The end of a simulation under a stopping rule.
+
+    Args:
+        looks: The looks at which the failures were counted; the last one ended the simulation.
+        failures: Number of failures among the first draws of each look.
+        batches: Results of the draws, batch by batch; they may be more draws than the last look has.
+        verdict: The rule's verdict at the last look; None: undecided.
+    """
+
+    looks: list[Look]
+    failures: list[int]
+    batches: list[Arrays]
+    verdict: str | None
+
+    @property
+    def draws(self) -> int:
+        """Number of draws of the last look, which are the draws of the result."""
+        return self.looks[-1].draws
+
+
+def simulate_until_stop(engine: Engine, rule: StoppingRule, most: int, progress: ProgressCallback | None) -> Stop:
+    """Simulate batches of draws until the stopping rule has a verdict at one of its looks.
+
+    Args:
+        engine: The compiled study.
+        rule: The stopping rule.
+        most: Maximum number of draws.
+        progress: Called with the draws done and ``most``; None: no callback.
+    """
+    starts = range(0, most, engine.lanes)
+    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in starts]  # of draws, without swept numbers
+    running_batches = execute(engine, blocks)
+    batches: list[Arrays] = []
+    has_failed = np.empty(0, dtype=bool)  # of each draw so far
+    looks: list[Look] = []
+    failures: list[int] = []
+    verdict = None
+    for look in rule.looks(most):
+        while len(has_failed) < look.draws:
+            _, results, _ = next(running_batches)
+            batches.append(results)
+            has_failed = np.concatenate([has_failed, results["outcome"] != Outcome.OK])
+            if progress:
+                progress(len(has_failed), most)
+        looks.append(look)
+        failures.append(int(np.count_nonzero(has_failed[: look.draws])))
+        verdict = rule.verdict(look, failures[-1])
+        if verdict:
+            break
+    return Stop(looks, failures, batches, verdict)
+
+
+def stopping_entry(rule: StoppingRule, stop: Stop, most: int) -> JsonObject:
+    """The manifest's entry on the stopping rule, by which the intervals of the result are computed.
+
+    Args:
+        rule: The stopping rule.
+        stop: The end of the simulation.
+        most: Maximum number of draws.
+    """
+    looks = []
+    for look, failures in zip(stop.looks, stop.failures, strict=True):
+        looks.append(look._asdict() | {"failures": failures})
+    return {
+        "data_driven": True,
+        "rule": rule.text,
+        "most": most,
+        "verdict": stop.verdict or UNDECIDED,
+        "looks": looks,
+        "stops": rule.stops(most),
+    }
 
 
 def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
@@ -127,7 +176,7 @@ def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
         return study, {}
     reason = "plain draws: the law of a data-driven stop is known for independent draws only"
     request = study.hash, study.config.draws
-    choice = DesignChoice(plain(study), reason, pilot=0, request=request)
+    choice = DesignChoice(with_plain_draws(study), reason, pilot=0, request=request)
     return choice.study, choice.entry
 
 

@@ -140,7 +140,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
     @cache
     def program() -> Callable[..., tuple[Run, Recorded]]:
         """The program of a lane, compiled for the first trajectory."""
-        return kernels.compiled_single(recorded_lane(study, every), lane_names(study), plain)
+        return kernels.compile_single_lane(recorded_lane(study, every), lane_names(study), plain)
 
     margins_at = margin_values(study)
 

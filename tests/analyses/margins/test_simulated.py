@@ -53,8 +53,8 @@ def test_the_draw_passes_at_its_critical_value_and_fails_just_beyond(study, over
 
 def test_one_compile(study, monkeypatch):
     compiled = []
-    original = kernels.compiled
-    monkeypatch.setattr(kernels, "compiled", lambda *a: compiled.append(1) or original(*a))
+    original = kernels.compile_batches
+    monkeypatch.setattr(kernels, "compile_batches", lambda *a: compiled.append(1) or original(*a))
     dj.margin(study, over="plant.k_p", bounds=(1.0, 0.01), points=5, bisections=6)
     assert len(compiled) == 1
 

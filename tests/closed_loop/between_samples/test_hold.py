@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.between_samples.held_parts import mover
+from dssc_jax.closed_loop.between_samples.held_parts import make_mover
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement
@@ -319,7 +319,7 @@ def test_an_actuator_that_declares_nothing_acts_through_its_values():
         output=lambda params, z, command: z[0] ** 2,
     )
 
-    _, line = mover(drifting, Pendulum(), 0.5)((0.2,), 0.0)
+    _, line = make_mover(drifting, Pendulum(), 0.5)((0.2,), 0.0)
     assert line.mean == pytest.approx((0.7**3 - 0.2**3) / 1.5)
     assert line.rise == pytest.approx(0.7**2 - 0.2**2)
     assert isinstance(line, Moments)

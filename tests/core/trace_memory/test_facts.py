@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from dssc_jax.core.trace_memory.facts import decoded, encoded
+from dssc_jax.core.trace_memory.facts import decode, encode
 from dssc_jax.core.trace_memory.names import Undescribed
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.engine.evaluation import Derivative
@@ -33,7 +33,7 @@ def test_a_tree_is_restored_with_its_types(tree):
         inside = part.items() if isinstance(part, dict) else part if isinstance(part, list | tuple) else ()
         return type(part), [typed(each) for each in inside]
 
-    again = decoded(encoded(tree))
+    again = decode(encode(tree))
     assert again == tree
     assert typed(again) == typed(tree)
 
@@ -41,4 +41,4 @@ def test_a_tree_is_restored_with_its_types(tree):
 @pytest.mark.parametrize("tree", [Foreign(1), [{1, 2}], {"a": np.zeros(2)}, ({1j},), b"bytes"], ids=str)
 def test_nothing_else_is_written(tree):
     with pytest.raises(Undescribed):
-        encoded(tree)
+        encode(tree)

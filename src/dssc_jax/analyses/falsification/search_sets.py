@@ -11,7 +11,7 @@ from scipy import special
 from scipy.stats import qmc
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.sampling import Arrays, inside_cube, mixing, values_at_levels
+from dssc_jax.engine.sampling import Arrays, inside_cube, score_mixing_matrix, values_at_levels
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 
@@ -117,7 +117,7 @@ class Support(SearchSet):
     def scores(self, points: np.ndarray) -> np.ndarray:
         """Independent normal scores, shape (n, laws): the scores of the levels, which the copula's root has mixed."""
         mixed_scores = special.ndtri(points)
-        return np.linalg.solve(mixing(self.study), mixed_scores.T).T
+        return np.linalg.solve(score_mixing_matrix(self.study), mixed_scores.T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """Convert derivatives by the numbers to derivatives by the levels, with differences of the laws' quantiles."""
@@ -176,7 +176,7 @@ class ScoreBall(SearchSet):
 
     def levels(self, points: np.ndarray) -> np.ndarray:
         """Quantile levels of the correlated scores, shape (n, laws)."""
-        correlated_scores = points @ mixing(self.study).T
+        correlated_scores = points @ score_mixing_matrix(self.study).T
         return inside_cube(special.ndtr(correlated_scores))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
@@ -185,7 +185,7 @@ class ScoreBall(SearchSet):
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """Convert derivatives by the numbers to derivatives by the scores, with differences of the laws' quantiles."""
-        mixing_matrix = mixing(self.study)
+        mixing_matrix = score_mixing_matrix(self.study)
         correlated_scores = points @ mixing_matrix.T
         number_slopes = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):

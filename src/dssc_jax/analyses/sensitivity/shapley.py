@@ -29,7 +29,7 @@ from dssc_jax.analyses.sensitivity.outputs import (
 )
 from dssc_jax.analyses.sensitivity.sobol import saltelli_samples
 from dssc_jax.core.numerics import stream
-from dssc_jax.engine.sampling import generator, inside_cube, mixing
+from dssc_jax.engine.sampling import generator, inside_cube, score_mixing_matrix
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
@@ -131,7 +131,7 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     factors = laws + int(noisy)
     order = random_orders(rows, factors, seeds)
     correlation = np.eye(factors)  # the noise is independent of the laws
-    matrix = mixing(study)
+    matrix = score_mixing_matrix(study)
     correlation[:laws, :laws] = matrix @ matrix.T
     first, second = saltelli_samples(rows, laws, seeds)
     chain = chained_scores(correlation, normal_scores(first, noisy), normal_scores(second, noisy), order)

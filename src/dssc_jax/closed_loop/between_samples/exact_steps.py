@@ -18,7 +18,7 @@ from dssc_jax.closed_loop.between_samples.held_parts import (
     HeldParts,
     States,
     apply_movers,
-    movers_of,
+    make_movers,
     polynomial_terms,
     repeat_substeps,
     term_count,
@@ -66,7 +66,7 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     count = 1 if is_constant else parts.substeps  # with constant inputs one step over the sample is exact
     h = parts.sample_time / count
     held_system = hold(assembly.a, forcings, h)
-    movers = movers_of(parts, unmodelled, h)
+    movers = make_movers(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""

@@ -12,7 +12,7 @@ from dssc_jax.closed_loop.between_samples.held_parts import (
     States,
     Substep,
     apply_movers,
-    movers_of,
+    make_movers,
     polynomial_terms,
     repeat_substeps,
     term_count,
@@ -125,7 +125,7 @@ def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> Subs
     systems: list[AveragedSystem | None] = []
     for model, p in zip(parts.unmodelled, unmodelled, strict=True):
         systems.append(None if model.linear is None else averaged_system(model.linear(p), term_count(model), h))
-    movers = movers_of(parts, unmodelled, h)
+    movers = make_movers(parts, unmodelled, h)
 
     def substep_for(drive_at: DriveAt, commands: Signals, t: Scalar) -> Substep:
         """The function of one substep in the sample that begins at t [s]."""

@@ -50,7 +50,7 @@ class HeldParts(NamedTuple):
 
 
 def term_count(model: Unmodelled) -> int:
-    """Number of terms, in time over a step, of the signal that :func:`mover` gives: 1 if it is constant, 2 if a line.
+    """Number of terms, in time over a step, of the signal of :func:`make_mover`: 1 for a constant, 2 for a line.
 
     The signal enters the linear part of the unmodelled dynamics, or the plant if they have no linear part.
     """
@@ -59,7 +59,7 @@ def term_count(model: Unmodelled) -> int:
 
 
 def polynomial_terms(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
-    """The terms of the signal that :func:`mover` gives, as a polynomial in time over a step.
+    """The terms of the signal that :func:`make_mover` gives, as a polynomial in time over a step.
 
     Args:
         model: The unmodelled dynamics.
@@ -73,12 +73,18 @@ def polynomial_terms(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
     return line.mean - 0.5 * line.rise, line.rise
 
 
-def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
-    """The :func:`mover` of each channel's unmodelled dynamics for steps of length h [s]; ``unmodelled``: parameters."""
-    return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
+def make_movers(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
+    """The functions of :func:`make_mover` for the unmodelled dynamics of each channel.
+
+    Args:
+        parts: The models and the clock.
+        unmodelled: Parameters of the unmodelled dynamics of each channel.
+        h: Length of a step [s].
+    """
+    return [make_mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
 
 
-def mover(model: Unmodelled, params: Params, h: float) -> Mover:
+def make_mover(model: Unmodelled, params: Params, h: float) -> Mover:
     """Return the function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
 
     That function takes state and command. It returns the next state, and mean and rise over the step of the signal that
@@ -111,7 +117,7 @@ def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> 
     """The next state of each channel's unmodelled dynamics, and mean and rise of their output over the step.
 
     Args:
-        movers: The :func:`mover` of each channel.
+        movers: Result of :func:`make_movers`.
         states: States of the unmodelled dynamics before the step.
         commands: The command of each channel, held over the step.
     """

@@ -156,7 +156,7 @@ class Judgement(NamedTuple):
     decision: Scalar
 
 
-def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
+def judge_formula(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
     """The verdict on a formula, from the latches of its parts at the end of a flight.
 
     Args:
@@ -167,15 +167,15 @@ def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at
     """
     match formula:
         case Not():
-            inner = judgement(formula.inner, latches, extremes, at)
+            inner = judge_formula(formula.inner, latches, extremes, at)
             return Judgement(-inner.value, inner.decision)
         case And() | Or():
             is_conjunction = isinstance(formula, And)
             combine = extremes.minimum if is_conjunction else extremes.maximum
-            parts = [judgement(part, latches, extremes, at) for part in formula.parts]
-            return reduce(partial(joint_judgement, combine, is_conjunction), parts)
+            parts = [judge_formula(part, latches, extremes, at) for part in formula.parts]
+            return reduce(partial(judge_jointly, combine, is_conjunction), parts)
         case Always() | Eventually() if formula.begin == formula.end:  # its inner formula, at one later sample
-            return judgement(formula.inner, latches, extremes, at + formula.begin)
+            return judge_formula(formula.inner, latches, extremes, at + formula.begin)
         case _:
             latch = next(latches)
             was_decided = latch.decision > 0.0
@@ -183,7 +183,7 @@ def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at
             return Judgement(latch.value, jnp.where(was_decided, latch.decision, latest_decision))
 
 
-def joint_judgement(combine: Combination, is_conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
+def judge_jointly(combine: Combination, is_conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
     """The verdict on "first and second", or on "first or second".
 
     A false part decides "and" alone, a true part decides "or" alone; otherwise both parts must be certain.
@@ -311,10 +311,10 @@ class RobustnessValue:
 
     def __call__(self, state: FormulaState, window: Window, span: Span) -> Scalar:
         """The exact robustness, with the derivatives of the smooth robustness where there is one."""
-        exact = judgement(self.formula, iter(state.exact.latches), EXACT)
+        exact = judge_formula(self.formula, iter(state.exact.latches), EXACT)
         if not isinstance(state.smooth, Evaluation):
             return exact.value
-        smooth = judgement(self.formula, iter(state.smooth.latches), smooth_extremes(self.width))
+        smooth = judge_formula(self.formula, iter(state.smooth.latches), smooth_extremes(self.width))
         return with_slope_of(exact.value, smooth.value)
 
 
@@ -326,7 +326,7 @@ class DecisionTime:
 
     def __call__(self, state: FormulaState) -> Scalar:
         """Number of samples after which the formula's truth was certain, from the state at the end of a flight."""
-        return judgement(self.formula, iter(state.exact.latches), EXACT).decision
+        return judge_formula(self.formula, iter(state.exact.latches), EXACT).decision
 
 
 def formula_metric(formula: Formula, unit: str, meaning: str, width: float) -> Metric:

@@ -13,7 +13,7 @@ CONTAINERS = {"tuple": tuple, "dict": dict, "OrderedDict": OrderedDict}
 DTYPE = "dtype"
 
 
-def encoded(tree: Any) -> bytes:
+def encode(tree: Any) -> bytes:
     """A tree of plain values as JSON text, in bytes.
 
     Raises:
@@ -22,16 +22,16 @@ def encoded(tree: Any) -> bytes:
     return json.dumps(as_plain(tree)).encode()
 
 
-def decoded(content: bytes) -> Any:
-    """Read the tree again that :func:`encoded` has turned into these bytes."""
-    return restored(json.loads(content))
+def decode(content: bytes) -> Any:
+    """Read the tree again that :func:`encode` has turned into these bytes."""
+    return restore(json.loads(content))
 
 
 def as_plain(tree: Any) -> Any:
     """A tree of JSON values; a value of another type becomes an object whose only key is the name of its type.
 
     Raises:
-        Undescribed: A value has a type that :func:`restored` does not know.
+        Undescribed: A value has a type that :func:`restore` does not know.
     """
     match tree:
         case None | bool() | int() | float() | str():
@@ -49,16 +49,16 @@ def as_plain(tree: Any) -> Any:
     raise Undescribed(tree)
 
 
-def restored(content: Any) -> Any:
+def restore(content: Any) -> Any:
     """Make the tree again that :func:`as_plain` has turned into this content."""
     if isinstance(content, list):
-        return [restored(part) for part in content]
+        return [restore(part) for part in content]
     if not isinstance(content, dict):
         return content
     ((kind, parts),) = content.items()  # an object has one key, the name of its type
     if kind == DTYPE:
         return np.dtype(parts)
-    arguments = restored(parts)
+    arguments = restore(parts)
     if kind in CONTAINERS:
         return CONTAINERS[kind](arguments)
     module, _, name = kind.rpartition(".")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from dssc_jax.core.trace_memory.facts import decoded, encoded
+from dssc_jax.core.trace_memory.facts import decode, encode
 from dssc_jax.core.trace_memory.names import name_of
 from dssc_jax.lanes.program_cache import cache_directory, cached
 
@@ -15,11 +15,11 @@ def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
 
     Args:
         label: Label of the result, such as ``signature``.
-        compute: Computes the result, a tree that :func:`dssc_jax.core.trace_memory.facts.encoded` can write.
+        compute: Computes the result, a tree that :func:`dssc_jax.core.trace_memory.facts.encode` can write.
         subjects: Everything on which the result depends beside this package's code; if :func:`name_of` cannot describe
             it, the result is computed and not stored.
     """
     name = None if cache_directory() is None else name_of(label, *subjects)
     if name is None:
         return compute()
-    return decoded(cached(f"{label}-{name}", lambda: encoded(compute())))
+    return decode(cached(f"{label}-{name}", lambda: encode(compute())))

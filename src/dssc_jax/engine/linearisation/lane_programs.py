@@ -59,7 +59,9 @@ class LaneProgram:
             if self.start is None:
                 sizes = {name: rows.shape[1] for name, rows in vectors.items()}
                 lane = lane_of_numbers(self.lane, sizes)
-                self.start = kernels.compiled(cpu_form(), lane, list(columns), BATCH_LANES, tile=None, devices=None)
+                self.start = kernels.compile_batches(
+                    cpu_form(), lane, list(columns), BATCH_LANES, tile=None, devices=None
+                )
             for first in range(0, len(indices), BATCH_LANES):
                 part = slice(first, first + BATCH_LANES)
                 finish = self.start({name: column[part] for name, column in columns.items()}, indices[part])

@@ -158,7 +158,7 @@ def prediction_by_lanes(
             predicted, slopes = jax.jvp(lambda x: outputs(x, jnp.asarray(commands), 0), (numbers,), (tangent,))
             return (*predicted, *slopes)
 
-        return kernels.compiled(kernels.requested_form(), lane, [*names, DIRECTION], len(names), None, None)
+        return kernels.compile_batches(kernels.requested_form(), lane, [*names, DIRECTION], len(names), None, None)
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with arithmetic(study.config.loop.precision):
@@ -206,7 +206,7 @@ class NoiseProgram:
             return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
 
         with arithmetic(study.config.loop.precision):
-            self.start = kernels.compiled(kernels.requested_form(), lane, list(names), REPLICATES, None, None)
+            self.start = kernels.compile_batches(kernels.requested_form(), lane, list(names), REPLICATES, None, None)
 
     def simulate(self, values: np.ndarray, replicates: int) -> np.ndarray:
         """The noise at values of the numbers, shape (replicates, channels, samples).
