@@ -182,7 +182,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The criterion of a goal that states none: the smallest residual, or the fastest decay if nothing drives the loop.
+    """The criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
 
     Without a reference and a disturbance, the residual of every design is 0.
     """

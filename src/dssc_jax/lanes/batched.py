@@ -47,20 +47,22 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
     threads = machine.usable_cores()
 
     def batch(*arguments: Any) -> Any:
-        """Run the lanes; arguments are columns of one length."""
+        """Run all lanes and wait for them; each argument is a tree of columns of shape (n,), one element a lane."""
         columns = jax.tree.leaves(arguments)
         if jax.tree.structure(arguments) != structure:
             raise TypeError(f"the arguments must have the structure {structure}, got {jax.tree.structure(arguments)}")
         shapes = {np.shape(column) for column in columns}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        have_one_length = len(shapes) == 1 and all(len(shape) == 1 for shape in shapes)
+        if not have_one_length:
             raise ValueError(f"the columns must have one shape (n,), got {sorted(shapes)}")
-        return compiled.start(arguments, len(columns[0]), threads)()
+        wait_for_results = compiled.start(arguments, len(columns[0]), threads)
+        return wait_for_results()
 
     return batch
 
 
 def scalar_type(example: Any) -> jax.ShapeDtypeStruct:
-    """The shape () and JAX's dtype of an example.
+    """The type of an example, as JAX's tracing takes it: the shape (), and the dtype in JAX's present precision.
 
     Raises:
         TypeError: The example is an array.

@@ -23,34 +23,35 @@ class Builder:
     """
 
     def __init__(self, fast: bool = False) -> None:
+        """Begin with an empty body."""
         self.here = CodeBlock()
         self.fast = fast
         self._constants: dict[Hashable, Value] = {}
 
     def constant(self, number: Any, dtype: np.dtype) -> Value:
-        """A constant of a dtype; equal constants are one value."""
-        scalar = np.asarray(number).astype(dtype)[()]
-        key = dtype, scalar.tobytes()
+        """A constant of a dtype; constants of equal bits are one value."""
+        scalar = np.asarray(number).astype(dtype)[()]  # [()]: NumPy's scalar in place of an array of shape ()
+        key = dtype, scalar.tobytes()  # the bits, since -0 equals 0 and NaN does not equal itself
         if key not in self._constants:
             self._constants[key] = Value(Operation.CONSTANT, dtype, detail=scalar)
         return self._constants[key]
 
     def input(self, position: int, dtype: np.dtype) -> Value:
-        """The input of the lane at a position."""
-        return self._placed("input", dtype, (), position, True, self.here)
+        """The input of the lane at a position, which may differ between lanes."""
+        return self._place("input", dtype, (), detail=position, varying=True, home=self.here)
 
     def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:
-        """Add an operation, and return its result; simplifications may return another value.
+        """Add an operation, and return its result; if a simplification applies, return an equal value instead.
 
         Args:
             operation: An :class:`Operation`, or its name.
             operands: The operands.
-            dtype: Dtype of the result; None: that of the last operand, or a truth value for a comparison.
+            dtype: Dtype of the result; None: a truth value for a comparison, else the dtype of the last operand.
             detail: The table of a ``lookup``, the subroutine of a ``rarely``.
         """
         dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
         if operation in ("mul", "abs") and dtype.kind == "f" and all(value.operation == "neg" for value in operands):
-            operands = tuple(value.operands[0] for value in operands)
+            operands = tuple(value.operands[0] for value in operands)  # (-x)(-y) = xy, |-x| = |x|
         simple = simplified(operation, operands, dtype)
         if simple is not None:
             return simple
@@ -58,24 +59,26 @@ class Builder:
             constant = constant_result(operation, [operand.detail for operand in operands], dtype, detail)
             if constant is not None:
                 return self.constant(constant, dtype)
-        if self.fast and dtype.kind == "f" and (product := self._regrouped(operation, operands)) is not None:
-            return product
+        if self.fast and dtype.kind == "f":
+            regrouped = self._regrouped(operation, operands)
+            if regrouped is not None:
+                return regrouped
         varying = operation != "any" and any(operand.varying for operand in operands)
-        return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
+        return self._place(operation, dtype, operands, detail=detail, varying=varying, home=self._home(operands))
 
     def memory(self, slot: Slot) -> Value:
-        """Reserve a slot full of zeros, and return its token."""
-        outermost = self.here
-        while outermost.parent is not None:
-            outermost = outermost.parent
-        return self._placed("memory", TOKEN, (), slot, True, outermost)
+        """Reserve a slot full of zeros in the body of the program; return the token of its content."""
+        body = self.here
+        while body.parent is not None:
+            body = body.parent
+        return self._place("memory", TOKEN, (), detail=slot, varying=True, home=body)
 
     def read(self, slot: Slot, token: Value, index: Value) -> Value:
         """Read an element of a slot; ``token`` stands for the slot's content."""
-        return self._placed("read", slot.dtype, (token, index), slot, True, self.here)
+        return self._place("read", slot.dtype, (token, index), detail=slot, varying=True, home=self.here)
 
     def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
-        """Write an element of a slot, and return the new token.
+        """Write an element of a slot, and return the token of the content after it.
 
         Args:
             slot: The slot.
@@ -84,14 +87,17 @@ class Builder:
             value: The new element.
             reads: Reads of the content before, which must come first.
         """
-        return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
+        return self._place("write", TOKEN, (token, index, value, *reads), detail=slot, varying=True, home=self.here)
 
     def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
-        """Call a function of C for each lane, and return its results, which count as varying."""
+        """Call a function of C in each lane; return its results, which are taken to differ between lanes."""
         home = self._home(operands)
         types = [place.dtype for place in function.results]
-        call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
-        return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
+        call = self._place(Operation.FOREIGN, types[0], tuple(operands), detail=function, varying=True, home=home)
+        return [
+            self._place(Operation.PART, dtype, (call,), detail=position, varying=True, home=home)
+            for position, dtype in enumerate(types)
+        ]
 
     def loop(self, initial_states: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
         """Begin a loop; :meth:`end_loop` ends it.
@@ -103,8 +109,10 @@ class Builder:
         """
         loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(initial_states))
         for position, (value, varies) in enumerate(zip(initial_states, varying, strict=True)):
-            state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
-            loop.states.append(state)
+            state_varies = varies or value.varying
+            loop.states.append(
+                Value(Operation.STATE, value.dtype, detail=(loop, position), varying=state_varies, block=loop.body)
+            )
         self.here = loop.body
         return loop
 
@@ -121,7 +129,7 @@ class Builder:
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [
-            Value(Operation.RESULT, state.dtype, (), (loop, position), state.varying, self.here)
+            Value(Operation.RESULT, state.dtype, detail=(loop, position), varying=state.varying, block=self.here)
             for position, state in enumerate(loop.states)
         ]
         return loop.results
@@ -136,42 +144,61 @@ class Builder:
         surrounding_block = self.here
         blocks = []
         values = []
-        for side in sides:
+        for build_side in sides:
             self.here = CodeBlock(surrounding_block, keeps_operations=True, depth=surrounding_block.depth + 1)
-            values.append(side())
+            values.append(build_side())
             blocks.append(self.here)
         self.here = surrounding_block
         branch = Branch(condition, (blocks[0], blocks[1]), (values[0], values[1]))
         surrounding_block.nodes.append(branch)
-        for position, pair in enumerate(zip(*values, strict=True)):
-            varying = condition.varying or any(value.varying for value in pair)
+        for position, (first, second) in enumerate(zip(*values, strict=True)):
+            varying = condition.varying or first.varying or second.varying
+            detail = branch, position
             branch.results.append(
-                Value(Operation.JOINED, pair[0].dtype, (), (branch, position), varying, surrounding_block)
+                Value(Operation.JOINED, first.dtype, detail=detail, varying=varying, block=surrounding_block)
             )
         return branch.results
 
     def record(self, recording: Recording, position: Value, value: Value) -> None:
-        """Add the storing of a value at a uniform position of a recording."""
+        """Store a value at a uniform position of a recording, whenever the present block runs."""
         self.here.nodes.append(Record(recording, position, value))
 
     def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
         """The same product or quotient with fewer operations in inner blocks; None if there is none.
 
-        A divisor that is known before a loop is inverted there. Two factors that are known before a third one are
-        multiplied there. Sums keep their order, because cancellation depends on it.
+        Sums keep their order, because cancellation depends on it.
         """
-        if operation == "div" and self._depth_of(operands[1]) < self._depth_of(operands[0]):
-            inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
-            if is_normal_or_varies(inverse):
-                return self.add("mul", operands[0], inverse)
+        if operation == "div":
+            dividend, divisor = operands
+            return self._quotient_by_inverse(dividend, divisor)
         if operation == "mul":
-            for product, factor in (operands, operands[::-1]):
-                if product.operation == "mul":
-                    for late, early in (product.operands, product.operands[::-1]):
-                        if max(self._depth_of(early), self._depth_of(factor)) < self._depth_of(late):
-                            factors = self.add("mul", early, factor)
-                            if is_normal_or_varies(factors):
-                                return self.add("mul", late, factors)
+            first, second = operands
+            regrouped = self._product_outside_in(first, second)
+            return self._product_outside_in(second, first) if regrouped is None else regrouped
+        return None
+
+    def _quotient_by_inverse(self, dividend: Value, divisor: Value) -> Value | None:
+        """The quotient as a product, if the divisor is known before a loop, where it is inverted; else None."""
+        if self._depth_of(divisor) >= self._depth_of(dividend):
+            return None
+        inverse = self.add("div", self.constant(1.0, divisor.dtype), divisor)
+        return self.add("mul", dividend, inverse) if is_normal_or_varies(inverse) else None
+
+    def _product_outside_in(self, product: Value, factor: Value) -> Value | None:
+        """The product (late early) factor as late (early factor), so that ``early factor`` is hoisted out of a loop.
+
+        Returns:
+            None if ``product`` is no product, if no factor of it is known later than the other two, or if the constant
+            early * factor would overflow or underflow.
+        """
+        if product.operation != "mul":
+            return None
+        first, second = product.operands
+        for late, early in ((first, second), (second, first)):
+            if max(self._depth_of(early), self._depth_of(factor)) < self._depth_of(late):
+                early_product = self.add("mul", early, factor)
+                if is_normal_or_varies(early_product):
+                    return self.add("mul", late, early_product)
         return None
 
     def _depth_of(self, value: Value) -> int:
@@ -186,10 +213,17 @@ class Builder:
             block = block.parent
         return block
 
-    def _placed(
-        self, operation: str, dtype: np.dtype, operands: tuple[Value, ...], detail: Any, varying: bool, home: CodeBlock
+    def _place(
+        self,
+        operation: str,
+        dtype: np.dtype,
+        operands: tuple[Value, ...],
+        *,
+        detail: Any,
+        varying: bool,
+        home: CodeBlock,
     ) -> Value:
-        """The equal value of the block or of a surrounding one, if there is one; else a new value in the block."""
+        """Return the equal value of a block, or of one that surrounds it; if there is none, add a new value to it."""
         key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
         block: CodeBlock | None = home
         while block is not None:
@@ -211,25 +245,33 @@ def is_normal_or_varies(factor: Value) -> bool:
 
 def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
     """The operand that always equals the result of an operation, to the last bit; None if there is none."""
-    first_operand = operands[0]
-    if operation in ("convert", "bitcast") and first_operand.dtype == dtype:
-        return first_operand
-    if operation == "any" and first_operand.operation == "constant":
-        return first_operand
-    if operation == "rarely" and first_operand.operation == "constant" and not first_operand.detail:
-        return operands[1]
+    first = operands[0]
+    first_is_constant = first.operation == "constant"
+    if operation in ("convert", "bitcast"):
+        return first if first.dtype == dtype else None
+    if operation == "any":
+        return first if first_is_constant else None
+    if operation == "rarely":  # its operands: the condition, the usual value, the subroutine's arguments
+        return operands[1] if first_is_constant and not first.detail else None
     if operation == "select":
-        if operands[1] is operands[2]:
-            return operands[1]
-        if first_operand.operation == "constant":
-            return operands[1] if first_operand.detail else operands[2]
-    if operation in ("and", "or"):
-        for operand, other in (operands, operands[::-1]):
-            is_truth = operand.operation == "constant" and operand.dtype == BOOL
-            if operand is other or (is_truth and operand.detail == (operation == "and")):
-                return other
-    if operation == "mul":
-        for factor, other in (operands, operands[::-1]):
-            if factor.operation == "constant" and factor.detail == 1:
-                return other
+        _, if_true, if_false = operands
+        if if_true is if_false:
+            return if_true
+        if first_is_constant:
+            return if_true if first.detail else if_false
+    if operation in ("and", "or", "mul"):
+        second = operands[1]
+        if is_neutral(first, operation) or (first is second and operation != "mul"):
+            return second
+        if is_neutral(second, operation):
+            return first
     return None
+
+
+def is_neutral(operand: Value, operation: str) -> bool:
+    """Whether ``operation`` with this operand returns the other one: 1 for "mul", true for "and", false for "or"."""
+    if operand.operation != "constant":
+        return False
+    if operation == "mul":
+        return bool(operand.detail == 1)
+    return operand.dtype == BOOL and bool(operand.detail) == (operation == "and")

@@ -19,13 +19,13 @@ from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.unsupported import Unsupported
 
 WORD = 4
-"""Bytes of a word; every number has one or two of them."""
+"""Bytes of a word; every number has one or two words."""
 
 ALIGNMENT = 64
-"""Bytes to which memory is aligned."""
+"""Bytes to which the memory of a call is aligned."""
 
 FOREIGN_CALL = "foreign_call"
-"""Name of the primitive."""
+"""Name of the primitive of JAX that stands for a call."""
 
 ADDRESSES: dict[str, int] = {}
 """Addresses of the functions that lanes of this process may call, by symbol; LLVM has the same table."""
@@ -39,7 +39,7 @@ class MemoryPlace(NamedTuple):
 
 
 class ForeignFunction(NamedTuple):
-    """A C function with one argument, the address of its memory.
+    """A function of C with one argument, the address of the memory that holds its operands and its results.
 
     Args:
         symbol: Its name, which must differ for different code: the cache of compiled programs compares their texts,
@@ -56,6 +56,7 @@ class ForeignFunction(NamedTuple):
 
 
 Operand: TypeAlias = jax.Array | np.ndarray | np.generic | float
+"""A number that :func:`call` takes."""
 
 
 def provide(symbol: str, address: int) -> None:
@@ -65,7 +66,7 @@ def provide(symbol: str, address: int) -> None:
 
 
 def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
-    """Call a function for scalars, traced or not, and return its results.
+    """Call a function of C for scalars, traced or not; return its results as JAX's arrays of shape ().
 
     Raises:
         TypeError: The number of operands is wrong, or JAX's precision lacks a type of the function.
@@ -80,7 +81,7 @@ def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
 
 
 def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
-    """Call a function on the host for each row of operands.
+    """Call a function of C for each row of operands, in this process and without compiled lanes.
 
     Args:
         function: The function.
@@ -91,15 +92,16 @@ def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
     """
     native = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
     rows = operands.reshape(-1, operands.shape[-1])
-    memory = np.zeros((len(rows), -(-function.size // ALIGNMENT) * ALIGNMENT // WORD), np.uint32)
-    memory[:, words_of(function.operands)] = rows
-    for lane in range(len(memory)):
-        native(memory[lane].ctypes.data)
-    results = memory[:, words_of(function.results)]
+    blocks = -(-function.size // ALIGNMENT)  # aligned blocks of memory for a call, rounded up
+    memory = np.zeros((len(rows), blocks * ALIGNMENT // WORD), np.uint32)
+    memory[:, word_positions(function.operands)] = rows
+    for lane_memory in memory:
+        native(lane_memory.ctypes.data)
+    results = memory[:, word_positions(function.results)]
     return results.reshape(*operands.shape[:-1], results.shape[-1])
 
 
-def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
+def word_positions(places: Sequence[MemoryPlace]) -> np.ndarray:
     """Positions in memory of the words of 32 bits at some places, shape (words,)."""
     positions = [np.arange(place.offset, place.offset + place.dtype.itemsize, WORD) // WORD for place in places]
     return np.concatenate(positions)
@@ -109,43 +111,52 @@ def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
 
 
 def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Array]:
-    """The implementation of the primitive in plain XLA, by a callback of the host.
+    """Call a function of C in plain XLA, through a callback of the host; return its results in the operands' shape.
 
     JAX passes arrays to a callback in another thread, whose precision is always 32 bits, and would truncate longer
     numbers. So all numbers are passed as words of 32 bits.
     """
     shape = operands[0].shape
     operand_words = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
-    count = len(words_of(function.results))
-    words_type = jax.ShapeDtypeStruct((*shape, count), np.uint32)
+    words_per_row = len(word_positions(function.results))
+    words_type = jax.ShapeDtypeStruct((*shape, words_per_row), np.uint32)
     result_words = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words_type, operand_words)
     results = []
     first = 0
-    for result_place in function.results:
-        size = result_place.dtype.itemsize // WORD
-        part = result_words[..., first] if size == 1 else result_words[..., first : first + size]
-        results.append(jax.lax.bitcast_convert_type(part, result_place.dtype))
+    for place in function.results:
+        size = place.dtype.itemsize // WORD
+        words = result_words[..., first] if size == 1 else result_words[..., first : first + size]
+        results.append(jax.lax.bitcast_convert_type(words, place.dtype))
         first += size
     return results
 
 
 def as_words(operand: jax.Array) -> jax.Array:
-    """The words of 32 bits of each number, along a new last axis."""
-    words = jax.lax.bitcast_convert_type(operand, jnp.uint32)
+    """The words of 32 bits of each number, along a new last axis of size 1 or 2."""
+    words = jax.lax.bitcast_convert_type(operand, jnp.uint32)  # JAX adds the axis for two words only
     return words[..., None] if operand.dtype.itemsize == WORD else words
 
 
 def abstract(*operands: jax.ShapeDtypeStruct, function: ForeignFunction) -> list[object]:
-    """The abstract evaluation of the primitive: shapes and dtypes of the results."""
+    """Shapes and dtypes of the results, which JAX asks for when it traces the primitive."""
     return [jax.typeof(jax.ShapeDtypeStruct(operands[0].shape, place.dtype)) for place in function.results]
 
 
 def batched(
     operands: Sequence[jax.Array], axes: Sequence[int | None], *, function: ForeignFunction
 ) -> tuple[list[jax.Array], list[int]]:
-    """The batching rule of the primitive: the call over a batch, whose axis comes first in the results."""
+    """The call over a batch, as ``jax.vmap`` asks for it.
+
+    Args:
+        operands: The operands.
+        axes: The batch's axis in each operand; None: the operand is the same in the whole batch.
+        function: The function.
+
+    Returns:
+        The results, and the batch's axis in each result, which is 0.
+    """
     pairs = list(zip(operands, axes, strict=True))
-    (size, *_) = [operand.shape[axis] for operand, axis in pairs if axis is not None]
+    size = next(operand.shape[axis] for operand, axis in pairs if axis is not None)
     columns = []
     for operand, axis in pairs:
         column = jnp.broadcast_to(operand, (size, *operand.shape)) if axis is None else jnp.moveaxis(operand, axis, 0)
@@ -155,7 +166,7 @@ def batched(
 
 
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
-    """The differentiation rule of the primitive, which refuses: a function of C has no derivative.
+    """Refuse to differentiate the primitive: a function of C has no derivative.
 
     Raises:
         Unsupported: Always. Analyses that need derivatives refuse native code earlier, with a better message.

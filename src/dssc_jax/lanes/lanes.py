@@ -45,18 +45,20 @@ class CompiledLanes:
         strict: bool = False,
         recall: Recall | None = None,
     ) -> None:
+        """Find the machine code in the cache, or compile it; load it."""
         self._request = (lane, arguments, width, strict)
-        self._wide = jnp.result_type(float) == jnp.float64
+        self._has_64_bits = jnp.result_type(float) == jnp.float64
         self.signature = recall(self._signature) if recall else self._signature()
         self._code = self.load(cached(self.signature.code, self.compiled))
 
     def _signature(self) -> Signature:
+        """The signature of the lane's machine code, for which the lane is traced."""
         return self.traced.signature
 
     @cached_property
     def traced(self) -> "TracedLanes":
-        """The program and its text, in the precision that JAX had when this object was made."""
-        with jax.enable_x64(self._wide), np.errstate(all="ignore"):
+        """The program and its text for LLVM, in the precision that JAX had when this object was made."""
+        with jax.enable_x64(self._has_64_bits), np.errstate(all="ignore"):
             return self.translated(*self._request)
 
     def translated(
@@ -68,7 +70,7 @@ class CompiledLanes:
         return TracedLanes(lane, arguments, width, strict)
 
     def compiled(self) -> bytes:
-        """Compile the text to machine code."""
+        """Compile the lane's text to machine code, the content of an object file."""
         return machine.object_code(self.traced.text)
 
     def load(self, code: bytes) -> Loaded:
@@ -76,7 +78,10 @@ class CompiledLanes:
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """Number of neighbouring lanes whose recordings are stored sample by sample, in a batch of ``lanes``."""
+        """Number of neighbouring lanes whose recordings are stored sample by sample, in a batch of ``lanes`` lanes.
+
+        On a CPU these are the lanes of one vector, whatever the size of the batch.
+        """
         return self.signature.width
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
@@ -91,28 +96,45 @@ class CompiledLanes:
             A function that waits and returns the tree of results: columns of shape (n,), and (n, length) for
             recordings.
         """
-        finish = self.start_timed(arguments, count, threads)
-        return lambda: finish()[0]
+        wait = self.start_timed(arguments, count, threads)
+
+        def wait_for_results() -> Any:
+            """Wait for the lanes, and return the tree of results."""
+            results, _ = wait()
+            return results
+
+        return wait_for_results
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
         """As :meth:`start`; the function also returns when the lanes ended, a time of :func:`time.perf_counter`."""
-        width, inputs, outputs, results, _ = self.signature
-        lanes = -(-count // width) * width
-        padded_columns = [
+        signature = self.signature
+        lanes = whole_multiple(count, signature.width)
+        inputs = [
             np.ascontiguousarray(np.pad(np.asarray(column, dtype), (0, lanes - count), mode="edge"))
-            for column, dtype in zip(jax.tree.leaves(arguments), inputs, strict=True)
+            for column, dtype in zip(jax.tree.leaves(arguments), signature.inputs, strict=True)
         ]
-        columns = [np.empty(lanes * (1 if length is None else length), stored_type(dtype)) for dtype, length in outputs]
-        finish = self._code.start(padded_columns, columns, lanes, width, threads)
+        outputs = []
+        for dtype, length in signature.outputs:
+            numbers_per_lane = 1 if length is None else length  # None: a number, no recording
+            outputs.append(np.empty(lanes * numbers_per_lane, stored_type(dtype)))
+        wait = self._code.start(inputs, outputs, lanes, signature.width, threads)
 
-        def results_and_end() -> tuple[Any, float]:
-            end_time = finish()
-            pairs = zip(outputs, columns, strict=True)
+        def wait_for_results() -> tuple[Any, float]:
+            """Wait for the lanes; return the tree of results without the padding, and when the lanes ended."""
+            end_time = wait()
             group = self.interleaved(lanes)
-            arrays = [in_order(column, length, group)[:count].view(dtype) for (dtype, length), column in pairs]
-            return jax.tree.unflatten(jax.tree.structure(results), arrays), end_time
+            arrays = []
+            for (dtype, length), column in zip(signature.outputs, outputs, strict=True):
+                arrays.append(in_order(column, length, group)[:count].view(dtype))
+            return jax.tree.unflatten(jax.tree.structure(signature.results), arrays), end_time
 
-        return results_and_end
+        return wait_for_results
+
+
+def whole_multiple(count: int, width: int) -> int:
+    """The smallest multiple of ``width`` that is at least ``count``: the lanes of a batch, in whole vectors."""
+    vectors = -(-count // width)  # count / width, rounded up
+    return vectors * width
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:

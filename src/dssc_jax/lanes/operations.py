@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Operation(StrEnum):
-    """An operation of a value."""
+    """An operation that computes a value of a lane's program; a text below a name tells what the name does not."""
 
     ADD = "add"
     SUB = "sub"
@@ -83,7 +83,7 @@ ARITHMETIC: dict[str, np.ufunc] = {
 
 
 def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
-    """The result of an operation on constants.
+    """The result of an operation on constants, computed once when the program is built.
 
     Args:
         operation: The operation.

@@ -14,8 +14,9 @@ import numpy as np
 from dssc_jax.lanes.operations import Operation
 
 BOOL = np.dtype(bool)
+"""Dtype of truth values."""
 TOKEN = np.dtype(np.int8)
-"""Dtype of tokens, which stand for the content of a slot."""
+"""Dtype of tokens. A token stands for the content of a slot at a point of the program; its number means nothing."""
 
 # Nodes refer to each other, so a printed node would contain its whole program many times: they have no repr.
 
@@ -28,9 +29,10 @@ class Value:
         operation: The operation that computes it.
         dtype: Its dtype.
         operands: The operands of the operation.
-        detail: An attribute of some operations: the constant, the table, the position of the input, the subroutine, the
-            slot, the function of C, the position of a part, or the loop or branch with the position of the state or
-            result.
+        detail: What the operation needs beside its operands: the number of a ``constant``, the table of a ``lookup``,
+            the position of an ``input`` or ``part``, the subroutine of a ``rarely``, the slot of a ``memory``, ``read``
+            or ``write``, the function of a ``foreign``. For a ``state`` or ``result`` it is (loop, position), for a
+            ``joined`` (branch, position). None for other operations.
         varying: Whether it may differ between lanes.
         block: The block that computes it; None for a constant.
     """
@@ -45,7 +47,7 @@ class Value:
 
 @dataclass(eq=False, repr=False, slots=True)
 class CodeBlock:
-    """A sequence of values, loops, branches and records.
+    """A sequence of values, loops, branches and records, which run in order.
 
     Args:
         parent: The surrounding block; None: this is the body of the program.
@@ -192,7 +194,7 @@ def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
 
 
 def operands_of(node: Node) -> list[Value]:
-    """The values that a node reads itself; those that its blocks read are not among them."""
+    """The values that a node reads itself, without the values that only the nodes of its blocks read."""
     match node:
         case Value():
             return list(node.operands)
@@ -201,6 +203,6 @@ def operands_of(node: Node) -> list[Value]:
         case Branch():
             return [node.condition, *node.values[0], *node.values[1]]
         case CodeLoop():
-            ends = [value for value in (node.guard, node.proceed) if value is not None]
-            return [*node.initial_states, *node.next_states, *ends]
+            conditions = [value for value in (node.guard, node.proceed) if value is not None]
+            return [*node.initial_states, *node.next_states, *conditions]
     raise TypeError(node)

@@ -19,12 +19,14 @@ from uuid import uuid4
 
 CACHE_VARIABLE = "DSSC_JAX_CACHE"
 OFF = ("off", "0", "false")
+"""Values of the variable that disable the cache."""
 CACHE_SIZE = 2**28  # bytes
 SEARCHES = 16  # mean number of searches for old files while CACHE_SIZE bytes are stored; each visits every file
 DISK_BLOCK = 4096  # bytes of the disk that a file occupies at least
 UNUSABLE: set[Path] = set()
 """Caches that this process has warned of."""
 DIGEST = hashlib.sha256().digest_size
+"""Bytes of the digest with which a file begins."""
 
 
 class ProgramCache:
@@ -36,27 +38,27 @@ class ProgramCache:
     """
 
     def __init__(self, folder: Path, limit: int = CACHE_SIZE) -> None:
+        """Use a folder, which need not exist."""
         self._path = folder
         self.limit = limit
 
     def get(self, key: str) -> bytes | None:
-        """The program stored under a name; None if there is none, or if its file does not match its digest."""
+        """The program stored under a name; None if there is none.
+
+        A file that does not match its digest is deleted, with a message, and counts as none.
+        """
         file = self._file(key)
         try:
             content = read_file(file)
         except OSError:
             return None
+        stored_digest = content[:DIGEST]
         program = content[DIGEST:]
-        if content[:DIGEST] == digest(key, program):
+        if stored_digest == digest(key, program):
             with suppress(OSError):
                 os.utime(file)  # marks it as used
             return program
-        try:
-            file.unlink()
-            outcome = "deleted"
-        except OSError as error:
-            outcome = f"could not delete ({error.strerror})"
-        print(f"{outcome} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
+        delete_damaged(file)
         return None
 
     def put(self, key: str, value: bytes) -> None:
@@ -76,19 +78,33 @@ class ProgramCache:
             self._make_room()
 
     def _file(self, key: str) -> Path:
+        """The file of the program of a name."""
         return self._path / f"{key}.program"
 
     def _make_room(self) -> None:
         """Delete the files that have not been read for the longest time, until the others fit within the limit."""
+        stored_files = []  # (time of the last use, bytes on the disk, path) of each file
         with os.scandir(self._path) as entries:
-            file_entries = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
-        files_by_age = [(status.st_mtime_ns, max(status.st_size, DISK_BLOCK), path) for status, path in file_entries]
-        excess_bytes = sum(size for _, size, _ in files_by_age) - self.limit
-        for _, size, path in sorted(files_by_age):
+            for entry in entries:
+                if entry.is_file(follow_symlinks=False):
+                    status = entry.stat()
+                    stored_files.append((status.st_mtime_ns, max(status.st_size, DISK_BLOCK), entry.path))
+        excess_bytes = sum(size for _, size, _ in stored_files) - self.limit
+        for _, size, path in sorted(stored_files):
             if excess_bytes <= 0:
                 return
             Path(path).unlink(missing_ok=True)
             excess_bytes -= size
+
+
+def delete_damaged(file: Path) -> None:
+    """Delete a file of the cache that does not match its digest, and print what was done."""
+    try:
+        file.unlink()
+        outcome = "deleted"
+    except OSError as error:
+        outcome = f"could not delete ({error.strerror})"
+    print(f"{outcome} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
 
 
 def read_file(path: Path) -> bytes:
@@ -120,16 +136,16 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def digest(key: str, program: bytes) -> bytes:
-    """The digest of a program and its name, with which its file begins."""
+    """The digest of a name and its program, with which the program's file begins."""
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """Read an entry of the user's cache by its name; compute and store it if there is none.
+    """The program of a name from the user's cache; if there is none, it is made and stored.
 
     Args:
-        name: Name that differs whenever anything differs on which the entry depends.
-        make: Computes the entry.
+        name: Name that differs whenever anything differs on which the program depends.
+        make: Makes the program.
     """
     folder = cache_directory()
     if folder is None:

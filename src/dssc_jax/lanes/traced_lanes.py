@@ -55,15 +55,19 @@ class TracedLanes:
     """
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
+        """Trace and translate the lane, and write its text."""
         self.program, results = lane_program(lane, arguments, strict)
         packing = best_packing(self.program)
-        width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
+        if width is None:
+            width = packing.vectors * machine.vector_bits() // number_bits(self.program)
         self.text = module_text(self.program, width, strict, packing.window, machine.has_near_constants())
         self.signature = signature_of(self.program, results, width, machine.code_name(self.text))
 
 
 def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: bool) -> tuple[Program, Any]:
-    """Trace and translate a lane; return its program, and the tree of its results.
+    """Trace and translate a lane; return its program, and the tree of its results with shapes and types.
+
+    Fast arithmetic (not ``strict``) also removes the states of loops that are the negative of another state.
 
     Raises:
         Unsupported: An operation has no translation.
@@ -77,7 +81,7 @@ def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: b
 
 
 def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
-    """The signature of the machine code of a program.
+    """The signature of a program's machine code: all that a caller must know to run it.
 
     Args:
         program: The program.
@@ -87,9 +91,10 @@ def signature_of(program: Program, results: Any, width: int, code: str) -> Signa
     """
     outputs = []
     for output in program.outputs:
-        outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
-    empty = jax.tree.map(lambda _: 0, results)
-    return Signature(width, tuple(program.inputs), tuple(outputs), empty, code)
+        length = output.length if isinstance(output, Recording) else None
+        outputs.append((output.dtype, length))
+    structure = jax.tree.map(lambda _: 0, results)
+    return Signature(width, tuple(program.inputs), tuple(outputs), structure, code)
 
 
 def check(program: Program) -> None:
@@ -99,13 +104,16 @@ def check(program: Program) -> None:
 
 
 def best_packing(program: Program) -> Packing:
-    """The fastest packing of a program on this processor, by the program's size."""
+    """The fastest packing of a program on this processor, by the number of its operations, as measured."""
     counts = operation_counts(program)
-    draws_numbers = counts.get("xor", 0) > MANY_XORS
-    packings = RANDOM_PACKINGS if draws_numbers else PACKINGS[max(machine.vector_bits(), 256)]
-    return next(packing for packing in packings if sum(counts.values()) < packing.operations)
+    operations = sum(counts.values())
+    draws_random_numbers = counts.get("xor", 0) > MANY_XORS
+    vector_bits = max(machine.vector_bits(), 256)  # processors with 128 bits take the packings for 256
+    packings = RANDOM_PACKINGS if draws_random_numbers else PACKINGS[vector_bits]
+    return next(packing for packing in packings if operations < packing.operations)
 
 
 def number_bits(program: Program) -> int:
-    """Bits of the longest input of a program; 64 if it has none."""
-    return 8 * max((dtype.itemsize for dtype in program.inputs), default=8)
+    """Bits of the longest input of a program, 32 or 64 for floats; 64 if the program has no input."""
+    most_bytes = max((dtype.itemsize for dtype in program.inputs), default=8)
+    return 8 * most_bytes

@@ -48,24 +48,23 @@ LINKED = re.compile(r"(pthread|posix|sem|obstack|va|atomic|mtx|cnd|tss|thrd|fmi2
 
 
 def is_reserved(name: str) -> bool:
-    """Whether nothing may have a name, not even a member of a structure; words in capitals are left to macros."""
-    return (
-        name in KEYWORDS
-        or name in CPP_KEYWORDS
-        or name in MACROS
-        or not re.search("[a-z]", name)
-        or name.startswith("_")
-        or "__" in name
-    )
+    """Whether nothing may have a name, not even a member of a structure.
+
+    Names without small letters are left to macros, and names with a leading or double underscore to compilers.
+    """
+    is_keyword = name in KEYWORDS or name in CPP_KEYWORDS
+    may_be_macro = name in MACROS or not re.search("[a-z]", name)
+    is_of_compilers = name.startswith("_") or "__" in name
+    return is_keyword or may_be_macro or is_of_compilers
 
 
 def is_forbidden(name: str) -> bool:
-    """Whether no variable or file may have a name: it is reserved, or it is that of a library's function."""
+    """Whether no variable or file may have a name: it is reserved, or a function of a library has it."""
     return is_reserved(name) or name in FUNCTIONS
 
 
 def underscored(text: str) -> str:
-    """The text with a single underscore in place of all characters that no name may have."""
+    """The text with one underscore in place of each run of characters that no name may have, and none at its ends."""
     return re.sub(r"(\W|_)+", "_", text, flags=re.ASCII).strip("_")
 
 
@@ -78,7 +77,7 @@ def member_name(text: str) -> str:
 
 
 def member_names(texts: Iterable[str]) -> list[str]:
-    """A valid name for each member of one structure; equal ones are numbered."""
+    """A valid name for each member of one structure; the second of equal names ends in _2, and so on."""
     names: list[str] = []
     for text in texts:
         base = member_name(text)
@@ -101,5 +100,7 @@ def prefix_name(text: str) -> str:
 
 def c_string(text: str) -> str:
     """A text as a literal in C; characters that are not printable ASCII become question marks."""
-    plain = re.sub(r"[^\x20-\x7e]", "?", text)
-    return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("??", "?\\?") + '"'
+    printable = re.sub(r"[^\x20-\x7e]", "?", text)
+    escaped = printable.replace("\\", "\\\\").replace('"', '\\"')
+    without_trigraphs = escaped.replace("??", "?\\?")  # C reads ??/ and eight others as one character
+    return f'"{without_trigraphs}"'

@@ -6,7 +6,7 @@ again. Functions that C's library does not compute exactly are written out, from
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,14 +14,16 @@ from dssc_jax.lanes.program import BOOL, Value
 from dssc_jax.lanes.unsupported import Unsupported
 
 TERNARY, OR, AND, XOR, EQUAL, COMPARE, SHIFT, SUM, PRODUCT, UNARY, ATOM = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11
-"""Precedences, lowest first."""
+"""Precedences of C's operators, lowest first; an atom, such as a name or a call, never needs brackets."""
 
 SIGNS = {
     "add": ("+", SUM), "sub": ("-", SUM), "mul": ("*", PRODUCT), "div": ("/", PRODUCT), "eq": ("==", EQUAL),
     "ne": ("!=", EQUAL), "lt": ("<", COMPARE), "le": ("<=", COMPARE), "gt": (">", COMPARE), "ge": (">=", COMPARE),
     "and": ("&", AND), "or": ("|", OR), "xor": ("^", XOR),
 }  # fmt: skip
+"""C's operator of an operation of numbers, with its precedence."""
 LOGIC = {"and": ("&&", AND), "or": ("||", OR), "xor": ("!=", EQUAL), "eq": ("==", EQUAL), "ne": ("!=", EQUAL)}
+"""C's operator of an operation of truth values, with its precedence."""
 
 HELPERS = {
     "maximum": """static {T} maximum{x}({T} a, {T} b)  /* not a number if either is; of zeros +0 */
@@ -74,9 +76,11 @@ HELPERS = {
     return same.number;
 }}""",
 }
-"""Definitions in C of functions of floating-point numbers that operations may need."""
+"""Definitions in C of functions of floating-point numbers that operations may need; see :meth:`Notation._replacements`.
+"""
 
 HELPERS_NEEDED = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
+"""The function that another one calls, by the name of the caller."""
 
 INTEGER_HELPERS = {
     "signed": """static {I} signed_{w}({U} bits)
@@ -127,25 +131,46 @@ def c_literal(number: Any, dtype: np.dtype) -> str:
     """A number as a literal in C, which compilers read back to the same bits."""
     if dtype == BOOL:
         return "true" if number else "false"
-    if dtype.kind in "iu":
-        wide = dtype.itemsize == 8
-        if int(number) == np.iinfo(dtype).min and dtype.kind == "i":
-            return f"INT{8 * dtype.itemsize}_MIN"
-        macro = f"{'U' if dtype.kind == 'u' else ''}INT{8 * dtype.itemsize}_C"
-        return f"{macro}({int(number)})" if wide or dtype.kind == "u" else str(int(number))
-    suffix = "f" if dtype.itemsize == 4 else ""
+    return integer_literal(int(number), dtype) if dtype.kind in "iu" else real_literal(number, dtype)
+
+
+def integer_literal(number: int, dtype: np.dtype) -> str:
+    """An integer as a literal in C; C would read the least signed integer as minus a number that is too large."""
+    bits = 8 * dtype.itemsize
+    if dtype.kind == "u":
+        return f"UINT{bits}_C({number})"
+    if number == np.iinfo(dtype).min:
+        return f"INT{bits}_MIN"
+    return f"INT{bits}_C({number})" if bits == 64 else str(number)
+
+
+def real_literal(number: Any, dtype: np.dtype) -> str:
+    """A floating-point number as a literal in C, with as many digits as its bits need."""
+    single = dtype.itemsize == 4
+    suffix = "f" if single else ""
     if math.isnan(number):
         return f"(0.0{suffix} / 0.0{suffix})"
     if math.isinf(number):
-        infinity = "HUGE_VALF" if suffix else "HUGE_VAL"
+        infinity = "HUGE_VALF" if single else "HUGE_VAL"
         return f"-{infinity}" if number < 0 else infinity
-    text = repr(float(number)) if dtype.itemsize == 8 else str(np.float32(number))
-    return f"{text}{suffix}"
+    digits = str(np.float32(number)) if single else repr(float(number))
+    return f"{digits}{suffix}"
 
 
-def with_brackets(text: str, precedence: int, surrounding: int) -> str:
-    """An expression, in brackets if its precedence is below that of the surrounding operator."""
-    return text if precedence >= surrounding else f"({text})"
+class Expression(NamedTuple):
+    """An expression in C.
+
+    Args:
+        text: The text.
+        precedence: Precedence of its outermost operator; :data:`ATOM` if it has none.
+    """
+
+    text: str
+    precedence: int
+
+    def operand_of(self, precedence: int) -> str:
+        """The text as an operand of an operator, in brackets if its own precedence is below the operator's."""
+        return self.text if self.precedence >= precedence else f"({self.text})"
 
 
 class Notation:
@@ -156,46 +181,60 @@ class Notation:
     """
 
     def __init__(self, real: np.dtype) -> None:
+        """Begin without functions."""
         self.real = real
         self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
 
     def helpers(self) -> list[str]:
-        """Definitions of the functions that the operations so far need, in an order that C accepts."""
-        return [
-            self._needed[key]
-            for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
-        ]
+        """Definitions of the functions that the operations so far need; functions that others call come first."""
+        called_by_others = HELPERS_NEEDED.values()
+        keys = sorted(self._needed, key=lambda key: (key[0] not in called_by_others, str(key)))
+        return [self._needed[key] for key in keys]
 
     def require_helper(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
         """Add a function to those that are needed, and return its name in C.
 
         Args:
             name: Key in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
-            integer: Dtype of the function's integers.
+            integer: Dtype of the function's integers; None: it has none.
             real: Dtype of the function's floating-point numbers; None: that of the program.
         """
         real = self.real if real is None else real
         if name in HELPERS_NEEDED:
             self.require_helper(HELPERS_NEEDED[name], integer, real)
-        single = real.itemsize == 4
-        width = 8 * (integer.itemsize if integer is not None else real.itemsize)
-        replacements = {
-            "T": c_type(real), "fabs": "fabsf" if single else "fabs", "w": width, "I": f"int{width}_t",
-            "digits": "8388608.0f" if single else "4503599627370496.0", "U": f"uint{width}_t",
-            "I_max": f"INT{width}_MAX", "I_min": f"INT{width}_MIN",
-            "top": c_literal(real.type(2.0 ** (width - 1)), real), "x": "" if real == self.real else f"_{c_type(real)}",
-        }  # fmt: skip
         templates = HELPERS if integer is None else INTEGER_HELPERS
-        ending = replacements["x"] if integer is None or name == "truncated" else ""
-        self._needed[name, integer, ending] = templates[name].format(**replacements)
-        return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
+        takes_reals = integer is None or name == "truncated"
+        ending = self._ending(real) if takes_reals else ""
+        self._needed[name, integer, ending] = templates[name].format(**self._replacements(real, integer))
+        return f"{name}{ending}" if integer is None else f"{name}_{8 * integer.itemsize}{ending}"
 
-    def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """C's expression of an operation, with the precedence of its outermost operator.
+    def _ending(self, real: np.dtype) -> str:
+        """Ending of a function's name: empty for the program's floating-point numbers, else their type."""
+        return "" if real == self.real else f"_{c_type(real)}"
+
+    def _replacements(self, real: np.dtype, integer: np.dtype | None) -> dict[str, str | int]:
+        """What takes the place of each name in braces in a template.
+
+        Args:
+            real: Dtype of the function's floating-point numbers.
+            integer: Dtype of the function's integers; None: they are as long as the floating-point numbers.
+        """
+        single = real.itemsize == 4
+        width = 8 * (real if integer is None else integer).itemsize
+        return {
+            "T": c_type(real), "I": f"int{width}_t", "U": f"uint{width}_t", "w": width, "x": self._ending(real),
+            "fabs": "fabsf" if single else "fabs",
+            "digits": "8388608.0f" if single else "4503599627370496.0",  # 2^23 or 2^52
+            "top": c_literal(real.type(2.0 ** (width - 1)), real),
+            "I_max": f"INT{width}_MAX", "I_min": f"INT{width}_MIN",
+        }  # fmt: skip
+
+    def expression(self, value: Value, operands: Sequence[Expression]) -> Expression:
+        """C's expression of an operation.
 
         Args:
             value: The result of the operation.
-            operands: C's expression of each operand, with its precedence.
+            operands: C's expression of each operand.
 
         Raises:
             Unsupported: C has no exact form of it.
@@ -203,15 +242,15 @@ class Notation:
         operation = value.operation
         dtype = value.dtype
         source = value.operands[0].dtype if value.operands else dtype
-        if operation == "any":
+        if operation == "any":  # of the one lane that runs
             return operands[0]
         if operation == "select":
-            condition, first, second = (with_brackets(*operand, surrounding=OR) for operand in operands)
-            return f"{condition} ? {first} : {second}", TERNARY
+            condition, if_true, if_false = (operand.operand_of(OR) for operand in operands)
+            return Expression(f"{condition} ? {if_true} : {if_false}", TERNARY)
         if operation == "rarely":
-            condition, usual_text = (with_brackets(*operand, surrounding=OR) for operand in operands[:2])
-            arguments = ", ".join(text for text, _ in operands[2:])
-            return f"{condition} ? {value.detail.name}({arguments}) : {usual_text}", TERNARY
+            is_rare, usual = (operand.operand_of(OR) for operand in operands[:2])
+            arguments = ", ".join(operand.text for operand in operands[2:])
+            return Expression(f"{is_rare} ? {value.detail.name}({arguments}) : {usual}", TERNARY)
         if operation == "convert":
             return self.conversion(value, source, operands[0])
         if operation == "bitcast":
@@ -220,106 +259,104 @@ class Notation:
             return self.float_operation(value, operands)
         if source == BOOL and operation in LOGIC:
             sign, precedence = LOGIC[operation]
-            first, second = (with_brackets(*operand, surrounding=UNARY) for operand in operands)
-            return f"{first} {sign} {second}", precedence
+            first, second = (operand.operand_of(UNARY) for operand in operands)
+            return Expression(f"{first} {sign} {second}", precedence)
         if dtype == BOOL:
             if operation not in SIGNS:
                 raise Unsupported(f"'{operation}' of truth values in C")
             sign, precedence = SIGNS[operation]
-            first, second = (with_brackets(*operand, surrounding=SHIFT) for operand in operands)
-            return f"{first} {sign} {second}", precedence
+            first, second = (operand.operand_of(SHIFT) for operand in operands)
+            return Expression(f"{first} {sign} {second}", precedence)
         return self.integer_operation(value, operands)
 
-    def float_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    def float_operation(self, value: Value, operands: Sequence[Expression]) -> Expression:
         """An operation of floating-point numbers; arguments and errors as for :meth:`expression`."""
         operation = value.operation
-        single = value.dtype.itemsize == 4
         real = value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
-            left_text = with_brackets(*operands[0], surrounding=precedence)
-            return f"{left_text} {sign} {with_brackets(*operands[1], surrounding=precedence + 1)}", precedence
+            left = operands[0].operand_of(precedence)
+            right = operands[1].operand_of(precedence + 1)  # a - (b + c) keeps its brackets
+            return Expression(f"{left} {sign} {right}", precedence)
         if operation == "neg":
-            return f"-{with_brackets(*operands[0], surrounding=ATOM)}", UNARY
-        if operation in ("max", "min"):
-            first, second = operands
-            return f"{self.require_helper(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
-        names = {"floor": "round_down", "ceil": "round_up", "round": "nearest", "trunc": "toward_zero"}
-        if operation in names:
-            return f"{self.require_helper(names[operation], real=real)}({operands[0][0]})", ATOM
-        library = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
-        if operation in library:
-            arguments = ", ".join(text for text, _ in operands)
-            return f"{library[operation]}{'f' if single else ''}({arguments})", ATOM
+            return Expression(f"-{operands[0].operand_of(ATOM)}", UNARY)
+        arguments = ", ".join(operand.text for operand in operands)
+        helper_names = {
+            "max": "maximum", "min": "minimum", "floor": "round_down", "ceil": "round_up", "round": "nearest",
+            "trunc": "toward_zero",
+        }  # fmt: skip
+        if operation in helper_names:
+            return Expression(f"{self.require_helper(helper_names[operation], real=real)}({arguments})", ATOM)
+        library_names = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
+        if operation in library_names:
+            suffix = "f" if real.itemsize == 4 else ""
+            return Expression(f"{library_names[operation]}{suffix}({arguments})", ATOM)
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
-    def integer_operation(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+    def integer_operation(self, value: Value, operands: Sequence[Expression]) -> Expression:
         """An operation of integers; arguments and errors as for :meth:`expression`."""
         operation = value.operation
         dtype = value.dtype
-        texts = [text for text, _ in operands]
-        unsigned = f"uint{8 * dtype.itemsize}_t"
+        texts = [operand.text for operand in operands]
         helper_names = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
         if operation in helper_names and dtype.kind == "i":
-            return f"{self.require_helper(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+            return Expression(f"{self.require_helper(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM)
         if operation == "neg":
             operation = "sub"
             texts = ["0", texts[0]]
-        signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}
+        signs = {"add": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^", "shl": "<<"}
         if dtype.kind == "u":
             signs |= {"shr": ">>", "div": "/", "rem": "%"}
-        if operation in signs and dtype.itemsize >= 4:
+        if operation in signs and dtype.itemsize >= 4:  # C computes shorter integers as int
+            unsigned = f"uint{8 * dtype.itemsize}_t"
             text = f"({unsigned})({texts[0]}) {signs[operation]} ({unsigned})({texts[1]})"
-            return (
-                (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.require_helper('signed', dtype)}({text})", ATOM)
-            )
+            same_bits = self.require_helper("signed", dtype) if dtype.kind == "i" else ""
+            return Expression(f"{same_bits}({text})", ATOM)
         if operation in ("max", "min"):
             sign = ">" if operation == "max" else "<"
-            return f"({texts[0]}) {sign} ({texts[1]}) ? ({texts[0]}) : ({texts[1]})", TERNARY
+            return Expression(f"({texts[0]}) {sign} ({texts[1]}) ? ({texts[0]}) : ({texts[1]})", TERNARY)
         raise Unsupported(f"'{operation}' of {dtype} in C")
 
-    def conversion(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+    def conversion(self, value: Value, source: np.dtype, operand: Expression) -> Expression:
         """A conversion of a number from the dtype ``source``; errors as for :meth:`expression`."""
         dtype = value.dtype
-        text, _ = operand
         if source.kind == "f" and dtype.kind in "iu":
             if dtype.kind == "u":
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
-            return f"{self.require_helper('truncated', dtype, source)}({text})", ATOM
+            return Expression(f"{self.require_helper('truncated', dtype, source)}({operand.text})", ATOM)
         if source == BOOL:
-            unit, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
-            return f"{with_brackets(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
-        wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
-                                                                              and source.kind == "u"))  # fmt: skip
-        if dtype.kind == "i" and wraps:  # C leaves it to the compiler
-            unsigned = f"(uint{8 * dtype.itemsize}_t)"
-            return (
-                f"{self.require_helper('signed', dtype)}({unsigned}{with_brackets(*operand, surrounding=UNARY)})",
-                ATOM,
-            )
-        return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
+            unit = c_literal(dtype.type(1), dtype)
+            zero = c_literal(dtype.type(0), dtype)
+            return Expression(f"{operand.operand_of(OR)} ? {unit} : {zero}", TERNARY)
+        is_shorter = dtype.itemsize < source.itemsize
+        loses_sign_bit = dtype.itemsize == source.itemsize and source.kind == "u"
+        if dtype.kind == "i" and source.kind in "iu" and (is_shorter or loses_sign_bit):
+            # C leaves it to the compiler what a signed integer beyond its range becomes
+            unsigned = f"uint{8 * dtype.itemsize}_t"
+            return Expression(f"{self.require_helper('signed', dtype)}(({unsigned}){operand.operand_of(UNARY)})", ATOM)
+        return Expression(f"({c_type(dtype)}){operand.operand_of(UNARY)}", UNARY)
 
-    def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+    def same_bits(self, source: np.dtype, dtype: np.dtype, operand: Expression) -> Expression:
         """The bits of a number as a number of another dtype; errors as for :meth:`expression`.
 
         Args:
             source: Dtype of the number.
             dtype: The other dtype, of the same size.
-            operand: C's expression of the number, with its precedence.
+            operand: C's expression of the number.
         """
-        text, _ = operand
+        text = operand.text
         match source.kind, dtype.kind:
             case "i", "f":
-                return f"{self.require_helper('number_of', real=dtype)}({text})", ATOM
+                return Expression(f"{self.require_helper('number_of', real=dtype)}({text})", ATOM)
             case "u", "f":
                 bits = f"{self.require_helper('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
-                return f"{self.require_helper('number_of', real=dtype)}({bits})", ATOM
+                return Expression(f"{self.require_helper('number_of', real=dtype)}({bits})", ATOM)
             case "f", "i":
-                return f"{self.require_helper('bits_of', real=source)}({text})", ATOM
+                return Expression(f"{self.require_helper('bits_of', real=source)}({text})", ATOM)
             case "f", "u":
-                return f"({c_type(dtype)}){self.require_helper('bits_of', real=source)}({text})", UNARY
+                return Expression(f"({c_type(dtype)}){self.require_helper('bits_of', real=source)}({text})", UNARY)
             case "u", "i":
-                return f"{self.require_helper('signed', dtype)}({text})", ATOM
+                return Expression(f"{self.require_helper('signed', dtype)}({text})", ATOM)
             case "i", "u":
-                return f"({c_type(dtype)}){with_brackets(*operand, surrounding=UNARY)}", UNARY
+                return Expression(f"({c_type(dtype)}){operand.operand_of(UNARY)}", UNARY)
         raise Unsupported(f"the bits of {source} as {dtype} in C")

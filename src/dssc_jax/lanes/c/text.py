@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from dssc_jax.lanes.c.names import is_forbidden, underscored
-from dssc_jax.lanes.c.operations import ATOM, UNARY, Notation, c_literal, c_type
+from dssc_jax.lanes.c.operations import ATOM, UNARY, Expression, Notation, c_literal, c_type
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, operands_of
 from dssc_jax.lanes.tracing.origins import Origin
@@ -20,6 +20,10 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 LONGEST_EXPRESSION = 88
 """Largest number of characters of an expression on a line."""
+SHORT_EXPRESSION = 30
+"""A negative number of fewer characters is written again wherever it is used, and gets no variable."""
+NO_EXPRESSION = Expression("", ATOM)
+"""Stands for a loop or branch that is written: only its results have expressions."""
 
 
 class CText:
@@ -31,9 +35,14 @@ class CText:
         inputs: C's expression of each input.
         real: Dtype of the floating-point numbers.
         reserved_names: Names that no variable may have.
-        constants: Names of constants of the file, by value.
+        constants: Names of constants of the file, by value; None: it has none.
         notation: Collects the functions that operations need; None: a new one.
         prefix: Prefix of the names of tables.
+
+    Attributes:
+        lines: The statements so far.
+        tables: Definitions of constant tables that the statements read.
+        functions: Definitions of subroutines that the statements call, by name.
     """
 
     def __init__(
@@ -47,6 +56,7 @@ class CText:
         notation: Notation | None = None,
         prefix: str = "",
     ) -> None:
+        """Begin without statements."""
         self.program = program
         self.origins = origins
         self.inputs = inputs
@@ -58,10 +68,10 @@ class CText:
         self._prefix = prefix
         self.lines: list[str] = []
         self._reserved_names = {*reserved_names}
-        self._written: dict[int, tuple[str, int]] = {}
+        self._written: dict[int, Expression] = {}  # by the id of the value
         self._uses = use_counts(program)
-        self._function = ""
-        self._indent = 1
+        self._function = ""  # of the model, to which the last heading belongs
+        self._indent = 1  # steps of four spaces
 
     # Public methods
 
@@ -78,8 +88,8 @@ class CText:
         self.lines.append("    " * self._indent + text if text else "")
 
     def read(self, value: Value) -> str:
-        """C's expression of a value."""
-        return self._expression(value)[0]
+        """C's expression of a value that is written, a constant or an input."""
+        return self._expression(value).text
 
     # Blocks
 
@@ -96,20 +106,20 @@ class CText:
                 self._value(node)
 
     def _value(self, value: Value) -> None:
-        """Write a statement for a value that needs one; others become parts of the expressions that use them."""
+        """Write a value as a variable if it needs a statement; else it becomes a part of expressions that use it."""
         origin = self.origins.get(id(value), Origin(""))
-        text, precedence = self._operation(value)
-        simple = precedence >= UNARY and len(text) < 30 and not origin.name and value.operation == "neg"
-        if origin.name or (self._uses.get(id(value), 0) > 1 and not simple) or len(text) > LONGEST_EXPRESSION:
+        expression = self._operation(value)
+        is_short_negative = value.operation == "neg" and len(expression.text) < SHORT_EXPRESSION
+        is_repeated = self._uses.get(id(value), 0) > 1 and not is_short_negative
+        if origin.name or is_repeated or len(expression.text) > LONGEST_EXPRESSION:
             self._heading(origin)
             name = self._variable(origin.name or "part")
-            self.line(f"const {c_type(value.dtype)} {name} = {text};")
-            text = name
-            precedence = ATOM
-        self._written[id(value)] = text, precedence
+            self.line(f"const {c_type(value.dtype)} {name} = {expression.text};")
+            expression = Expression(name, ATOM)
+        self._written[id(value)] = expression
 
     def _heading(self, origin: Origin) -> None:
-        """Write a comment with the model's function, where another one than before begins."""
+        """Write a comment with the model's function and its summary, where another function than before begins."""
         if origin.function and origin.function != self._function:
             self._function = origin.function
             name = origin.function.rpartition(".")[2]
@@ -119,27 +129,33 @@ class CText:
                 self.line(text)
 
     def _variable(self, name: str) -> str:
-        """A new name of a variable, as near to a wanted one as possible."""
+        """A new name of a variable: the wanted name or, where it cannot be used, the name with a number."""
         base = underscored(name) or "part"
-        base = f"part_{base}" if base[0].isdigit() else base
-        name = base
-        count = 1
-        while name in self._reserved_names or (count == 1 and (base == "part" or is_forbidden(base))):
-            name = f"{base}_{count}"
+        if base[0].isdigit():
+            base = f"part_{base}"
+        needs_number = base == "part" or is_forbidden(base)
+        variable = f"{base}_1" if needs_number else base
+        count = 2 if needs_number else 1
+        while variable in self._reserved_names:
+            variable = f"{base}_{count}"
             count += 1
-        self._reserved_names.add(name)
-        return name
+        self._reserved_names.add(variable)
+        return variable
 
     # Control
 
     def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
-        """Write a loop that tests at its end."""
-        pairs = zip(loop.states, loop.results, strict=True)
-        live_positions = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
+        """Write a loop as ``while``: its body writes the next states, tests, and then changes all states at once."""
+        live_positions = []
+        for i, (state, result) in enumerate(zip(loop.states, loop.results, strict=True)):
+            if id(state) in alive or id(result) in alive:
+                live_positions.append(i)
         names = {i: self._variable("state") for i in live_positions}
         for i in live_positions:
             self.line(f"{c_type(loop.states[i].dtype)} {names[i]} = {self.read(loop.initial_states[i])};")
-            self._written[id(loop.states[i])] = self._written[id(loop.results[i])] = names[i], ATOM
+            variable = Expression(names[i], ATOM)
+            self._written[id(loop.states[i])] = variable
+            self._written[id(loop.results[i])] = variable
         proceed = self._variable("again")
         self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
         self.line(f"while ({proceed}) {{")
@@ -154,51 +170,51 @@ class CText:
             self.line(f"{names[i]} = {next_names[i]};")
         self.indent(-1)
         self.line("}")
-        self._written[id(loop)] = "", ATOM
+        self._written[id(loop)] = NO_EXPRESSION
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """Write a branch as ``if`` and ``else``."""
+        """Write a branch as ``if`` and ``else``, which assign its results to variables."""
         live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
         names = {i: self._variable("chosen") for i in live_positions}
         for i in live_positions:
             self.line(f"{c_type(branch.results[i].dtype)} {names[i]};")
-            self._written[id(branch.results[i])] = names[i], ATOM
-        self.line(f"if ({self.read(branch.condition)}) {{")
-        for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
-            if number:
-                self.line("} else {")
+            self._written[id(branch.results[i])] = Expression(names[i], ATOM)
+        heads = f"if ({self.read(branch.condition)}) {{", "} else {"
+        for head, block, values in zip(heads, branch.sides, branch.values, strict=True):
+            self.line(head)
             self.indent(1)
             self._block(block, alive)
             for i in live_positions:
                 self.line(f"{names[i]} = {self.read(values[i])};")
             self.indent(-1)
         self.line("}")
-        self._written[id(branch)] = "", ATOM
+        self._written[id(branch)] = NO_EXPRESSION
 
     # Expressions
 
-    def _expression(self, value: Value) -> tuple[str, int]:
-        """C's expression of a value, and its precedence."""
+    def _expression(self, value: Value) -> Expression:
+        """C's expression of a value that is written, a constant or an input."""
         if value.operation == "constant":
-            if value.dtype.kind == "f" and (constant_name := self.constants.get(float(value.detail))) is not None:
-                return constant_name, ATOM
+            name = self.constants.get(float(value.detail)) if value.dtype.kind == "f" else None
+            if name is not None:
+                return Expression(name, ATOM)
             text = c_literal(value.detail, value.dtype)
-            return text, UNARY if text.startswith("-") else ATOM
+            return Expression(text, UNARY if text.startswith("-") else ATOM)
         if value.operation == "input":
-            return self.inputs[int(value.detail)], ATOM
+            return Expression(self.inputs[int(value.detail)], ATOM)
         return self._written[id(value)]
 
-    def _operation(self, value: Value) -> tuple[str, int]:
-        """C's expression of an operation of written operands, and its precedence."""
+    def _operation(self, value: Value) -> Expression:
+        """C's expression of an operation, whose operands are written already."""
         operands = [self._expression(operand) for operand in value.operands]
         if value.operation == "lookup":
-            return self._lookup(value, operands[0][0]), ATOM
+            return Expression(self._lookup(value, operands[0].text), ATOM)
         if value.operation == "rarely":
             self._subroutine(value.detail)
         return self.notation.expression(value, operands)
 
     def _subroutine(self, subroutine: Subroutine) -> None:
-        """Write the function of a subroutine, once."""
+        """Write the function of a subroutine, once, with arguments x1, x2, ..."""
         name = subroutine.name
         program = subroutine.program
         if name in self.functions:
@@ -206,7 +222,7 @@ class CText:
         self._reserved_names.add(name)
         inputs = [f"x{i + 1}" for i in range(len(program.inputs))]
         text = CText(program, {}, inputs, self._real, inputs, notation=self.notation, prefix=f"{name}_")
-        (result,) = program.outputs
+        result = program.outputs[0]  # its only output
         assert isinstance(result, Value)
         text.compute([result])
         arguments = [f"{c_type(dtype)} {argument}" for dtype, argument in zip(program.inputs, inputs, strict=True)]
@@ -216,9 +232,10 @@ class CText:
 
     def _lookup(self, value: Value, index: str) -> str:
         """C's expression of an element of a constant table; an index beyond its end gives the last element."""
-        table, (position,) = value.detail, value.operands
-        if position.dtype.itemsize != 4:
-            raise Unsupported(f"a table with an index of type {position.dtype} in C")
+        table = value.detail
+        index_type = value.operands[0].dtype
+        if index_type.itemsize != 4:
+            raise Unsupported(f"a table with an index of type {index_type} in C")
         name = f"{self._prefix}table_{len(self.tables) + 1}"
         numbers = ", ".join(c_literal(number, value.dtype) for number in table)
         self.tables.append(f"static const {c_type(value.dtype)} {name}[{table.size}] = {{{numbers}}};")
@@ -247,5 +264,6 @@ def use_counts(program: Program) -> dict[int, int]:
         for node in block.nodes:
             if id(node) in alive:
                 for operand in operands_of(node):
-                    counts[id(operand)] = counts.get(id(operand), 0) + (1 if operand.block is block else 2)
+                    uses = 1 if operand.block is block else 2
+                    counts[id(operand)] = counts.get(id(operand), 0) + uses
     return counts

@@ -26,7 +26,9 @@ ATAN_SERIES = {
         (6.1687607318e-02, 1.4253635705e-01, 3.3333328366e-01), (-1.0648017377e-01, -1.9999158382e-01),
     ),
 }  # fmt: skip
-"""(x - atan x)/x^3 for |x| <= 7/16 in powers of x^2: the even powers, then the odd ones, which shortens the chain."""
+"""(x - atan x)/x^3 for |x| <= 7/16 in powers of x^2, highest first: the even powers, then the odd powers.
+
+Two polynomials in x^4 make two short chains of operations in place of a long one."""
 
 
 def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
@@ -38,31 +40,35 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 
 
 def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
-    """The arctangent of opposite/adjacent in [0, pi/4], for 0 <= opposite <= adjacent and adjacent > 0.
+    """The arctangent of x = opposite/adjacent [rad] in [0, pi/4], for 0 <= opposite <= adjacent and adjacent > 0.
 
-    For a ratio x beyond tan(pi/8) it is pi/4 + atan((x - 1)/(x + 1)). The ratio itself is never computed, which saves a
-    division. The polynomials are those of FreeBSD's s_atan.c and s_atanf.c (Sun Microsystems, 1993).
+    Beyond tan(pi/8) it is pi/4 + atan r with the reduced ratio r = (x - 1)/(x + 1); below, r = x. The ratio x itself is
+    never computed beyond tan(pi/8), which saves a division. The polynomials are those of FreeBSD's s_atan.c and
+    s_atanf.c (Sun Microsystems, 1993).
     """
-    middle = opposite > math.tan(math.pi / 8.0) * adjacent
-    reduced = jnp.where(middle, opposite - adjacent, opposite) / jnp.where(middle, opposite + adjacent, adjacent)
-    even, odd = ATAN_SERIES[reduced.dtype]
-    z = reduced * reduced
+    is_beyond = opposite > math.tan(math.pi / 8.0) * adjacent
+    r = jnp.where(is_beyond, opposite - adjacent, opposite) / jnp.where(is_beyond, opposite + adjacent, adjacent)
+    even, odd = ATAN_SERIES[r.dtype]
+    z = r * r
     w = z * z
-    value = reduced - reduced * (z * polynomial(even, w) + w * polynomial(odd, w))
-    return jnp.where(middle, 0.25 * math.pi + value, value)
+    angle = r - r * (z * polynomial(even, w) + w * polynomial(odd, w))
+    return jnp.where(is_beyond, 0.25 * math.pi + angle, angle)
 
 
 def atan(x: Scalar) -> Scalar:
-    """The arctangent in (-pi/2, pi/2), within 3 ulp, in a form that vectorises; that of XLA:CPU is a scalar routine."""
+    """The arctangent [rad] in (-pi/2, pi/2), within 3 ulp.
+
+    It consists of arithmetic that vectorises, while XLA's own on a CPU is a routine for one number at a time.
+    """
     magnitude = jnp.abs(x)
-    steep = magnitude > 1.0
-    angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
-    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    is_steep = magnitude > 1.0
+    angle = arc(jnp.where(is_steep, 1.0, magnitude), jnp.where(is_steep, magnitude, 1.0))
+    angle = jnp.where(is_steep, 0.5 * math.pi - angle, angle)
     return jnp.where(x < 0.0, -angle, angle)
 
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """The angle of the vector (x, y) in (-pi, pi], in a form that vectorises; 0 at the origin."""
+    """The angle of the vector (x, y) [rad] in (-pi, pi], in a form that vectorises; 0 at the origin."""
     height = jnp.abs(y)
     width = jnp.abs(x)
     is_steep = height > width

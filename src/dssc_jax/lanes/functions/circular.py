@@ -19,16 +19,20 @@ import numpy as np
 
 from dssc_jax.lanes.functions.approximations import polynomial
 
-# pi/2 in parts; the product of a whole number below MOST_QUARTERS with each part but the last is exact
 HALF_PI = {
     64: (1.57079632673412561417e0, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
     32: (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12),
 }
+"""pi/2 as a sum of parts, by the bits of a number.
+
+The product of a whole number below MOST_QUARTERS with each part but the last is exact."""
 SINE_SERIES = (1.58969099521155010221e-10, -2.50507602534068634195e-8, 2.75573137070700676789e-6,
         -1.98412698298579493134e-4, 8.33333333332248946124e-3, -1.66666666666666324348e-1)  # fmt: skip
 COSINE_SERIES = (-1.13596475577881948265e-11, 2.08757232129817482790e-9, -2.75573143513906633035e-7,
           2.48015872894767294178e-5, -1.38888888888741095749e-3, 4.16666666666666019037e-2)  # fmt: skip
+"""(sin x - x)/x^3 and (cos x - 1 + x^2/2)/x^4 for |x| <= pi/4 in powers of x^2, highest first."""
 MOST_QUARTERS = {64: 2.0**20, 32: 2.0**12}
+"""Quarter turns up to which an angle is reduced by :data:`HALF_PI`, by the bits of a number."""
 ROUNDER = {64: 1.5 * 2.0**52, 32: 1.5 * 2.0**23}
 """A number whose sum with x rounds x to a whole number, which is then in the low bits of the sum."""
 
@@ -59,16 +63,16 @@ class ReducedAngle(NamedTuple):
 
 
 def reduce_near(x: jax.Array) -> ReducedAngle:
-    """The reduction of an angle [rad] of at most :data:`MOST_QUARTERS` quarter turns."""
+    """The reduction of an angle x [rad] of at most :data:`MOST_QUARTERS` quarter turns: x - quarters pi/2."""
     bits = 8 * x.dtype.itemsize
     rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
-    turns = rounded_sum - ROUNDER[bits]
+    quarters = rounded_sum - ROUNDER[bits]
     angle = x
     angle_error = jnp.zeros_like(x)
     for part in HALF_PI[bits]:
-        low = angle - turns * part
-        angle_error = angle_error + (turns * part - (angle - low))
-        angle = low
+        reduced = angle - quarters * part
+        angle_error = angle_error + (quarters * part - (angle - reduced))
+        angle = reduced
     return ReducedAngle(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
 
 
@@ -83,21 +87,21 @@ def word(number: int) -> jax.Array:
 
 
 def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
-    """The upper word of the product of two words, the first below 2^53."""
-    low = word(0xFFFFFFFF)
+    """The upper word of the product of two words of 64 bits, the first below 2^53; by products of half words."""
+    lower_half = word(0xFFFFFFFF)
     x_high = x >> word(32)
-    x_low = x & low
+    x_low = x & lower_half
     y_high = y >> word(32)
-    y_low = y & low
+    y_low = y & lower_half
     low_by_high = x_low * y_high
     high_by_low = x_high * y_low
-    middle = (x_low * y_low >> word(32)) + (low_by_high & low) + (high_by_low & low)
+    middle = (x_low * y_low >> word(32)) + (low_by_high & lower_half) + (high_by_low & lower_half)  # bits 32 to 63
     return x_high * y_high + (low_by_high >> word(32)) + (high_by_low >> word(32)) + (middle >> word(32))
 
 
 def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
-    """64 bits of two consecutive words, from bit number ``shift`` on."""
-    return high << shift | (low >> word(1)) >> (word(63) - shift)
+    """64 bits of two consecutive words, from bit number ``shift`` on, where bit 0 is the first word's highest."""
+    return high << shift | (low >> word(1)) >> (word(63) - shift)  # in two shifts, since 64 is too many for a word
 
 
 def word_as_number(x: jax.Array, scale: float) -> jax.Array:
@@ -106,36 +110,37 @@ def word_as_number(x: jax.Array, scale: float) -> jax.Array:
 
 
 def reduce_far(x: jax.Array) -> ReducedAngle:
-    """The reduction of any angle [rad] in float64 from 2^-9 on; NaN for an infinite one.
+    """The reduction of any angle x [rad] in float64 from 2^-9 on; NaN for an infinite angle.
 
     |x| = m 2^e with an integer m of 53 bits. Bits of 2/pi whose product with |x| is a multiple of 4 are left out. The
     next 192 bits give |x| 2/pi modulo 4 with 126 binary places. For no number do more than 62 of these cancel.
     """
     bits = jax.lax.bitcast_convert_type(jnp.abs(x), jnp.uint64)
-    mantissa = bits & word(2**52 - 1) | word(2**52)
-    place = (bits >> word(52)).astype(jnp.int32) - (1075 - 62)  # of the first bit, from that of 2^63
+    mantissa = bits & word(2**52 - 1) | word(2**52)  # m
+    place = (bits >> word(52)).astype(jnp.int32) - (1075 - 62)  # of the first bit of 2/pi, counted from that of 2^63
     shift = (place & 63).astype(jnp.uint64)
     table = jnp.asarray(np.array(TWO_BY_PI, np.uint64))
     words = jnp.unstack(jax.lax.dynamic_slice(table, (place >> 6,), (4,)))
     first = following_bits(words[0], words[1], shift)
     second = following_bits(words[1], words[2], shift)
     third = following_bits(words[2], words[3], shift)
+    # the words (high, middle) of m (first, second, third): two bits of quarter turns, then 126 of the fraction
     low = mantissa * second
     middle = low + high_product(mantissa, third)
     carry = (middle < low).astype(jnp.uint64)
     high = mantissa * first + high_product(mantissa, second) + carry
     upper = high << word(2) | middle >> word(62)
     lower = middle << word(2)
-    above_half = upper >> word(63)
+    above_half = upper >> word(63)  # 1 if the fraction is nearer to 1, which then counts as a quarter turn
     quarters = (high >> word(62)) + above_half
-    flipped = word(0) - above_half  # all bits, where the fraction is nearer to 1
-    upper = upper ^ flipped
-    lower = lower ^ flipped
+    inverted_bits = word(0) - above_half  # all bits, or none
+    upper = upper ^ inverted_bits
+    lower = lower ^ inverted_bits
     return radians(x, quarters, above_half, upper, lower)
 
 
 def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> ReducedAngle:
-    """The reduced angle in radians, from a fraction of a quarter turn.
+    """The reduced angle in radians, from a fraction of a quarter turn: fraction * pi/2, with its rounding error.
 
     Args:
         x: The angle that is reduced [rad], whose sign the result has.
@@ -144,15 +149,17 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
         upper: First word of the absolute value of the fraction, as an integer of 128 bits.
         lower: Second word.
     """
-    half = word(0xFFFFFFFF)
+    lower_half = word(0xFFFFFFFF)
     first = word_as_number(upper >> word(32), 2.0**-32)
-    second = word_as_number(upper & half, 2.0**-64)
+    second = word_as_number(upper & lower_half, 2.0**-64)
     third = word_as_number(lower >> word(32), 2.0**-96)
-    fourth = word_as_number(lower & half, 2.0**-128)
+    fourth = word_as_number(lower & lower_half, 2.0**-128)
+    # the fraction as a sum of two numbers, of which the second is the first one's rounding error
     sum_of_first = first + second
     tail = (second - (sum_of_first - first)) + (third + fourth)
     fraction = sum_of_first + tail
     remainder = tail - (fraction - sum_of_first)
+    # the product with pi/2, whose parts of few bits have exact products
     bits = jax.lax.bitcast_convert_type(fraction, jnp.uint64)
     top = jax.lax.bitcast_convert_type(bits & word(2**64 - 2**27), jnp.float64)
     bottom = fraction - top
@@ -162,46 +169,60 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
     angle_error = angle_error - (fraction * p_rest + remainder * (p_top + p_bottom))
     is_negated = (negative == word(1)) ^ (x < 0.0)
     quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
-    not_a_number = x - x  # NaN of an infinite number
+    nan_if_infinite = x - x  # else 0
     return ReducedAngle(
-        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(is_negated, -angle, angle) + not_a_number,
+        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(is_negated, -angle, angle) + nan_if_infinite,
         jnp.where(is_negated, -angle_error, angle_error),
     )  # fmt: skip
 
 
-def sine_of(reduced: ReducedAngle) -> jax.Array:
-    """The sine of the remaining angle; the sine of -0 is -0."""
+def sine_of_remainder(reduced: ReducedAngle) -> jax.Array:
+    """The sine of the angle that remains without its quarter turns; the sine of -0 is -0."""
     _, angle, angle_error = reduced
     z = angle * angle
     return angle - (angle_error - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * angle_error))
 
 
-def cosine_of(reduced: ReducedAngle) -> jax.Array:
-    """The cosine of the remaining angle."""
+def cosine_of_remainder(reduced: ReducedAngle) -> jax.Array:
+    """The cosine of the angle that remains without its quarter turns."""
     _, angle, angle_error = reduced
     z = angle * angle
     half = 0.5 * z
     leading = 1.0 - half
-    return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * angle_error))
+    rounding_error = (1.0 - leading) - half
+    return leading + (rounding_error + (z * z * polynomial(COSINE_SERIES, z) + angle * angle_error))
 
 
 def sine(reduced: ReducedAngle) -> jax.Array:
-    """The sine of a reduced angle, from sine or cosine of the remaining angle."""
-    value = jnp.where(reduced.quarters & 1 == 1, cosine_of(reduced), sine_of(reduced))
-    return jnp.where(reduced.quarters & 2 == 2, -value, value)
+    """The sine of a reduced angle.
+
+    For 0, 1, 2 or 3 quarter turns, it is the sine, cosine, -sine or -cosine of the angle that remains.
+    """
+    is_odd = reduced.quarters & 1 == 1
+    value = jnp.where(is_odd, cosine_of_remainder(reduced), sine_of_remainder(reduced))
+    is_negated = reduced.quarters & 2 == 2
+    return jnp.where(is_negated, -value, value)
 
 
 def cosine(reduced: ReducedAngle) -> jax.Array:
-    """The cosine of a reduced angle, from sine or cosine of the remaining angle."""
-    value = jnp.where(reduced.quarters & 1 == 1, sine_of(reduced), cosine_of(reduced))
-    return jnp.where((reduced.quarters + 1) & 2 == 2, -value, value)
+    """The cosine of a reduced angle.
+
+    For 0, 1, 2 or 3 quarter turns, it is the cosine, -sine, -cosine or sine of the angle that remains.
+    """
+    is_odd = reduced.quarters & 1 == 1
+    value = jnp.where(is_odd, sine_of_remainder(reduced), cosine_of_remainder(reduced))
+    is_negated = (reduced.quarters + 1) & 2 == 2
+    return jnp.where(is_negated, -value, value)
 
 
 def tangent(reduced: ReducedAngle) -> jax.Array:
-    """The tangent of a reduced angle, from sine and cosine of the remaining angle."""
+    """The tangent of a reduced angle.
+
+    It is sine/cosine of the angle that remains, or -cosine/sine for an odd number of quarter turns.
+    """
     is_odd = reduced.quarters & 1 == 1
-    cosine_value = cosine_of(reduced)
-    sine_value = sine_of(reduced)
+    cosine_value = cosine_of_remainder(reduced)
+    sine_value = sine_of_remainder(reduced)
     return jnp.where(is_odd, -cosine_value, sine_value) / jnp.where(is_odd, sine_value, cosine_value)
 
 

@@ -59,18 +59,20 @@ INVERSE_ERROR = {
         ),
     ),
 }  # fmt: skip
-"""Coefficients of erfinv(x)/x, highest power first: near 0 of w - c, w = -ln(1 - x^2); in the tails of w^(1/2) - c.
+"""Coefficients of erfinv(x)/x, highest power first, for each range of w = -ln(1 - x^2), by the bits of a number.
 
-They interpolate values of 50 digits at Chebyshev's nodes."""
+In the first range, near x = 0, they multiply powers of w - c; in the others, the tails, powers of w^(1/2) - c. They
+interpolate values of 50 digits at Chebyshev's nodes."""
 
 INVERSE_ERROR_RANGES = {64: ((6.25, 3.125), (16.0, 3.25), (math.inf, 5.0)), 32: ((5.0, 2.5), (math.inf, 3.0))}
-"""For each range of w, its end and the centre c of its polynomial."""
+"""End of each range of w, and the centre c of its polynomial, by the bits of a number."""
 
 SIDES = {
     64: ((2.0**1000, 2.0**-60), (2.0**-900, 2.0**200)),
     32: ((2.0**100, 2.0**-24), (2.0**-80, 2.0**60)),
 }
-"""The largest side that :func:`angle` does not scale, with the scale of larger ones; then the smallest, likewise."""
+"""Sides that :func:`angle` scales: ((the largest it does not scale, the factor of larger sides), (the smallest it does
+not scale, the factor of smaller sides)), by the bits of a number."""
 
 
 def erf_inv(x: jax.Array) -> jax.Array:
@@ -78,62 +80,68 @@ def erf_inv(x: jax.Array) -> jax.Array:
 
     The form in w is that of M. Giles, "Approximating the erfinv function", GPU Computing Gems, Jade Edition (2012).
     """
-    (_, centre), *_ = INVERSE_ERROR_RANGES[width(x)]
-    coefficients, *_ = INVERSE_ERROR[width(x)]
-    return x * jnp.asarray(polynomial(coefficients, one_minus_square_logarithm(x) - centre))
+    _, centre = INVERSE_ERROR_RANGES[width(x)][0]  # near 0
+    coefficients = INVERSE_ERROR[width(x)][0]
+    w = one_minus_square_logarithm(x)
+    return x * jnp.asarray(polynomial(coefficients, w - centre))
 
 
 def is_in_tail(x: jax.Array) -> jax.Array:
     """Whether a number lies in a tail of the inverse error function, or is NaN; 0.2 % of uniform numbers lie there."""
-    (end, _), *_ = INVERSE_ERROR_RANGES[width(x)]
-    return ~(one_minus_square(x) > math.exp(-end))
+    end, _ = INVERSE_ERROR_RANGES[width(x)][0]
+    is_between_tails = one_minus_square(x) > math.exp(-end)  # w < end; false for NaN
+    return ~is_between_tails
 
 
 def tail_erf_inv(x: jax.Array) -> jax.Array:
     """The inverse of the error function in its tails, at -1 and 1 (infinite) and beyond (NaN)."""
-    _, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
+    tail_coefficients = INVERSE_ERROR[width(x)][1:]
+    tail_ranges = INVERSE_ERROR_RANGES[width(x)][1:]
     w = one_minus_square_logarithm(x)
     root = jnp.sqrt(w)
-    *intervals, (coefficients, (_, centre)) = tails
-    value = jnp.asarray(polynomial(coefficients, root - centre))
-    for coefficients, (end, centre) in reversed(intervals):
+    _, centre = tail_ranges[-1]
+    value = jnp.asarray(polynomial(tail_coefficients[-1], root - centre))
+    inner_tails = list(zip(tail_coefficients[:-1], tail_ranges[:-1], strict=True))
+    for coefficients, (end, centre) in reversed(inner_tails):
         value = jnp.where(w < end, polynomial(coefficients, root - centre), value)
     y = one_minus_square(x)
     return x * jnp.where(y > 0.0, value, jnp.where(y == 0.0, jnp.inf, jnp.nan))
 
 
 def one_minus_square_logarithm(x: jax.Array) -> jax.Array:
-    """-ln(1 - x^2)."""
+    """w = -ln(1 - x^2), in which the inverse of the error function is a smooth factor of x."""
     fraction, k = mantissa(one_minus_square(x))
     return -logarithm(fraction - 1.0, jnp.zeros_like(x), k)
 
 
 def asin(x: jax.Array) -> jax.Array:
-    """The arc sine."""
+    """The arc sine [rad] in [-pi/2, pi/2], from the angle of the vector ((1 - x^2)^(1/2), |x|); NaN for |x| > 1."""
     size = jnp.abs(x)
     value = jnp.asarray(atan2(size, jnp.sqrt((1.0 - size) * (1.0 + size))))
     return jnp.where(is_negative(x), -value, value)
 
 
 def acos(x: jax.Array) -> jax.Array:
-    """The arc cosine."""
+    """The arc cosine [rad] in [0, pi]: the angle of the vector (x, (1 - x^2)^(1/2)); NaN for |x| > 1."""
     return jnp.asarray(atan2(jnp.sqrt((1.0 - x) * (1.0 + x)), x))
 
 
 def arc_tangent(x: jax.Array) -> jax.Array:
-    """The arctangent."""
+    """The arctangent [rad] in [-pi/2, pi/2]; unlike :func:`atan` it keeps the sign of -0."""
     value = jnp.asarray(atan(jnp.abs(x)))
     return jnp.where(is_negative(x), -value, value)
 
 
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
-    """The angle of the vector (x, y) in [-pi, pi], with C99's values for zeros and infinities.
+    """The angle of the vector (x, y) [rad] in [-pi, pi], with C99's values for zeros and infinities.
 
     Sides that are so long that their sum overflows, or so short that digits are lost, are scaled.
     """
     longer_side = jnp.maximum(jnp.abs(x), jnp.abs(y))
-    (largest, smaller), (smallest, larger) = SIDES[width(x)]
-    scale = jnp.where(longer_side > largest, smaller, jnp.where(longer_side < smallest, larger, 1.0))
+    (largest, factor_if_larger), (smallest, factor_if_smaller) = SIDES[width(x)]
+    is_too_long = longer_side > largest
+    is_too_short = longer_side < smallest
+    scale = jnp.where(is_too_long, factor_if_larger, jnp.where(is_too_short, factor_if_smaller, 1.0))
     is_diagonal = jnp.isinf(x) & jnp.isinf(y)
     height = jnp.abs(y) * scale
     base = x * scale
@@ -161,13 +169,14 @@ class RareRule(TranslationRule):
 
 
 def accuracy_rule(function: Callable[..., Any]) -> TranslationRule:
-    """The rule of a function whose primitive has an accuracy; any but the default is refused."""
+    """The rule of a function whose primitive has a parameter ``accuracy``; a value that is not None is refused."""
     return rule(function, REAL, accuracy=no_value)
 
 
-def real_base(equation: JaxprEqn) -> str | None:
-    """Why a power is not translated: its base is an integer; None if it is not. The exponent may be an integer."""
-    return None if np.dtype(array_type(equation.invars[0]).dtype) in REAL else "a power of an integer"
+def refuse_integer_base(equation: JaxprEqn) -> str | None:
+    """The reason why a power is not translated: its base is an integer; else None. The exponent may be an integer."""
+    base = equation.invars[0]
+    return None if np.dtype(array_type(base).dtype) in REAL else "a power of an integer"
 
 
 def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
@@ -195,6 +204,6 @@ ELEMENTARY: dict[str, TranslationRule] = {
     "atan2": rule(angle, REAL),
     "erf_inv": RareRule(erf_inv, Specification(REAL), is_in_tail, tail_erf_inv),
     "one_minus_square": rule(one_minus_square, REAL),
-    "pow": TranslationRule(power, Specification(REAL | WHOLE, exact=real_base)),
+    "pow": TranslationRule(power, Specification(REAL | WHOLE, exact=refuse_integer_base)),
 }
 """The rule of each function by its primitive's name. A new function needs its definition above and a row here."""

@@ -13,15 +13,15 @@ import numpy as np
 
 from dssc_jax.lanes.functions.approximations import LOG_SERIES, polynomial
 
-# ln 2 in two parts; the product of the first with a whole number of moderate size is exact
 LN_2 = {64: (6.93147180369123816490e-1, 1.90821492927058770002e-10), 32: (0.693359375, -2.12194440054690582e-4)}
+"""ln 2 as a sum of two parts, by the bits of a number; products of the first with moderate whole numbers are exact."""
 EXPONENTIAL = tuple(1.0 / math.factorial(n) for n in range(14, 2, -1))
 """Taylor's coefficients of (e^x - 1 - x - x^2/2)/x^3, from the highest power on."""
 EXPONENTS = {64: (-746.0, 711.0), 32: (-104.5, 90.0)}
-"""Bounds of x outside of which both e^x and e^x/2 are 0 or infinite."""
+"""Bounds of x, by the bits of a number, outside of which both e^x and e^x/2 are 0 or infinite."""
 
 BINARY_EXPONENTS = {64: (-1076.0, 1025.0), 32: (-151.0, 129.0)}
-"""Bounds of x outside of which 2^x is 0 or infinite."""
+"""Bounds of x, by the bits of a number, outside of which 2^x is 0 or infinite."""
 
 
 def width(x: jax.Array) -> int:
@@ -46,9 +46,9 @@ def is_negative(x: jax.Array) -> jax.Array:
 
 def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
     """2^n for a whole number n, in the dtype of ``like``; the result must be a normal number."""
-    digits, bias = (52, 1023) if width(like) == 64 else (23, 127)
-    integer = as_integer(exponent)
-    return jax.lax.bitcast_convert_type((integer + bias) << digits, like.dtype)
+    mantissa_bits, bias = (52, 1023) if width(like) == 64 else (23, 127)
+    n = as_integer(exponent)
+    return jax.lax.bitcast_convert_type((n + bias) << mantissa_bits, like.dtype)
 
 
 def exponential_minus_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
@@ -105,7 +105,7 @@ def exp2(x: jax.Array) -> jax.Array:
 def expm1(x: jax.Array) -> jax.Array:
     """e^x - 1, without cancellation near 0."""
     n, remainder = exponential(x)
-    is_large = jnp.abs(n) > 60.0
+    is_large = jnp.abs(n) > 60.0  # where 2^n - 1 has lost all digits of 1 or of 2^n
     factor = exponential_of_two(jnp.where(is_large, 0.0, n), x)
     value = factor * remainder + (factor - 1.0)
     value = jnp.where(n == 0.0, remainder, jnp.where(is_large, scaled_by_power(1.0 + remainder, n) - 1.0, value))
@@ -114,14 +114,17 @@ def expm1(x: jax.Array) -> jax.Array:
 
 def mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Split a positive normal number x = 2^k m into m in [2^(-1/2), 2^(1/2)) and the whole number k."""
-    digits, root = (52, 0x3FE6A09E667F3BCD) if width(x) == 64 else (23, 0x3F3504F3)
+    mantissa_bits, bits_of_root = (52, 0x3FE6A09E667F3BCD) if width(x) == 64 else (23, 0x3F3504F3)  # of 2^(-1/2)
     bits = bits_of(x)
-    exponent = (bits - root) >> digits
-    return jax.lax.bitcast_convert_type(bits - (exponent << digits), x.dtype), exponent.astype(x.dtype)
+    exponent = (bits - bits_of_root) >> mantissa_bits
+    return jax.lax.bitcast_convert_type(bits - (exponent << mantissa_bits), x.dtype), exponent.astype(x.dtype)
 
 
 def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
-    """k ln 2 + ln(1 + f + correction) for 1 + f in [2^(-1/2), 2^(1/2)) and a small correction."""
+    """k ln 2 + ln(1 + f + correction) for 1 + f in [2^(-1/2), 2^(1/2)) and a small correction.
+
+    With s = f/(2 + f), ln(1 + f) = ln((1 + s)/(1 - s)) is 2 s and a series in s^2.
+    """
     high, low = LN_2[width(f)]
     s = f / (2.0 + f)
     z = s * s
@@ -131,7 +134,7 @@ def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
 
 
 def normalised_mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """As :func:`mantissa`, for a positive number that may be subnormal."""
+    """As :func:`mantissa`, for a positive number that may be subnormal; such a number is multiplied by 2^lift first."""
     lift = 54 if width(x) == 64 else 25
     is_subnormal = x < np.finfo(x.dtype).tiny
     fraction, k = mantissa(jnp.where(is_subnormal, x * 2.0**lift, x))
@@ -139,7 +142,7 @@ def normalised_mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def log_at_edges(x: jax.Array, regular_value: jax.Array) -> jax.Array:
-    """The logarithm of x with its values at 0, at infinity, for NaN and below 0; elsewhere ``regular_value``."""
+    """The logarithm of x: ``regular_value``, but -inf at 0, infinity at infinity, and NaN for NaN and below 0."""
     value = jnp.where(x < jnp.inf, regular_value, x)
     return jnp.where(x > 0.0, value, jnp.where(x == 0.0, -jnp.inf, jnp.nan))
 
@@ -158,7 +161,7 @@ def log2(x: jax.Array) -> jax.Array:
 
 
 def log1p(x: jax.Array) -> jax.Array:
-    """ln(1 + x), without cancellation near 0."""
+    """ln(1 + x), without cancellation near 0: the rounding error of u = 1 + x is added to its logarithm."""
     u = 1.0 + x
     rounding_error = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
     fraction, k = mantissa(u)
@@ -169,14 +172,14 @@ def log1p(x: jax.Array) -> jax.Array:
 
 
 def tanh(x: jax.Array) -> jax.Array:
-    """The hyperbolic tangent."""
+    """The hyperbolic tangent, t/(t + 2) with t = e^(2|x|) - 1; |x| beyond 25 gives 1."""
     t = expm1(jnp.minimum(2.0 * jnp.abs(x), 50.0))
     value = jnp.where(t < 1.0, t / (t + 2.0), 1.0 - 2.0 / (t + 2.0))
     return jnp.where(is_negative(x), -value, value)
 
 
 def logistic(x: jax.Array) -> jax.Array:
-    """1/(1 + e^-x), whose exponential does not overflow."""
+    """The logistic function 1/(1 + e^-x); it computes e^-|x| alone, which does not overflow."""
     small = exp(-jnp.abs(x))
     return jnp.where(x < 0.0, small, 1.0) / (1.0 + small)
 
@@ -188,7 +191,7 @@ def half_exponential(x: jax.Array) -> jax.Array:
 
 
 def sinh(x: jax.Array) -> jax.Array:
-    """The hyperbolic sine."""
+    """The hyperbolic sine, (t + t/(t + 1))/2 with t = e^|x| - 1; from |x| = 40 on it is e^|x|/2."""
     size = jnp.abs(x)
     t = expm1(jnp.minimum(size, 40.0))
     value = jnp.where(size < 40.0, 0.5 * (t + t / (t + 1.0)), half_exponential(size))
@@ -196,6 +199,6 @@ def sinh(x: jax.Array) -> jax.Array:
 
 
 def cosh(x: jax.Array) -> jax.Array:
-    """The hyperbolic cosine."""
+    """The hyperbolic cosine, h + 1/(4 h) with h = e^|x|/2."""
     half = half_exponential(jnp.abs(x))
     return half + 0.25 / half

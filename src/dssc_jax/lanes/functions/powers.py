@@ -25,6 +25,7 @@ from dssc_jax.lanes.functions.exponentials import (
 )
 
 SPLITTER = 2.0**27 + 1.0
+"""Dekker's factor, whose product with a float64 number splits its 53 bits into halves."""
 LARGEST_EXPONENT = 2.0**70
 """Size of y beyond which x^y is 0, 1 or infinite for every x."""
 
@@ -73,32 +74,35 @@ def pair_product(x: TwoPartNumber, y: TwoPartNumber) -> TwoPartNumber:
 def logarithm_pair(x: jax.Array) -> TwoPartNumber:
     """ln x of a positive float64 number, to about 64 bits.
 
-    With x = 2^k (1 + f) and s = f/(2 + f), the logarithm is k ln 2 + 2 atanh s.
+    With x = 2^k (1 + f) and s = f/(2 + f), the logarithm is k ln 2 + 2 atanh s, where atanh s = s + s z (1/3 + ...) and
+    z = s^2.
     """
     fraction, k = normalised_mantissa(x)
     f = fraction - 1.0
-    denominator = exact_sum(jnp.full_like(f, 2.0), f)
+    denominator = exact_sum(jnp.full_like(f, 2.0), f)  # 2 + f
     s_high = f / denominator.high
     product = exact_product(s_high, denominator.high)
     s = TwoPartNumber(s_high, (((f - product.high) - product.low) - s_high * denominator.low) / denominator.high)
     z = pair_product(s, s)
     correction = z.high * polynomial(SERIES, z.high)
-    start = exact_sum(jnp.full_like(f, THIRD[0]), correction)
-    term = pair_product(s, pair_product(z, TwoPartNumber(start.high, start.low + THIRD[1])))
-    high, low = LN_2[64]
-    first = exact_sum(k * high, 2.0 * s.high)
+    third, third_error = THIRD
+    start = exact_sum(jnp.full_like(f, third), correction)  # 1/3 + z/5 + ...
+    term = pair_product(s, pair_product(z, TwoPartNumber(start.high, start.low + third_error)))  # atanh s - s
+    ln_2_high, ln_2_low = LN_2[64]
+    first = exact_sum(k * ln_2_high, 2.0 * s.high)
     second = exact_sum(first.high, 2.0 * term.high)
-    remainder = (first.low + second.low) + (k * low + 2.0 * (s.low + term.low))
+    remainder = (first.low + second.low) + (k * ln_2_low + 2.0 * (s.low + term.low))
     return exact_sum(second.high, remainder)
 
 
 def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
-    """x^y for a positive, finite x in float64."""
+    """x^y = e^(y ln x) for a positive, finite x in float64."""
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
     n, r, correction = reduce_exponent(exponent.high)
-    is_out_of_range = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
+    smallest_exponent, _ = EXPONENTS[64]
+    is_out_of_range = jnp.abs(exponent.high) > -smallest_exponent  # where the result is 0 or infinite
     correction = jnp.where(is_out_of_range, 0.0, correction + (exponent.low + limited * log.low))
     remainder = exponential_minus_one(r)
     return scaled_by_power(1.0 + (remainder + correction * (1.0 + remainder)), n)
@@ -112,7 +116,7 @@ def power(x: jax.Array, y: jax.Array) -> jax.Array:
     base = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64)
     exponent = y.astype(jnp.float64)
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
-    is_infinite = (size == 0.0) == (y < 0.0)
+    is_infinite = (size == 0.0) == (y < 0.0)  # 0^-y or inf^y
     value = jnp.where(is_ordinary, value, jnp.where(is_infinite, jnp.inf, 0.0))
     is_whole = jnp.floor(y) == y
     is_odd = is_whole & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)

@@ -16,7 +16,7 @@ from dssc_jax.lanes.gpu.ptx import CAPABILITY
 LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 MAJOR, MINOR = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR and _MINOR
 LOG, LOG_SIZE = 5, 6  # CU_JIT_ERROR_LOG_BUFFER and its size
-LOG_BYTES = 8192
+LOG_BYTES = 8192  # size of the buffer for the driver's messages about PTX
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING
 OUT_OF_MEMORY = 2  # CUDA_ERROR_OUT_OF_MEMORY
 
@@ -57,23 +57,34 @@ class Driver:
     """
 
     def __init__(self, library: Any) -> None:
+        """Find the first GPU, and retain its context."""
         self._library = library
-        for name, types in ARGUMENTS.items():
-            getattr(library, name).argtypes = types
-        self.call("cuInit", 0)
+        for function, types in ARGUMENTS.items():
+            getattr(library, function).argtypes = types
+        self.call("cuInit", 0)  # without flags, of which CUDA has none yet
         device = c_int()
-        context = c_void_p()
-        self.call("cuDeviceGet", byref(device), 0)
+        self.call("cuDeviceGet", byref(device), 0)  # the first
         self.device = device.value
         name = ctypes.create_string_buffer(256)
         self.call("cuDeviceGetName", name, len(name), self.device)
         self.name = name.value.decode()
-        capability = self.attribute(MAJOR), self.attribute(MINOR)
-        if capability < CAPABILITY:
-            version, minimum = (".".join(map(str, pair)) for pair in (capability, CAPABILITY))
-            raise GpuError(f"{self.name} has compute capability {version}, lanes need {minimum} or later")
+        self._require_capability()
+        context = c_void_p()
         self.call("cuDevicePrimaryCtxRetain", byref(context), self.device)
         self._context = context
+
+    def _require_capability(self) -> None:
+        """Require that the GPU is new enough to run lanes.
+
+        Raises:
+            GpuError: It is too old.
+        """
+        major = self.attribute(MAJOR)
+        minor = self.attribute(MINOR)
+        if (major, minor) < CAPABILITY:
+            least_major, least_minor = CAPABILITY
+            minimum = f"{least_major}.{least_minor}"
+            raise GpuError(f"{self.name} has compute capability {major}.{minor}, lanes need {minimum} or later")
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call a function of the driver.
@@ -82,12 +93,15 @@ class Driver:
             GpuError: It returns an error.
         """
         status = getattr(self._library, name)(*arguments)
-        if status:
-            text = c_char_p()
-            error_name = self._library.cuGetErrorName(status, byref(text)) == 0 and text.value
-            error = error_name.decode() if error_name else f"error {status}"
+        if status != 0:
             remedy = "; run smaller blocks" if status == OUT_OF_MEMORY else ""
-            raise GpuError(f"{name} of the CUDA driver: {error}{remedy}")
+            raise GpuError(f"{name} of the CUDA driver: {self._error_name(status)}{remedy}")
+
+    def _error_name(self, status: int) -> str:
+        """The driver's name of an error; "error NUMBER" if it has none."""
+        name = c_char_p()
+        is_known = self._library.cuGetErrorName(status, byref(name)) == 0
+        return name.value.decode() if is_known and name.value else f"error {status}"
 
     def attribute(self, number: int) -> int:
         """The value of a numbered attribute of the GPU."""
@@ -96,7 +110,7 @@ class Driver:
         return value.value
 
     def use(self) -> None:
-        """Make the GPU's context that of the calling thread, which each thread must do before other calls."""
+        """Set the GPU's context for the calling thread, which each thread must do before other calls."""
         self.call("cuCtxSetCurrent", self._context)
 
     def kernel(self, code: bytes, entry: str) -> c_void_p:
@@ -106,16 +120,17 @@ class Driver:
             GpuError: The driver cannot translate the PTX; the message contains the driver's own.
         """
         module = c_void_p()
-        function = c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         options = (c_int * 2)(LOG, LOG_SIZE)
         values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
         try:
-            self.call("cuModuleLoadDataEx", byref(module), code, 2, options, values)
+            self.call("cuModuleLoadDataEx", byref(module), code, len(options), options, values)
         except GpuError as error:
-            raise GpuError(f"{error}: {log.value.decode(errors='replace').strip()}") from None
-        self.call("cuModuleGetFunction", byref(function), module, entry.encode())
-        return function
+            message = log.value.decode(errors="replace").strip()
+            raise GpuError(f"{error}: {message}") from None
+        kernel = c_void_p()
+        self.call("cuModuleGetFunction", byref(kernel), module, entry.encode())
+        return kernel
 
     def stream(self) -> c_void_p:
         """A new stream, whose operations the GPU performs in order."""
@@ -134,7 +149,7 @@ class Driver:
     def reserve(self, size: int) -> int:
         """Reserve ``size`` bytes of the GPU's memory, and return their address."""
         address = c_uint64()
-        self.call("cuMemAlloc_v2", byref(address), max(size, 1))
+        self.call("cuMemAlloc_v2", byref(address), max(size, 1))  # the driver refuses 0 bytes
         return address.value
 
     def free(self, address: int) -> None:
@@ -151,8 +166,12 @@ class Driver:
 
     def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
         """Queue a run of a kernel, with ``threads`` threads in each of ``blocks`` blocks."""
-        argument_addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
-        self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, argument_addresses, None)
+        addresses = [ctypes.addressof(argument) for argument in arguments]
+        address_array = (c_void_p * len(addresses))(*addresses)
+        grid = blocks, 1, 1  # along three axes
+        block = threads, 1, 1
+        shared_bytes = 0
+        self.call("cuLaunchKernel", kernel, *grid, *block, shared_bytes, stream, address_array, None)  # no extras
 
 
 @cache

@@ -56,6 +56,7 @@ class LoadedKernel:
     """
 
     def __init__(self, code: bytes, gpu: Driver) -> None:
+        """Load the PTX into the driver."""
         self._gpu = gpu
         gpu.use()
         self._kernel = gpu.kernel(code, ENTRY_POINT)
@@ -74,24 +75,26 @@ class LoadedKernel:
             output_addresses = [batch.reserve(column.nbytes) for column in outputs]
             output_table = batch.table(output_addresses)
             arguments = [ctypes.c_uint64(number) for number in (input_table, output_table, lanes)]
-            self._gpu.launch(self._kernel, -(-lanes // THREADS), THREADS, arguments, batch.stream)
+            blocks = -(-lanes // THREADS)  # rounded up
+            self._gpu.launch(self._kernel, blocks, THREADS, arguments, batch.stream)
         except BaseException:
             batch.close()
             raise
 
-        def finish() -> float:
+        def wait() -> float:
+            """Wait for the lanes and copy their results; return the time at which the lanes ended."""
             self._gpu.use()  # perhaps in another thread than the one that started the batch
             try:
                 self._gpu.wait(batch.stream)
                 end_time = time.perf_counter()
-                for column, place in zip(outputs, output_addresses, strict=True):
-                    self._gpu.fetch(column, place, batch.stream)
+                for column, address in zip(outputs, output_addresses, strict=True):
+                    self._gpu.fetch(column, address, batch.stream)
                 self._gpu.wait(batch.stream)
             finally:
                 batch.close()
             return end_time
 
-        return finish
+        return wait
 
 
 class KernelBatch:
@@ -102,10 +105,11 @@ class KernelBatch:
     """
 
     def __init__(self, gpu: Driver) -> None:
+        """Open a stream, with no memory yet."""
         gpu.use()
         self._gpu = gpu
-        self._addresses: list[int] = []
-        self._arrays: list[np.ndarray] = []
+        self._addresses: list[int] = []  # of the memory to free
+        self._arrays: list[np.ndarray] = []  # kept until they are copied
         self.stream = gpu.stream()
 
     def reserve(self, size: int) -> int:
@@ -122,8 +126,8 @@ class KernelBatch:
         return address
 
     def table(self, addresses: Sequence[int]) -> int:
-        """Begin to copy a table of addresses to the GPU, and return the address of the table."""
-        return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))
+        """Begin to copy a table of addresses to the GPU, with a 0 at its end; return the address of the table."""
+        return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))  # never empty
 
     def close(self) -> None:
         """Wait for the stream, free the memory and close the stream."""

@@ -32,6 +32,7 @@ class KernelEmitter(Emitter):
     """
 
     def __init__(self, program: Program, strict: bool) -> None:
+        """Begin without lines; a vector has one lane."""
         super().__init__(program, 1, strict, WINDOW)
 
     def head(self) -> str:
@@ -64,9 +65,10 @@ class KernelEmitter(Emitter):
         return ["  br label %done", "done:", "  ret void"]
 
     def recorded_element(self, recording: Recording, index: str) -> str:
-        """The position of an element of a recording: elements of all lanes at one index are neighbours.
+        """Write where in the column of a recording the element at an index lies for the thread's lane.
 
-        So the threads write a block of memory together.
+        The elements of all lanes at one index are neighbours, so that the threads write a block of memory together.
+        Arguments and result are as for a CPU.
         """
         start = self.emit(f"mul i64 {index}, %count")
         return self.emit(f"add i64 {start}, %lane")
@@ -98,6 +100,7 @@ class TracedKernel(TracedLanes):
     """
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], strict: bool) -> None:
+        """Trace and translate the lane, and write its text."""
         self.program, results = lane_program(lane, arguments, strict)
         self.text = KernelEmitter(self.program, strict).text()
         self.signature = signature_of(self.program, results, 1, ptx.code_name(self.text))

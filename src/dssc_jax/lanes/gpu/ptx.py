@@ -37,4 +37,5 @@ def translator() -> tuple[str, ...]:
 
 def code_name(text: str) -> str:
     """The name in the cache of a module's PTX: a digest of the text and of :func:`translator`."""
-    return f"kernel-{hashlib.sha256(chr(10).join((text, *translator())).encode()).hexdigest()}"
+    lines = "\n".join((text, *translator()))
+    return f"kernel-{hashlib.sha256(lines.encode()).hexdigest()}"

@@ -6,21 +6,27 @@ for each lane, so that no lane sees what another one has left.
 """
 
 from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
-from dssc_jax.lanes.llvm.instructions import scalar_type
+from dssc_jax.lanes.llvm.function_text import scalar_type
 
 
 def column_bytes(place: MemoryPlace, width: int) -> int:
-    """Number of bytes of a buffer that the vector of a number occupies; ``width`` is the number of lanes."""
-    return -(-place.dtype.itemsize * width // ALIGNMENT) * ALIGNMENT
+    """Bytes of a buffer that the vector of a number takes, in whole lines of the cache; ``width`` is its lanes."""
+    lines = -(-place.dtype.itemsize * width // ALIGNMENT)  # rounded up
+    return lines * ALIGNMENT
 
 
 def buffer_bytes(places: tuple[MemoryPlace, ...], width: int) -> int:
-    """Number of bytes of a buffer for the vectors of some numbers."""
+    """Bytes of a buffer for the vectors of some numbers; ``width`` is the number of lanes of a vector."""
     return sum(column_bytes(place, width) for place in places)
 
 
 def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPlace, int]]:
-    """Each number with the offset of its vector in a buffer [bytes]."""
+    """The place in a call's memory of each number, with the offset of the number's vector in a buffer [bytes].
+
+    Args:
+        places: Places of the numbers.
+        width: Number of lanes of a vector.
+    """
     pairs: list[tuple[MemoryPlace, int]] = []
     start = 0
     for place in places:
@@ -35,7 +41,10 @@ def over_lanes(function: ForeignFunction, width: int) -> str:
 
 
 def definition(function: ForeignFunction, width: int) -> list[str]:
-    """The lines of the function that calls a function of C for each lane of a vector."""
+    """The lines of the function that calls a function of C for each lane of a vector.
+
+    Its arguments are the addresses of the buffers of operands and results; ``width`` is the number of lanes.
+    """
     lines = [
         f"define internal void @{over_lanes(function, width)}(ptr noalias %in, ptr noalias %out) #2 {{",
         "entry:",
@@ -73,11 +82,14 @@ def move_lines(name: str, place: MemoryPlace, column: tuple[str, int], to_memory
     kind = scalar_type(place.dtype)
     align = place.dtype.itemsize
     buffer, start = column
-    source, target = (f"%{name}e", f"%{name}m") if to_memory else (f"%{name}m", f"%{name}e")
+    vector = f"%{name}c"  # registers with the addresses of the vector, of the lane's element, of the place in memory
+    element = f"%{name}e"
+    in_memory = f"%{name}m"
+    source, target = (element, in_memory) if to_memory else (in_memory, element)
     return [
-        f"  %{name}c = getelementptr i8, ptr {buffer}, i64 {start}",
-        f"  %{name}e = getelementptr {kind}, ptr %{name}c, i64 %i",
-        f"  %{name}m = getelementptr i8, ptr %memory, i64 {place.offset}",
+        f"  {vector} = getelementptr i8, ptr {buffer}, i64 {start}",
+        f"  {element} = getelementptr {kind}, ptr {vector}, i64 %i",
+        f"  {in_memory} = getelementptr i8, ptr %memory, i64 {place.offset}",
         f"  %{name} = load {kind}, ptr {source}, align {align}",
         f"  store {kind} %{name}, ptr {target}, align {align}",
     ]

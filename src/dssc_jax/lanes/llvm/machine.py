@@ -23,14 +23,17 @@ import numpy as np
 from dssc_jax.lanes.interface import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
+"""Environment variable with the largest number of cores to use."""
 CODE_LEVEL = 2  # optimisation level of LLVM's code generation
 PARTS = 32  # parts of a batch for each thread; many, because neither parts nor cores are equally fast
 
 
 def usable_cores() -> int:
-    """Number of cores to use: those of the system, or fewer if the environment variable asks for it."""
+    """Number of cores to use: all available cores, or fewer if the environment variable asks for it."""
     limit = os.environ.get(CORES_VARIABLE, "")
-    return min(available_cores(), max(1, int(limit))) if limit.isdecimal() else available_cores()
+    if not limit.isdecimal():
+        return available_cores()
+    return min(available_cores(), max(1, int(limit)))
 
 
 def available_cores() -> int:
@@ -46,10 +49,11 @@ def features() -> Any:
 
 @cache
 def scheduling_model() -> str:
-    """Name of the processor for which LLVM orders instructions; those of this processor are used.
+    """Name of the processor for which LLVM orders instructions, though it uses all instructions of this processor.
 
-    On x86-64 it is Atom, which executes instructions in order. For it, LLVM fills waiting times with independent
-    instructions, as :mod:`dssc_jax.lanes.passes.scheduling` does; for others it often restores the order of the text.
+    On x86-64 it is Atom, which executes instructions in order. For Atom, LLVM fills waiting times with independent
+    instructions, as :mod:`dssc_jax.lanes.passes.scheduling` does. For other processors it often restores the order of
+    the text.
     """
     return "atom" if llvm.get_process_triple().startswith("x86_64") else llvm.get_host_cpu_name()
 
@@ -66,17 +70,17 @@ def add_symbol(symbol: str, address: int) -> None:
 
 @cache
 def has_near_constants() -> bool:
-    """Whether compiled code reads each constant from memory where it is used, at an offset from the instruction.
+    """Whether compiled code reads each constant from memory where it is used, at a place near the instruction.
 
-    On x86-64 without AVX-512 there are 16 vector registers, too few to hold constants, so each constant is read where
-    it is used. This needs a memory manager that has been tried with Linux's object files only.
+    On x86-64 without AVX-512 there are 16 vector registers, too few to hold constants. This way needs a memory manager
+    that has been tried with Linux's object files only.
     """
     triple = llvm.get_process_triple()
     return triple.startswith("x86_64") and "linux" in triple and vector_bits() < 512
 
 
 def target_machine() -> Any:
-    """A new description of this processor for LLVM; an engine takes possession of the one it is given."""
+    """A new description of this processor for LLVM; it is new each time, because an engine takes possession of it."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     relocation, model = ("pic", "small") if has_near_constants() else ("default", "jitdefault")
@@ -96,7 +100,8 @@ def vector_bits() -> int:
 
 def code_name(text: str) -> str:
     """The name in the cache of a module's machine code: a digest of the text and of :func:`translator`."""
-    return f"lanes-{hashlib.sha256(chr(10).join((text, *translator())).encode()).hexdigest()}"
+    lines = "\n".join((text, *translator()))
+    return f"lanes-{hashlib.sha256(lines.encode()).hexdigest()}"
 
 
 @cache
@@ -119,7 +124,7 @@ def assembly(text: str) -> str:
 
 
 def parsed_module(text: str) -> Any:
-    """Parse the text of a module, and set it for this processor."""
+    """Parse the text of a module, and set this processor as its target."""
     module = llvm.parse_assembly(text)
     machine = target_machine()
     module.triple = machine.triple
@@ -144,13 +149,14 @@ class LoadedCode:
     code: bytes
 
     def __post_init__(self) -> None:
+        """Load the object file, and find its function: (inputs, outputs, first lane, lane after the last)."""
         self._engine = engine_of(llvm.parse_assembly(""))
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(self.code))
         self._engine.finalize_object()
         pointer = ctypes.c_void_p
-        count = ctypes.c_int64
-        signature = ctypes.CFUNCTYPE(None, pointer, pointer, count, count)
-        self._function = signature(self.address(ENTRY_POINT))
+        lane = ctypes.c_int64
+        signature = ctypes.CFUNCTYPE(None, pointer, pointer, lane, lane)
+        self._run_lanes = signature(self.address(ENTRY_POINT))
 
     def address(self, symbol: str) -> int:
         """The address of a function of the code."""
@@ -160,37 +166,47 @@ class LoadedCode:
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
         """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
-        part = max(1, -(-lanes // (width * threads * PARTS))) * width
-        starts = iter(range(0, lanes, part))
+        vectors_of_part = max(1, rounded_up(lanes, width * threads * PARTS))
+        part = vectors_of_part * width  # lanes that a thread takes at once
+        first_lanes = iter(range(0, lanes, part))
         lock = threading.Lock()
         stop_event = threading.Event()
 
-        def work() -> float:  # refers to the columns, so that they exist as long as it runs
+        def run_parts() -> float:
+            """Run parts until none is left; return the time at the end. It keeps the columns in memory meanwhile."""
             input_addresses = addresses(inputs)
             output_addresses = addresses(outputs)
             while True:
                 with lock:
-                    first = next(starts, None)
+                    first = next(first_lanes, None)
                 if first is None or stop_event.is_set():
                     return time.perf_counter()
-                last = min(first + part, lanes)
-                self._function(input_addresses.ctypes.data, output_addresses.ctypes.data, first, last)
+                end = min(first + part, lanes)
+                self._run_lanes(input_addresses.ctypes.data, output_addresses.ctypes.data, first, end)
 
-        futures: list[Future[float]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
+        pool = workers(threads)
+        busy_threads = min(threads, rounded_up(lanes, part))
+        futures: list[Future[float]] = [pool.submit(run_parts) for _ in range(busy_threads)]
 
-        def finish() -> float:
+        def wait() -> float:
+            """Wait for all threads; return the time at which the last one ended."""
             try:
                 return max(future.result() for future in futures)
             except BaseException:  # such as Ctrl-C: the threads finish their parts and end
                 stop_event.set()
                 raise
 
-        weakref.finalize(finish, stop_event.set)  # the caller has dropped the function, so nobody waits
-        return finish
+        weakref.finalize(wait, stop_event.set)  # if the caller drops the function, nobody waits
+        return wait
+
+
+def rounded_up(numerator: int, denominator: int) -> int:
+    """The quotient of two positive integers, rounded up to a whole number."""
+    return -(-numerator // denominator)
 
 
 def addresses(columns: Sequence[np.ndarray]) -> np.ndarray:
-    """The addresses of contiguous arrays, as an array."""
+    """The addresses of contiguous arrays, as an array; [0] for no array, since it must have an address itself."""
     return np.array([column.ctypes.data for column in columns] or [0], np.uintp)
 
 

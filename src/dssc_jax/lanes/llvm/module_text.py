@@ -11,7 +11,8 @@ import numpy as np
 from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import foreign_calls
-from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.lanes.llvm.function_text import FAST, STRICT, scalar_type
+from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Precomputation, PrecomputationPlan, precomputation_plan
@@ -19,6 +20,7 @@ from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+"""LLVM's attributes of a function that may use the widest vectors."""
 ATTRIBUTES = (
     f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache
     f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
@@ -37,18 +39,19 @@ class Emitter(Instructions):
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
-        stored_constants: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
+        stored_constants: See :class:`~dssc_jax.lanes.llvm.function_text.FunctionText`.
     """
 
     def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:
+        """Begin without lines, with the values that a result needs."""
         super().__init__(width, STRICT if strict else FAST, stored_constants)
         self.program = program
         self.window = window
         self.strict = strict
-        self.alive = reachable(program)
-        self.parts: dict[int, list[str]] = {}
-        self.called_functions: dict[str, ForeignFunction] = {}
-        self.computed_ids: set[int] = set()
+        self.alive = reachable(program)  # ids of nodes
+        self.parts: dict[int, list[str]] = {}  # registers of the results of a call of C, by the id of the call
+        self.called_functions: dict[str, ForeignFunction] = {}  # by symbol
+        self.computed_ids: set[int] = set()  # of values that are precomputed
 
     def text(self) -> str:
         """The text of the module."""
@@ -91,10 +94,10 @@ class Emitter(Instructions):
         """The definitions of the subroutines and functions of C that are called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
-            subroutine_emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0)
-            subroutine_emitter.tables = self.tables
-            subroutine_emitter.declarations = self.declarations
-            lines += subroutine_emitter.definition(name)
+            emitter = SubroutineEmitter(subroutine.program, width, self.strict, window=0)
+            emitter.tables = self.tables
+            emitter.declarations = self.declarations
+            lines += emitter.definition(name)
         for function in self.called_functions.values():
             lines += foreign_calls.definition(function, self.width)
         return lines
@@ -122,83 +125,88 @@ class Emitter(Instructions):
         top = self.new_name("loop")
         end = self.new_name("end")
         entry = self.label
-        alive = [
-            i
-            for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
-            if any(id(value) in self.alive for value in pair)
-        ]
+        needed = self.needed_states(loop)
         plan = precomputation_plan(loop, self.alive) if self.width > 1 else None
         if loop.guard is None:
             self.lines.append(f"  br label %{top}")
         else:
             self.lines.append(f"  br i1 {self.read(loop.guard, False)}, label %{top}, label %{end}")
         self.begin(top)
-        phi_lines = self.reserve_phis([loop.states[i] for i in alive])
-        proceed = self.turns(loop, plan, alive) if plan else self.turn(loop)
+        phi_lines = self.reserve_phis([loop.states[i] for i in needed])
+        proceed = self.turns(loop, plan, needed) if plan else self.turn(loop)
         self.lines.append(f"  br i1 {proceed}, label %{top}, label %{end}")
-        final = self.label
-        for phi_line, i in zip(phi_lines, alive, strict=True):
-            self.fill(phi_line, loop.states[i], (loop.initial_states[i], entry), (loop.next_states[i], final))
+        last = self.label
+        for phi_line, i in zip(phi_lines, needed, strict=True):
+            self.fill(phi_line, loop.states[i], (loop.initial_states[i], entry), (loop.next_states[i], last))
         self.begin(end)
-        names = {}
-        for i in alive:
+        registers = {}
+        for i in needed:
             wide = loop.states[i].varying
-            incoming = f"[ {self.read(loop.next_states[i], wide)}, %{final} ]"
-            if loop.guard is not None:
-                incoming = f"[ {self.read(loop.initial_states[i], wide)}, %{entry} ], {incoming}"
-            names[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {incoming}")
-        for i in alive:
-            self.name(loop.results[i], names[i])
+            sources = f"[ {self.read(loop.next_states[i], wide)}, %{last} ]"
+            if loop.guard is not None:  # the loop may be left out
+                sources = f"[ {self.read(loop.initial_states[i], wide)}, %{entry} ], {sources}"
+            registers[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {sources}")
+        for i in needed:
+            self.name(loop.results[i], registers[i])
+
+    def needed_states(self, loop: CodeLoop) -> list[int]:
+        """Positions of the states of a loop on which a result of the program depends, in the loop or after it."""
+        positions = []
+        for i, (state, result) in enumerate(zip(loop.states, loop.results, strict=True)):
+            if id(state) in self.alive or id(result) in self.alive:
+                positions.append(i)
+        return positions
 
     def turn(self, loop: CodeLoop) -> str:
-        """Write the body of a loop; return the register of the condition for another turn."""
+        """Write one turn of a loop, its body; return the register of the condition for another turn."""
         self.block(loop.body)
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
-    def turns(self, loop: CodeLoop, plan: PrecomputationPlan, alive: Sequence[int]) -> str:
-        """Write an inner loop over several turns of a loop, with uniform values precomputed for all of them.
+    def turns(self, loop: CodeLoop, plan: PrecomputationPlan, needed: Sequence[int]) -> str:
+        """Write several turns of a loop as an inner loop, before which uniform values are computed for all of them.
 
         Args:
             loop: The loop.
             plan: The values to precompute.
-            alive: Positions of the states that are needed.
+            needed: As :meth:`needed_states` returns them.
 
         Returns:
-            The register of the condition for another turn, after the last one.
+            The register of the condition for another turn after the inner loop.
         """
         inner = self.new_name("turn")
         out = self.new_name("out")
-        ahead = Precomputation(self, plan, self.window)
-        ahead.write(loop)
+        precomputation = Precomputation(self, plan, self.window)
+        precomputation.write(loop)
         entry = self.label
-        self.allocated += ahead.allocations()
+        self.allocated += precomputation.allocations()
         self.computed_ids |= {id(value) for value in plan.values}
-        varying = [i for i in alive if i not in plan.counters]
-        first = {i: self.read(loop.states[i], True) for i in varying}
+        varying = [i for i in needed if i not in plan.counters]
+        first_states = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
-        turn_value = f"%{self.new_name('t')}"
-        next_turn = f"%{self.new_name('t')}"
-        phi_line = len(self.lines)
-        self.lines.append("")
-        phi_lines = self.reserve_phis([loop.states[i] for i in varying])
-        ahead.load(turn_value)
+        turn_number = f"%{self.new_name('t')}"
+        next_turn_number = f"%{self.new_name('t')}"
+        turn_line = len(self.lines)
+        self.lines.append("")  # for the phi of the turn's number
+        state_lines = self.reserve_phis([loop.states[i] for i in varying])
+        precomputation.load(turn_number)
         proceed = self.turn(loop)
-        self.lines.append(f"  {next_turn} = add i64 {turn_value}, 1")
-        has_turn_left = self.emit(f"icmp ult i64 {next_turn}, {TURNS}")
-        proceed_both = self.emit(f"and i1 {has_turn_left}, {proceed}")
-        self.lines.append(f"  br i1 {proceed_both}, label %{inner}, label %{out}")
-        self.lines[phi_line] = f"  {turn_value} = phi i64 [ 0, %{entry} ], [ {next_turn}, %{self.label} ]"
-        for state_line, i in zip(phi_lines, varying, strict=True):
-            self.fill(state_line, loop.states[i], (first[i], entry), (loop.next_states[i], self.label))
+        self.lines.append(f"  {next_turn_number} = add i64 {turn_number}, 1")
+        has_turn_left = self.emit(f"icmp ult i64 {next_turn_number}, {TURNS}")
+        proceeds_within = self.emit(f"and i1 {has_turn_left}, {proceed}")
+        self.lines.append(f"  br i1 {proceeds_within}, label %{inner}, label %{out}")
+        self.lines[turn_line] = f"  {turn_number} = phi i64 [ 0, %{entry} ], [ {next_turn_number}, %{self.label} ]"
+        for state_line, i in zip(state_lines, varying, strict=True):
+            self.fill(state_line, loop.states[i], (first_states[i], entry), (loop.next_states[i], self.label))
         self.begin(out)
         return proceed
 
     def reserve_phis(self, states: Sequence[Value]) -> list[int]:
-        """Name the states at the top of a loop, and reserve a line for the phi of each; return the lines' positions.
+        """Reserve a line for the phi of each state at the top of a loop; return the lines' positions.
 
-        :meth:`fill` writes the lines when the sources of the states are known.
+        A phi chooses a state's source by the block that ran before. :meth:`fill` writes the lines when all sources are
+        known. Until then, a line holds the state's register.
         """
         start = len(self.lines)
         names = [f"%{self.new_name('x')}" for _ in states]
@@ -216,27 +224,32 @@ class Emitter(Instructions):
             sources: The values or registers from which it comes, each with the label of the preceding block.
         """
         wide = state.varying
-        pairs = [(x if isinstance(x, str) else self.read(x, wide), label) for x, label in sources]
-        text = ", ".join(f"[ {name}, %{label} ]" for name, label in pairs)
-        self.lines[line] = f"  {self.lines[line]} = phi {self.kind(state.dtype, wide)} {text}"
+        texts = []
+        for source, label in sources:
+            register = source if isinstance(source, str) else self.read(source, wide)
+            texts.append(f"[ {register}, %{label} ]")
+        state_register = self.lines[line]
+        self.lines[line] = f"  {state_register} = phi {self.kind(state.dtype, wide)} {', '.join(texts)}"
 
     def branch(self, branch: Branch) -> None:
         """Write both sides of a branch, one after the other; each is skipped if no lane takes it."""
-        alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
-        varying = self.is_vector(branch.condition)
-        condition = self.read(branch.condition, varying)
-        sides = []
-        for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
+        needed = {i: result for i, result in enumerate(branch.results) if id(result) in self.alive}
+        has_mask = self.is_vector(branch.condition)
+        condition = self.read(branch.condition, has_mask)
+        registers_of_sides = []
+        for is_second, block, values in zip((False, True), branch.sides, branch.values, strict=True):
+            side_values = {i: (values[i], result.varying) for i, result in needed.items()}
             if any(id(node) in self.alive for node in block.nodes):
-                mask = self.invert(condition, varying) if number else condition
-                side_values = {i: (values[i], result.varying) for i, result in alive.items()}
-                sides.append(self.side(self.any_lane(mask) if varying else mask, block, side_values))
+                mask = self.invert(condition, has_mask) if is_second else condition
+                is_taken = self.any_lane(mask) if has_mask else mask
+                registers_of_sides.append(self.side(is_taken, block, side_values))
             else:  # all its values are known before the branch
-                sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
-        for i, result in alive.items():
+                registers_of_sides.append({i: self.read(value, wide) for i, (value, wide) in side_values.items()})
+        first, second = registers_of_sides
+        for i, result in needed.items():
             kind = self.kind(result.dtype, result.varying)
-            chooser = f"{self.kind(BOOL, varying)} {condition}"
-            self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
+            selector = f"{self.kind(BOOL, has_mask)} {condition}"
+            self.name(result, self.emit(f"select {selector}, {kind} {first[i]}, {kind} {second[i]}"))
 
     def value(self, value: Value) -> str:
         """Write the instructions of one value; return its register."""
@@ -293,7 +306,7 @@ class Emitter(Instructions):
             values: Results of the side, each with whether it is a vector, by position.
 
         Returns:
-            The registers of the results; zeros if no lane takes the side.
+            The register of each result, by position; it holds zeros if no lane takes the side.
         """
         side_label = self.new_name("side")
         end = self.new_name("end")
@@ -314,7 +327,7 @@ class Emitter(Instructions):
     # Memory
 
     def store(self, position: int, output: Value) -> None:
-        """Write the storing of a result of the lanes."""
+        """Write the storing of a number of each lane into the column of the output at a position."""
         self.write(self.column("outputs", position), "%lane", output, True)
 
     def write(self, column: str, element: str, value: Value, wide: bool) -> None:
@@ -336,7 +349,7 @@ class Emitter(Instructions):
         self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
 
     def record(self, record: Record) -> None:
-        """Write the storing of an element of a recording, where the elements of a vector's lanes are neighbours."""
+        """Write the storing of an element of a recording for each lane of the vector, side by side."""
         index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
         element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
@@ -344,7 +357,17 @@ class Emitter(Instructions):
                 self.write(self.column("outputs", position), element, record.value, True)
 
     def recorded_element(self, recording: Recording, index: str) -> str:
-        """Write the computation of the position of an element in a recording; return its register."""
+        """Write where in the column of a recording the element at an index lies for the vector's first lane.
+
+        A vector of lanes has the elements of index 0 of all its lanes, then the elements of index 1, and so on.
+
+        Args:
+            recording: The recording.
+            index: Register of the index, an integer of 64 bits.
+
+        Returns:
+            The register of the position.
+        """
         start = self.emit(f"mul i64 %lane, {recording.length}")
         offset = self.emit(f"mul i64 {index}, {self.width}")
         return self.emit(f"add i64 {start}, {offset}")
@@ -358,13 +381,13 @@ class SubroutineEmitter(Emitter):
         return f"%a{value.detail}"
 
     def definition(self, name: str) -> list[str]:
-        """The lines of the function."""
-        (result,) = self.program.outputs
+        """The lines of the function, whose arguments are %a0, %a1, ..."""
+        result = self.program.outputs[0]  # its only output
         assert isinstance(result, Value)
         self.block(self.program.body)
         kind = self.kind(result.dtype, True)
-        parameters = [f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs)]
-        head = f"define internal {kind} @{name}({', '.join(parameters)}) #1 {{"
+        parameters = ", ".join(f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs))
+        head = f"define internal {kind} @{name}({parameters}) #1 {{"
         return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 

@@ -26,35 +26,39 @@ def read_inputs(program: Program) -> set[int]:
 def reachable(program: Program) -> set[int]:
     """Ids of the nodes on which a result depends."""
     visited: set[int] = set()
-    pending: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
     records: dict[int, list[Node]] = {}
     collect_records(program.body, (), records)
-    for value in program.outputs:
-        pending += records[id(value)] if isinstance(value, Recording) else []
+    pending: list[Node] = [output for output in program.outputs if isinstance(output, Value)]
+    for output in program.outputs:
+        if isinstance(output, Recording):
+            pending += records[id(output)]
     while pending:
         node = pending.pop()
-        if id(node) in visited:
-            continue
-        visited.add(id(node))
-        if isinstance(node, Value):
-            pending += node.operands
-            if node.operation in ("state", "result"):
-                loop, position = node.detail
-                pending += [loop, loop.initial_states[position], loop.next_states[position]]
-            elif node.operation == "joined":
-                branch, position = node.detail
-                pending += [branch, branch.values[0][position], branch.values[1][position]]
-        elif isinstance(node, CodeLoop):
-            pending += [value for value in (node.guard, node.proceed) if value is not None]
-        elif isinstance(node, Branch):
-            pending.append(node.condition)
-        elif isinstance(node, Record):
-            pending += [node.position, node.value]
+        if id(node) not in visited:
+            visited.add(id(node))
+            pending += needed_nodes(node)
     return visited
 
 
+def needed_nodes(node: Node) -> list[Node]:
+    """The nodes that a node needs directly; a state or result of a loop or branch needs its own values alone."""
+    match node:
+        case Value(operation="state" | "result", detail=(loop, position)):
+            return [loop, loop.initial_states[position], loop.next_states[position]]
+        case Value(operation="joined", detail=(branch, position)):
+            return [branch, branch.values[0][position], branch.values[1][position]]
+        case Value():
+            return list(node.operands)
+        case CodeLoop():
+            return [value for value in (node.guard, node.proceed) if value is not None]
+        case Branch():
+            return [node.condition]
+        case Record():
+            return [node.position, node.value]
+
+
 def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[int, list[Node]]) -> None:
-    """Find the records of a block and of those within it.
+    """Find the records of a block and of all blocks within it.
 
     Args:
         block: The block.
@@ -69,7 +73,7 @@ def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[in
 
 
 def operation_counts(program: Program) -> dict[str, int]:
-    """Number of values by operation, among those on which a result depends."""
+    """Number of values that each operation computes, among the values on which a result depends."""
     alive = reachable(program)
     nodes = (node for block in all_blocks(program.body) for node in block.nodes)
     return dict(Counter(node.operation for node in nodes if isinstance(node, Value) and id(node) in alive))

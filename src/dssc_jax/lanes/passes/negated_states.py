@@ -16,65 +16,72 @@ Pair = tuple[int, int, int]
 def join_opposites(program: Program) -> None:
     """Change a program so that no loop carries both a state and its negative."""
     loops = loops_of(program.body)
-    holding = opposite_pairs(loops)
+    pairs = sorted(opposite_pairs(loops))  # the text of a program is the key of its code, so the order must be fixed
     for loop in loops:
-        negatives: dict[int, int] = {}
-        for owner, position, negative in sorted(holding):  # the text of a program is the key of its code
-            free = not {position, negative} & negatives.keys() and negative not in negatives.values()
-            if owner == id(loop) and free:
-                negatives[negative] = position
-        if negatives:
-            remove(loop, negatives)
+        kept_states: dict[int, int] = {}  # the state from which a removed state is computed, by its position
+        for owner, state, negative in pairs:
+            is_free = not {state, negative} & kept_states.keys() and negative not in kept_states.values()
+            if owner == id(loop) and is_free:
+                kept_states[negative] = state
+        if kept_states:
+            remove(loop, kept_states)
 
 
 def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
     """The pairs of states that are opposite in every turn, by induction over the turns.
 
     They are the largest set of candidates in which each pair is opposite before the first turn, and opposite after a
-    turn if all pairs of the set are opposite before it.
+    turn if all pairs of the set are opposite before it. So all candidates are assumed to hold; a refuted pair refutes
+    the pairs that were derived from it.
     """
     candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
     holding = set(candidates)
     refuted = list[Pair]()
-    dependent: dict[Pair, list[Pair]] = {}
+    derived_pairs: dict[Pair, list[Pair]] = {}  # by the pair from which they follow
     for pair, loop in candidates.items():
-        _, value, negated = pair
+        _, state, negative = pair
         for values in (loop.initial_states, loop.next_states):
-            condition = opposite(values[value], values[negated])
+            condition = opposite(values[state], values[negative])
             if condition is False or (condition is not True and condition not in candidates):
                 refuted.append(pair)
             elif condition is not True:
-                dependent.setdefault(condition, []).append(pair)
+                derived_pairs.setdefault(condition, []).append(pair)
     while refuted:
         pair = refuted.pop()
         if pair in holding:
             holding.remove(pair)
-            refuted += dependent.get(pair, ())
+            refuted += derived_pairs.get(pair, ())
     return holding
 
 
 def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
-    """Ordered pairs of positions of states, of which one may always be minus the other.
+    """Ordered pairs of positions of states, of which the second may always be minus the first.
 
-    The values of both were computed equally many iterations of the loop ago. Either may replace the other.
+    Only states of the same delay are paired (:func:`states_in_delay`).
     """
     positions_by_delay: dict[int, list[int]] = {}
     for position in range(len(loop.states)):
-        positions_by_delay.setdefault(turns_behind(loop, position), []).append(position)
+        positions_by_delay.setdefault(states_in_delay(loop, position), []).append(position)
     for positions in positions_by_delay.values():
         yield from permutations(positions, 2)
 
 
-def turns_behind(loop: CodeLoop, position: int) -> int:
-    """Number of states through which a value, or its negative, passes until it is in this state, as in a delay."""
+def states_in_delay(loop: CodeLoop, position: int) -> int:
+    """Number of states through which a number, or its negative, moves turn by turn until it is in this state.
+
+    It is 1 for a state that each turn computes anew, and k for the last state of a delay by k turns.
+    """
     visited = set[int]()
     while position not in visited:
         visited.add(position)
         next_value = loop.next_states[position]
         source = next_value.operands[0] if next_value.operation == "neg" else next_value
-        if source.operation != "state" or source.detail[0] is not loop:
+        if source.operation != "state":
             break
-        position = source.detail[1]
+        source_loop, source_position = source.detail
+        if source_loop is not loop:
+            break
+        position = source_position
     return len(visited)
 
 
@@ -84,36 +91,55 @@ def loops_of(block: CodeBlock) -> list[CodeLoop]:
 
 
 def opposite(value: Value, negated: Value) -> bool | Pair:
-    """Whether the second value is the negative of the first; if that depends on a pair of states, the pair."""
+    """Whether the second value is the negative of the first.
+
+    Returns:
+        True or False; or the pair of states that must be opposite for it.
+    """
     if negated.operation == "neg" and negated.operands[0] is value:
         return True
     if value.operation == negated.operation == "constant":
         return value.dtype == negated.dtype and value.dtype.kind == "f" and bool(value.detail == -negated.detail)
     if value.operation == negated.operation and value.operation in ("state", "result"):
-        (loop, position), (other_loop, negative) = value.detail, negated.detail
-        return loop is other_loop and (id(loop), position, negative)
+        loop, position = value.detail
+        negated_loop, negated_position = negated.detail
+        return (id(loop), position, negated_position) if loop is negated_loop else False
     return False
 
 
-def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
-    """Remove states from a loop, and compute them from their negatives in the body and after the loop.
+def remove(loop: CodeLoop, kept_states: dict[int, int]) -> None:
+    """Remove states from a loop, and compute them as negatives of other states, in the body and after the loop.
 
     Args:
         loop: The loop.
-        negatives: Position of the negative that stays, by the position of a state to remove.
+        kept_states: Position of the state that stays, by the position of its negative, which is removed.
     """
     surrounding_block = loop.body.parent
     assert surrounding_block is not None
+    negatives_in_body = turn_into_negatives(loop.states, kept_states)
+    negatives_after_loop = turn_into_negatives(loop.results, kept_states)
+    loop.body.nodes[:0] = negatives_in_body  # at its start
     after_loop = surrounding_block.nodes.index(loop) + 1
-    for values, block, insertion_index in ((loop.states, loop.body, 0), (loop.results, surrounding_block, after_loop)):
-        changed = [values[negative] for negative in negatives]
-        for value, position in zip(changed, negatives.values(), strict=True):
-            value.operation = Operation.NEG
-            value.operands = (values[position],)
-            value.detail = None
-        block.nodes[insertion_index:insertion_index] = changed
+    surrounding_block.nodes[after_loop:after_loop] = negatives_after_loop
     for values in (loop.initial_states, loop.states, loop.next_states, loop.results):
-        values[:] = [value for position, value in enumerate(values) if position not in negatives]
+        values[:] = [value for position, value in enumerate(values) if position not in kept_states]
     for values in (loop.states, loop.results):
         for position, value in enumerate(values):
             value.detail = loop, position
+
+
+def turn_into_negatives(values: list[Value], kept_states: dict[int, int]) -> list[Value]:
+    """Turn the removed states or results of a loop into negatives of those that stay; return them.
+
+    Args:
+        values: The states or results of the loop.
+        kept_states: As for :func:`remove`.
+    """
+    negatives = []
+    for removed, kept in kept_states.items():
+        value = values[removed]
+        value.operation = Operation.NEG
+        value.operands = (values[kept],)
+        value.detail = None
+        negatives.append(value)
+    return negatives

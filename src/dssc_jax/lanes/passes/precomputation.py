@@ -9,11 +9,12 @@ from collections.abc import Set
 from dataclasses import dataclass
 
 from dssc_jax.lanes.interface import stored_type
-from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
+from dssc_jax.lanes.llvm.function_text import scalar_type
+from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, operands_of
 
-TURNS = 8
+TURNS = 8  # of the loop, for which values are computed at once
 WORTHWHILE = 12  # uniform operations in a turn from which on precomputation saves time
 
 
@@ -22,7 +23,7 @@ class PrecomputationPlan:
     """The values of a loop to precompute.
 
     Args:
-        counters: Growth of each uniform state in a turn, by the state's position.
+        counters: Growth of each uniform state in a turn, by the state's position. Such a state only counts.
         values: The uniform values of the body, in order.
         outputs: The counters and values that a turn reads, and that are therefore stored.
     """
@@ -33,7 +34,10 @@ class PrecomputationPlan:
 
 
 def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan | None:
-    """Select the values of a loop's body to precompute; None if that is impossible or not worthwhile.
+    """Select the uniform values of a loop's body to precompute; None if that is impossible or not worthwhile.
+
+    It is impossible if the body has a loop, a branch with a uniform result, a value that lanes share by ``any``, or a
+    uniform state that does more than count.
 
     Args:
         loop: The loop.
@@ -49,37 +53,44 @@ def precomputation_plan(loop: CodeLoop, alive: Set[int]) -> PrecomputationPlan |
     if len(values) < WORTHWHILE or any(value.operation == "any" for value in values):
         return None
     states = [i for i, state in enumerate(loop.states) if id(state) in alive or id(loop.results[i]) in alive]
-    counters = {i: step(loop, i) for i in states if not loop.states[i].varying}
-    if not all(counters.values()):
+    counters = {i: growth_in_turn(loop, i) for i in states if not loop.states[i].varying}
+    if any(growth == 0 for growth in counters.values()):
         return None
-    planned_ids = set(map(id, values))
-    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in operands_of(node)}
+    planned_ids = {id(value) for value in values}
+    read_ids = {id(operand) for node in nodes if id(node) not in planned_ids for operand in operands_of(node)}
     read_ids |= {id(loop.proceed), *(id(loop.next_states[i]) for i in states)}
     candidates = [*(loop.states[i] for i in counters), *values]
-    return PrecomputationPlan(counters, values, [value for value in candidates if id(value) in read_ids])
+    outputs = [value for value in candidates if id(value) in read_ids]
+    return PrecomputationPlan(counters, values, outputs)
 
 
-def step(loop: CodeLoop, position: int) -> int:
+def growth_in_turn(loop: CodeLoop, position: int) -> int:
     """The constant whole number by which a state of a loop grows in every turn; 0 if it does anything else."""
     state = loop.states[position]
     next_value = loop.next_states[position]
-    if next_value.operation == "add" and next_value.dtype.kind in "iu":
-        for state_operand, increment in (next_value.operands, next_value.operands[::-1]):
-            if state_operand is state and increment.operation == "constant":
-                return int(increment.detail)
+    if next_value.operation != "add" or next_value.dtype.kind not in "iu":
+        return 0
+    first, second = next_value.operands
+    if first is state and second.operation == "constant":
+        return int(second.detail)
+    if second is state and first.operation == "constant":
+        return int(first.detail)
     return 0
 
 
 class Precomputation(Instructions):
     """Writes the instructions that precompute uniform values, as vectors along time.
 
+    A vector has the value of the next turn first, and of the turn after it second.
+
     Args:
         lanes: The instructions of the lanes, to which these are added.
-        plan: The values.
+        plan: The values to precompute.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
     def __init__(self, lanes: Instructions, plan: PrecomputationPlan, window: int) -> None:
+        """Share lines, tables, declarations and subroutines with the lanes' instructions, but not registers."""
         super().__init__(
             TURNS,
             lanes.flags,
@@ -92,7 +103,7 @@ class Precomputation(Instructions):
         self.lanes = lanes
         self.plan = plan
         self.window = window
-        self.buffers = dict[int, str]()
+        self.buffers: dict[int, str] = {}  # register with the address of the stored vector, by the value's id
 
     def new_name(self, prefix: str = "v") -> str:
         """A new name among those of the lanes."""
@@ -107,7 +118,7 @@ class Precomputation(Instructions):
         return self.lanes.current()
 
     def is_vector(self, value: Value) -> bool:
-        """Whether a value is a vector along time: every one is, except constants."""
+        """Whether a value is a vector along time, as every value but a constant is."""
         return value.operation != "constant"
 
     def read(self, value: Value, vector: bool) -> str:
@@ -137,8 +148,11 @@ class Precomputation(Instructions):
 
     def allocations(self) -> list[str]:
         """The instructions that reserve the buffers, for the start of the function."""
-        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.plan.outputs)
-        return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
+        lines = []
+        for value in self.plan.outputs:
+            kind = self.kind(stored_type(value.dtype), True)
+            lines.append(f"  {self.buffers[id(value)]} = alloca {kind}, align 64")
+        return lines
 
     def load(self, turn: str) -> None:
         """Write the reading of one turn's values as scalars; ``turn`` is the register with the turn's number."""
@@ -146,7 +160,7 @@ class Precomputation(Instructions):
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)
             place = self.emit(f"getelementptr {scalar}, ptr {self.buffers[id(value)]}, i64 {turn}", "p")
-            name = self.emit(f"load {scalar}, ptr {place}")
+            register = self.emit(f"load {scalar}, ptr {place}")
             if value.dtype == BOOL:
-                name = self.emit(f"trunc {scalar} {name} to i1")
-            self.lanes.name(value, name)
+                register = self.emit(f"trunc {scalar} {register} to i1")
+            self.lanes.name(value, register)

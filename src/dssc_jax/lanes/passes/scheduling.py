@@ -14,7 +14,8 @@ from itertools import chain
 from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, operands_of
 
 CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20, "foreign": 100}
-OTHER_CYCLES = 2
+"""Latency of an operation in cycles, from its beginning until its result is known."""
+OTHER_CYCLES = 2  # latency of any other operation
 AT_A_TIME = 3  # operations that begin in one cycle
 
 
@@ -26,51 +27,66 @@ def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
         window: Number of places after the first unplaced node among which the next node is chosen.
     """
     users = users_of(nodes)
-    remaining = [0] * len(nodes)
-    for i in reversed(range(len(nodes))):
-        remaining[i] = cycles(nodes[i]) + max((remaining[user] for user in users[i]), default=0)
-    missing_operands = [0] * len(nodes)
+    remaining = remaining_cycles(nodes, users)
+    missing_operands = [0] * len(nodes)  # operands of each node that are not placed yet
     for user in chain.from_iterable(users):
         missing_operands[user] += 1
 
     is_placed = [False] * len(nodes)
-    known_at = [0.0] * len(nodes)
-    # nodes move from heap to heap: all operands are placed; within the window, too; and the operands are known, too
-    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # by place
-    waiting_heap: list[tuple[float, int, int]] = []  # by the time at which the operands are known
-    ready_heap: list[tuple[int, int]] = []  # by the remaining cycles, most first
+    known_at = [0.0] * len(nodes)  # cycle at which all operands of a node are known
+    # A node moves from heap to heap: its operands are placed; it also lies within the window; its operands are known.
+    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # first place first
+    waiting_heap: list[tuple[float, int, int]] = []  # (cycle at which the operands are known, -remaining cycles, node)
+    ready_heap: list[tuple[int, int]] = []  # (-remaining cycles, node), so that the longest chain comes first
     order = []
     first_unplaced = 0
-    time = 0.0
+    cycle = 0.0
     while len(order) < len(nodes):
         while is_placed[first_unplaced]:
             first_unplaced += 1
         while free_heap and free_heap[0] <= first_unplaced + window:
             i = heappop(free_heap)
             heappush(waiting_heap, (known_at[i], -remaining[i], i))
-        if not ready_heap:
-            time = max(time, waiting_heap[0][0])
-        while waiting_heap and waiting_heap[0][0] <= time:
-            heappush(ready_heap, heappop(waiting_heap)[1:])
+        if not ready_heap:  # the machine waits for the next operand
+            first_known_at, _, _ = waiting_heap[0]
+            cycle = max(cycle, first_known_at)
+        while waiting_heap and waiting_heap[0][0] <= cycle:
+            _, negative_remaining, i = heappop(waiting_heap)
+            heappush(ready_heap, (negative_remaining, i))
         _, i = heappop(ready_heap)
         order.append(nodes[i])
         is_placed[i] = True
         for user in users[i]:
             missing_operands[user] -= 1
-            known_at[user] = max(known_at[user], time + cycles(nodes[i]))
+            known_at[user] = max(known_at[user], cycle + cycles(nodes[i]))
             if not missing_operands[user]:
                 heappush(free_heap, user)
-        time += 1.0 / AT_A_TIME
+        cycle += 1.0 / AT_A_TIME
     return order
 
 
+def remaining_cycles(nodes: Sequence[Node], users: Sequence[Sequence[int]]) -> list[int]:
+    """Length in cycles of the longest chain of operations that begins with each node, to the end of the block.
+
+    Args:
+        nodes: Nodes, each after the nodes whose values it reads.
+        users: As :func:`users_of` returns them.
+    """
+    remaining = [0] * len(nodes)
+    for i in reversed(range(len(nodes))):
+        longest_after = max((remaining[user] for user in users[i]), default=0)
+        remaining[i] = cycles(nodes[i]) + longest_after
+    return remaining
+
+
 def users_of(nodes: Sequence[Node]) -> list[list[int]]:
-    """For each node, the positions of the nodes that read its values."""
+    """For each node of a block, the positions of the nodes that read its values."""
     users: list[list[int]] = [[] for _ in nodes]
-    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}
+    maker = {id(value): i for i, node in enumerate(nodes) for value in results_of(node)}  # position of its node
     for i, node in enumerate(nodes):
-        for operand in {maker[id(value)] for value in operands_within(node) if id(value) in maker}:
-            users[operand].append(i)
+        read_nodes = {maker[id(value)] for value in operands_within(node) if id(value) in maker}
+        for read_node in read_nodes:
+            users[read_node].append(i)
     return users
 
 
@@ -90,5 +106,5 @@ def operands_within(node: Node) -> Iterator[Value]:
 
 
 def cycles(node: Node) -> int:
-    """Latency of a node in cycles; that of loops and branches is not modelled, and 0."""
+    """Latency of a node in cycles; 0 for loops and branches, whose latency is not modelled."""
     return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

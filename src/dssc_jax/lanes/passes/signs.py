@@ -1,4 +1,4 @@
-"""Sign analysis: values whose sign bit is always 0, also as a NaN. Their order is that of their bits as integers."""
+"""Sign analysis: values whose sign bit is always 0, also as a NaN. Their bits, as integers, have the same order."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from dssc_jax.lanes.program import Value
 
 
 def is_unsigned(value: Value, assumed_states: frozenset[tuple[int, int]] = frozenset()) -> bool:
-    """Whether the sign bit of a floating-point number is always 0, as that of |x|.
+    """Whether the sign bit of a floating-point number is always 0, as in |x|.
 
-    A state of a loop has no sign if it begins without one and no turn adds one. This is shown by induction.
+    A state of a loop has no sign bit if it begins without a sign bit and no turn sets it. This is shown by induction.
 
     Args:
         value: The number.
-        assumed_states: States that the induction assumes to have no sign, by the id of the loop and their position.
+        assumed_states: States whose sign bit the induction assumes to be 0, as (id of the loop, position).
     """
     match value.operation:
         case "abs":
@@ -26,6 +26,8 @@ def is_unsigned(value: Value, assumed_states: frozenset[tuple[int, int]] = froze
         case "state" | "result":
             loop, position = value.detail
             state = id(loop), position
-            ends = loop.initial_states[position], loop.next_states[position]
-            return state in assumed_states or all(is_unsigned(end, assumed_states | {state}) for end in ends)
+            if state in assumed_states:
+                return True
+            assigned_values = loop.initial_states[position], loop.next_states[position]
+            return all(is_unsigned(assigned, assumed_states | {state}) for assigned in assigned_values)
     return False

@@ -14,7 +14,7 @@ OPERAND_COUNTS = {
     "part": 1,
     "select": 3,
 }
-"""Number of operands of the operations that do not have two."""
+"""Number of operands of operations that do not have two; of ``input``, ``rarely``, ``write``, ``foreign`` it varies."""
 
 
 class InvalidProgram(Exception):
@@ -30,8 +30,8 @@ def verify(program: Program) -> None:
     defined: set[int] = set()
     verify_block(program.body, defined)
     for output in program.outputs:
-        if isinstance(output, Value):
-            require_defined(output, defined, "an output")
+        if isinstance(output, Value):  # a recording is written by a record
+            require_defined(output, defined, reader="an output")
 
 
 def verify_block(block: CodeBlock, defined: set[int]) -> None:
@@ -91,14 +91,17 @@ def verify_value(value: Value, defined: set[int]) -> None:
 
 
 def verify_access(value: Value) -> None:
-    """Check the dtypes and the index of an operation on a slot."""
-    require(isinstance(value.detail, Slot), value, "must have a slot")
-    require(value.dtype == (value.detail.dtype if value.operation == Operation.READ else TOKEN), value, "type is wrong")
+    """Check the dtypes and the index of an operation on a slot: ``memory``, ``read`` or ``write``."""
+    slot = value.detail
+    require(isinstance(slot, Slot), value, "must have a slot")
+    result_type = slot.dtype if value.operation == Operation.READ else TOKEN
+    require(value.dtype == result_type, value, "type is wrong")
     if value.operation != Operation.MEMORY:
-        token, index, *operands = value.operands
+        token, index, *written_and_reads = value.operands  # a read has only the first two
         require(token.dtype == TOKEN, value, "must begin with a token")
         require(index.dtype == np.dtype(np.int32) and not index.varying, value, "must have a uniform index")
-        require(not operands or operands[0].dtype == value.detail.dtype, value, "must write the slot's type")
+        writes_type = not written_and_reads or written_and_reads[0].dtype == slot.dtype
+        require(writes_type, value, "must write the slot's type")
 
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
@@ -145,13 +148,26 @@ def verify_branch(branch: Branch, defined: set[int]) -> None:
 
 
 def define(value: Value, defined: set[int]) -> None:
-    """Add a value to the defined ones, and require that it is new."""
+    """Add a value to the defined values; ``defined`` as for :func:`verify_block`.
+
+    Raises:
+        InvalidProgram: The value is defined already.
+    """
     require(id(value) not in defined, value, "is defined twice")
     defined.add(id(value))
 
 
 def require_defined(value: Value, defined: set[int], reader: str) -> None:
-    """Require that a value is a constant or defined before its reader."""
+    """Require that a value is a constant or is defined before it is read.
+
+    Args:
+        value: The value.
+        defined: Ids of the values that may be read.
+        reader: What reads it, in words for the message.
+
+    Raises:
+        InvalidProgram: It is not defined.
+    """
     is_defined = value.operation == Operation.CONSTANT or id(value) in defined
     require(is_defined, value, "is read by {} before it is set", reader)
 

@@ -2,12 +2,15 @@
 
 Elements are moved when the program is translated, so that only arithmetic is left to run. An array of values is a NumPy
 array of objects; a constant array stays an array of numbers.
+
+A translation is called as ``(build, operands, params, equation) -> result``: the builder of the program, the operands,
+the parameters of JAX's equation by name, and the equation itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.extend.core import JaxprEqn
@@ -33,23 +36,31 @@ from dssc_jax.lanes.tracing.specification import (
 from dssc_jax.lanes.unsupported import Unsupported
 
 Tensor = np.ndarray
+"""An array of values, with dtype ``object``; or a constant array of numbers."""
 
 
 def as_tensor(value: Any, build: Builder) -> Tensor:
     """A value as an array of objects: numbers become constants, and a scalar becomes an array of shape ()."""
-    if isinstance(value, np.ndarray) and value.dtype == object:
-        return value
-    tensor = np.empty(np.shape(value) if isinstance(value, np.ndarray) else (), object)
-    if isinstance(value, np.ndarray):
-        tensor.ravel()[:] = [build.constant(number, value.dtype) for number in value.ravel()]
-    else:
+    if not isinstance(value, np.ndarray):
+        tensor = np.empty((), object)
         tensor[()] = value
+        return tensor
+    if value.dtype == object:
+        return value
+    tensor = np.empty(value.shape, object)
+    tensor.ravel()[:] = [build.constant(number, value.dtype) for number in value.ravel()]
     return tensor
+
+
+def as_array(value: Any, build: Builder) -> Tensor:
+    """A value as an array: a constant array stays an array of numbers, and a scalar gets the shape ()."""
+    return value if isinstance(value, np.ndarray) else as_tensor(value, build)
 
 
 def from_tensor(tensor: Any) -> Any:
     """An array of objects, or its only element if its shape is ()."""
-    return tensor[()] if isinstance(tensor, np.ndarray) and tensor.dtype == object and not tensor.shape else tensor
+    is_scalar = isinstance(tensor, np.ndarray) and tensor.dtype == object and tensor.shape == ()
+    return tensor[()] if is_scalar else tensor
 
 
 def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence[Any]) -> Any:
@@ -66,10 +77,10 @@ def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence
 def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """``lax.broadcast_in_dim``: an array repeated along new axes."""
     shape = params["shape"]
-    axes = params["broadcast_dimensions"]
+    axes = params["broadcast_dimensions"]  # the axis of the result for each axis of the operand
     if not shape:
         return operands[0]
-    source = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
+    source = as_array(operands[0], build)
     sizes = [1] * len(shape)
     for axis, size in zip(axes, source.shape, strict=True):
         sizes[axis] = size
@@ -80,15 +91,15 @@ def movement_rule(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable
     """The translation of an operation that only moves elements, by ``(array, parameters) -> array`` of NumPy."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-        operand = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
-        result = np.asarray(function(operand, params))
+        """The operand with its elements moved."""
+        result = np.asarray(function(as_array(operands[0], build), params))
         return scalar_of(build, result)
 
     return rule
 
 
 def scalar_of(build: Builder, result: Tensor) -> Any:
-    """An array, or a value if its shape is ()."""
+    """An array of the trace; if its shape is (), the value that is its only element."""
     if result.shape:
         return result
     return result[()] if result.dtype == object else build.constant(result, result.dtype)
@@ -139,29 +150,32 @@ def stack(build: Builder, operands: Sequence[Any], params: Parameters, equation:
 
 
 def unstack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
-    """``jnp.unstack``: the parts of an array along an axis, without that axis."""
+    """``jnp.unstack``: the slices of an array along an axis, without that axis."""
     parts = np.moveaxis(as_tensor(operands[0], build), params["axis"], 0)
     return [from_tensor(np.asarray(part, object)) for part in parts]
 
 
 def split_array(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
     """``lax.split``: consecutive parts of an array along an axis."""
-    return np.split(operands[0], np.cumsum(params["sizes"])[:-1], params["axis"])
+    starts = np.cumsum(params["sizes"])[:-1]  # of the parts after the first
+    return np.split(operands[0], starts, params["axis"])
 
 
 def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.pad``: an array with a margin around it, and gaps between its elements."""
+    """``lax.pad``: an array with a margin around it, and gaps between its elements, filled with one value."""
     operand = as_tensor(operands[0], build)
-    margin = operands[1]
-    if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
+    filler = operands[1]
+    margins = params["padding_config"]  # for each axis: size before, size after, size of the gaps
+    if any(before < 0 or after < 0 for before, after, _ in margins):
         raise Unsupported("a negative margin")
     result = np.empty(array_type(equation.outvars[0]).shape, object)
-    result.ravel()[:] = [margin] * result.size
-    element_slices = tuple(
-        slice(low, low + (size - 1) * (gap + 1) + 1 if size else low, gap + 1)
-        for size, (low, _, gap) in zip(operand.shape, params["padding_config"], strict=True)
-    )
-    result[element_slices] = operand
+    result.ravel()[:] = [filler] * result.size
+    element_slices = []
+    for size, (before, _, gap) in zip(operand.shape, margins, strict=True):
+        step = gap + 1
+        end = before + (size - 1) * step + 1 if size else before
+        element_slices.append(slice(before, end, step))
+    result[tuple(element_slices)] = operand
     return result
 
 
@@ -169,20 +183,23 @@ def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
     """``lax.iota``: an array whose elements are their indices along an axis."""
     shape = params["shape"]
     axis = params["dimension"]
-    line = np.arange(shape[axis], dtype=params["dtype"])
-    return np.broadcast_to(line.reshape([-1 if i == axis else 1 for i in range(len(shape))]), shape)
+    sizes = [1] * len(shape)
+    sizes[axis] = shape[axis]
+    indices = np.arange(shape[axis], dtype=params["dtype"])
+    return np.broadcast_to(indices.reshape(sizes), shape)
 
 
 def reduction(operation: str) -> Callable[..., Any]:
     """The translation of a reduction, which combines the elements along some axes by an operation."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        """The array of the combined elements, along the axes that remain."""
         axes = params["axes"]
         tensor = as_tensor(operands[0], build)
         remaining_axes = [axis for axis in range(tensor.ndim) if axis not in axes]
         remaining_shape = [tensor.shape[axis] for axis in remaining_axes]
         rows = np.transpose(tensor, [*remaining_axes, *axes]).reshape(*remaining_shape, -1)
-        if not rows.shape[-1]:
+        if rows.shape[-1] == 0:
             raise Unsupported("a reduction of nothing")
         return reduce_rows(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
 
@@ -198,59 +215,90 @@ def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> A
 
 
 def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.dot_general``: sums of products over some axes of two arrays."""
-    sides = []
-    for operand, sums, batch in zip(operands, *params["dimension_numbers"], strict=True):
-        tensor = as_tensor(operand, build)
-        free = [axis for axis in range(tensor.ndim) if axis not in (*sums, *batch)]
-        shapes = [[tensor.shape[axis] for axis in axes] for axes in (batch, free, sums)]
-        sizes = [int(np.prod(shape)) for shape in shapes]
-        sides.append((np.transpose(tensor, [*batch, *free, *sums]).reshape(sizes), shapes))
-    (left_tensor, left_shapes), (right_tensor, right_shapes) = sides
-    result = np.empty((left_tensor.shape[0], left_tensor.shape[1], right_tensor.shape[1]), object)
+    """``lax.dot_general``: sums of products over some axes of two arrays.
+
+    Its axes are of three kinds: summed, batch (common to both arrays), and free (of one array alone). The result has
+    the batch axes, then the free axes of the first array, then those of the second.
+    """
+    summed_axes, batch_axes = params["dimension_numbers"]  # each: axes of the first array, axes of the second
+    left, right = (
+        arranged_factor(as_tensor(operand, build), batch, summed)
+        for operand, summed, batch in zip(operands, summed_axes, batch_axes, strict=True)
+    )
+    batches, left_rows, _ = left.tensor.shape
+    _, right_rows, _ = right.tensor.shape
+    result = np.empty((batches, left_rows, right_rows), object)
     for batch, i, j in np.ndindex(*result.shape):
-        products = [build.add("mul", x, y) for x, y in zip(left_tensor[batch, i], right_tensor[batch, j], strict=True)]
+        pairs = zip(left.tensor[batch, i], right.tensor[batch, j], strict=True)
+        products = [build.add("mul", x, y) for x, y in pairs]
         zero = build.constant(0, np.dtype(array_type(equation.outvars[0]).dtype))
         result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else zero
-    return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
+    return from_tensor(result.reshape(left.batch_shape + left.free_shape + right.free_shape))
+
+
+class ArrangedFactor(NamedTuple):
+    """A factor of a product of arrays, with its axes joined into three.
+
+    Args:
+        tensor: The elements, shape (batches, rows, terms of a sum).
+        batch_shape: Sizes of the axes that are joined into the first.
+        free_shape: Sizes of the axes that are joined into the second.
+    """
+
+    tensor: Tensor
+    batch_shape: list[int]
+    free_shape: list[int]
+
+
+def arranged_factor(tensor: Tensor, batch: Sequence[int], summed: Sequence[int]) -> ArrangedFactor:
+    """A factor of a product with its batch axes first, its free axes second and its summed axes last."""
+    free = [axis for axis in range(tensor.ndim) if axis not in (*summed, *batch)]
+    batch_shape, free_shape, summed_shape = ([tensor.shape[axis] for axis in axes] for axes in (batch, free, summed))
+    sizes = [int(np.prod(shape)) for shape in (batch_shape, free_shape, summed_shape)]
+    joined = np.transpose(tensor, [*batch, *free, *summed]).reshape(sizes)
+    return ArrangedFactor(joined, batch_shape, free_shape)
 
 
 def cumulation(operation: str) -> Callable[..., Any]:
-    """The translation of a cumulative operation, such as ``cumsum``."""
+    """The translation of a cumulative operation, such as ``cumsum``, which combines each element with all before it."""
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        """The array of the combined elements, in the operand's shape."""
         tensor = np.moveaxis(as_tensor(operands[0], build), params["axis"], -1).copy()
-        steps = range(tensor.shape[-1])
-        order = list(reversed(steps)) if params["reverse"] else list(steps)
-        for position in np.ndindex(tensor.shape[:-1]):
+        order = list(range(tensor.shape[-1]))
+        if params["reverse"]:
+            order.reverse()
+        for row in np.ndindex(tensor.shape[:-1]):
             for previous, current in pairwise(order):
-                tensor[(*position, current)] = build.add(
-                    operation, tensor[(*position, previous)], tensor[(*position, current)]
-                )
+                combined = build.add(operation, tensor[(*row, previous)], tensor[(*row, current)])
+                tensor[(*row, current)] = combined
         return np.moveaxis(tensor, -1, params["axis"])
 
     return rule
 
 
 def same_precision(precision: Any, equation: JaxprEqn) -> bool:
-    """The condition of a product's precision: one of JAX's enumeration, which mean the same here; no algorithm."""
+    """Whether a product's precision is a value of JAX's enumeration, all of which give the same result here.
+
+    JAX also allows the name of an algorithm, which is refused.
+    """
     parts = precision if isinstance(precision, tuple) else (precision,)
     return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
 
 
 def refuse_mixed_types(equation: JaxprEqn) -> str | None:
-    """Why a sum of products is not translated: its operands and result differ in type; None if they do not."""
+    """The reason why a sum of products is not translated: operands and result differ in type; else None."""
     types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
     return None if len(types) == 1 else "operands and results of several types"
 
 
 def reduction_rule(operation: str, types: Any) -> TranslationRule:
-    """The rule of a reduction by an operation."""
+    """The rule of a reduction by an operation, for elements of some types."""
     return rule(reduction(operation), types, axes=any_value, out_sharding=no_value)
 
 
 def cumulative_rule(operation: str) -> TranslationRule:
-    """The rule of a cumulative operation."""
+    """The rule of a cumulative operation, such as ``cumsum`` by "add"."""
     return rule(cumulation(operation), NUMBER_TYPES, axis=any_value, reverse=any_value)
 
 
@@ -286,4 +334,4 @@ ARRAY_RULES: dict[str, TranslationRule] = {
         "dimension_numbers": any_value, "precision": same_precision, "preferred_element_type": result_type,
         "out_sharding": no_value}, refuse_mixed_types)),
 }  # fmt: skip
-"""The rule of each primitive by its name."""
+"""The rules of operations on arrays, by the name of JAX's primitive."""

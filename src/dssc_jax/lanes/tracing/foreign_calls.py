@@ -12,9 +12,9 @@ from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, Trans
 
 
 def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Value]:
-    """The results of a call of a function of C."""
+    """Call a function of C in each lane; return its results."""
     return build.foreign(params["function"], operands)
 
 
 FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, NUMBER_TYPES, function=any_value)}
-"""The rule of the one primitive that calls C."""
+"""The rule of the primitive that calls C, by its name."""

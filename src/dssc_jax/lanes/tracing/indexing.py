@@ -1,7 +1,10 @@
 """Rules of gathers, scatters and slices: elements of an array within a lane at indices that the run computes.
 
-An element of a constant table is read from memory, that of any other array by a chain of selects. Every index is first
-converted to a signed type that can hold the size of the array.
+An element of a constant table is read from memory. An element of any other array is chosen by a chain of selects. Every
+index is first converted to a signed type that can hold the size of the array.
+
+A *window* is a block of neighbouring elements, with the same number of axes as the array. Its *start* is the index of
+its first element. Translations are called as in :mod:`~dssc_jax.lanes.tracing.arrays`.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +16,7 @@ from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.program import Value
-from dssc_jax.lanes.tracing.arrays import Tensor, as_tensor, elementwise, from_tensor
+from dssc_jax.lanes.tracing.arrays import Tensor, as_array, as_tensor, elementwise, from_tensor
 from dssc_jax.lanes.tracing.memory import Memory
 from dssc_jax.lanes.tracing.specification import (
     NUMBER_TYPES,
@@ -29,9 +32,10 @@ from dssc_jax.lanes.tracing.specification import (
 from dssc_jax.lanes.unsupported import Unsupported
 
 MOST_SELECTS = 1024  # largest number of elements among which a chain of selects chooses
+MOST_COMPARISONS = 16 * MOST_SELECTS  # largest product of the sizes of a written array and its window
 INDEX_TYPE = np.dtype(np.int32)
 MODES = one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS")
-"""Condition of the mode of a gather or scatter."""
+"""Condition of the mode of a gather or scatter, which tells what happens at indices beyond the array."""
 
 
 def element(build: Builder, table: Tensor, position: Value) -> Value:
@@ -55,14 +59,14 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
 
 
 def row(build: Builder, table: Any, at: Value) -> Any:
-    """The row of an array at an index along its first axis."""
-    inner = table.shape[1:]
-    count = int(np.prod(inner))
-    columns = table.reshape(table.shape[0], count)
-    elements = np.empty(count, object)
-    for column in range(count):
+    """The row of an array at an index along its first axis: an array, or a value if the rows are scalars."""
+    row_shape = table.shape[1:]
+    row_size = int(np.prod(row_shape))
+    columns = table.reshape(table.shape[0], row_size)
+    elements = np.empty(row_size, object)
+    for column in range(row_size):
         elements[column] = element(build, np.ascontiguousarray(columns[:, column]), at)
-    return from_tensor(elements.reshape(inner))
+    return from_tensor(elements.reshape(row_shape))
 
 
 def wide_index(build: Builder, start: Value) -> Value:
@@ -70,12 +74,12 @@ def wide_index(build: Builder, start: Value) -> Value:
     if start.dtype == np.dtype(np.uint64):
         limit = build.constant(np.iinfo(np.int64).max, start.dtype)
         return build.add("convert", build.add("min", start, limit), dtype=np.dtype(np.int64))
-    wide = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
-    return build.add("convert", start, dtype=np.dtype(np.int64) if wide else INDEX_TYPE)
+    needs_64_bits = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
+    return build.add("convert", start, dtype=np.dtype(np.int64) if needs_64_bits else INDEX_TYPE)
 
 
 def clip_index(build: Builder, start: Value, limit: int) -> Value:
-    """A signed index, clipped to 0 .. limit."""
+    """A signed index, clipped to 0, 1, ..., limit."""
     at_least_zero = build.add("max", start, build.constant(0, start.dtype))
     return build.add("min", at_least_zero, build.constant(limit, start.dtype))
 
@@ -92,7 +96,7 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
         starts: Start of the window along each axis.
         sizes: Size of the window along each axis.
     """
-    limits = [size - part for size, part in zip(operand.shape, sizes, strict=True)]
+    limits = largest_starts(operand.shape, sizes)
     start = flat_start(build, starts, limits)
     result = np.empty(tuple(sizes), object)
     for position in np.ndindex(*sizes):
@@ -102,78 +106,106 @@ def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequenc
     return result
 
 
+def largest_starts(shape: Sequence[int], sizes: Sequence[int]) -> list[int]:
+    """The largest start of a window along each axis of an array, with which the window still lies within the array.
+
+    Args:
+        shape: Shape of the array.
+        sizes: Size of the window along each axis.
+    """
+    return [length - size for length, size in zip(shape, sizes, strict=True)]
+
+
 def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -> Value:
-    """The number of a start among all possible ones, in C order.
+    """The number of a start among all possible starts, which are counted as C counts: along the last axis first.
 
     Args:
         build: The builder.
-        starts: Start along each axis.
+        starts: Start along each axis; it is clipped to 0, ..., the axis's limit.
         limits: Largest start along each axis; the smallest is 0.
     """
-    axes = [axis for axis, limit in enumerate(limits) if limit]
-    if not axes:
+    free_axes = [axis for axis, limit in enumerate(limits) if limit > 0]
+    if not free_axes:
         return build.constant(0, INDEX_TYPE)
 
     def term(axis: int) -> Value:
+        """The start along an axis, times the number of starts along all later axes."""
         start = build.add("convert", clip_index(build, starts[axis], limits[axis]), dtype=INDEX_TYPE)
-        stride = int(np.prod([limits[inner] + 1 for inner in axes if inner > axis]))
+        stride = int(np.prod([limits[later] + 1 for later in free_axes if later > axis]))
         return build.add("mul", start, build.constant(stride, INDEX_TYPE))
 
-    total = term(axes[0])
-    for axis in axes[1:]:
+    total = term(free_axes[0])
+    for axis in free_axes[1:]:
         total = build.add("add", total, term(axis))
     return total
 
 
-def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
-    """The index vectors of a gather or scatter, one for each of its points, in signed types."""
+def index_vectors(build: Builder, indices: Any) -> list[list[Value]]:
+    """The index vectors of a gather or scatter, one for each of its windows, in signed types."""
     tensor = as_tensor(indices, build)
     rows = tensor.reshape(-1, tensor.shape[-1])
     return [[wide_index(build, index) for index in vector] for vector in rows]
 
 
 def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """``lax.gather``: windows of an array at several starts."""
-    operand, indices = operands
+    """``lax.gather``: windows of an array at several starts, along new axes that JAX calls batch axes."""
+    operand = as_array(operands[0], build)
+    indices = operands[1]
     numbers = params["dimension_numbers"]
     sizes = params["slice_sizes"]
-    fill = params["mode"].name == "FILL_OR_DROP"
-    if not isinstance(operand, np.ndarray):
-        operand = as_tensor(operand, build)
-    points = []
+    result_type = array_type(equation.outvars[0])
+    windows = []
     zero = build.constant(0, INDEX_TYPE)
-    for vector in index_rows(build, indices):
+    for vector in index_vectors(build, indices):
         starts = [zero] * operand.ndim
         for axis, start in zip(numbers.start_index_map, vector, strict=True):
             starts[axis] = start
-        part = window(build, operand, starts, sizes)
-        if fill:
+        elements = window(build, operand, starts, sizes)
+        if params["mode"].name == "FILL_OR_DROP":
             is_inside = is_window_inside(build, operand.shape, starts, sizes)
-            fill_value = fill_value_of(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
-            part = elementwise(
-                lambda x, mask=is_inside, other=fill_value: build.add("select", mask, x, other), build, [part]
-            )
-        points.append(np.squeeze(part, tuple(numbers.collapsed_slice_dims)))
-    stacked = np.empty((len(points), *points[0].shape), object)
-    for i, part in enumerate(points):
-        stacked[i] = from_tensor(part)
-    shape = array_type(equation.outvars[0]).shape
-    batch = [axis for axis in range(len(shape)) if axis not in numbers.offset_dims]
-    grid = stacked.reshape((*(shape[axis] for axis in batch), *points[0].shape))
-    return from_tensor(np.transpose(grid, np.argsort([*batch, *numbers.offset_dims])) if shape else grid)
+            filler = fill_value_of(build, params["fill_value"], np.dtype(result_type.dtype))
+            elements = select_each(build, is_inside, elements, filler)
+        windows.append(np.squeeze(elements, tuple(numbers.collapsed_slice_dims)))
+    return arranged_windows(windows, result_type.shape, numbers.offset_dims)
+
+
+def select_each(build: Builder, condition: Value, elements: Tensor, otherwise: Value) -> Tensor:
+    """Each element of an array if a condition holds; else a value for all of them."""
+    return elementwise(lambda element: build.add("select", condition, element, otherwise), build, [elements])
+
+
+def arranged_windows(windows: Sequence[Tensor], shape: tuple[int, ...], window_axes: Sequence[int]) -> Any:
+    """Windows as one array, with the windows' axes where a gather's result has them.
+
+    Args:
+        windows: The windows, in the order of the batch axes.
+        shape: Shape of the result.
+        window_axes: Axes of the result that are axes of a window; the others are batch axes.
+    """
+    window_shape = windows[0].shape
+    stacked = np.empty((len(windows), *window_shape), object)
+    for i, elements in enumerate(windows):
+        stacked[i] = from_tensor(elements)
+    batch_axes = [axis for axis in range(len(shape)) if axis not in window_axes]
+    batch_shape = [shape[axis] for axis in batch_axes]
+    batch_first = stacked.reshape((*batch_shape, *window_shape))
+    if not shape:
+        return from_tensor(batch_first)
+    order = np.argsort([*batch_axes, *window_axes])  # the inverse of the permutation that put the batch axes first
+    return from_tensor(np.transpose(batch_first, order))
 
 
 def is_window_inside(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
-    """Whether a window lies within an array of a shape."""
+    """Whether a window lies within an array of a shape; ``sizes`` are the window's, along each axis."""
     is_inside = build.constant(True, np.dtype(bool))
-    for size, start, part in zip(shape, starts, sizes, strict=True):
-        for operation, bound in (("ge", 0), ("le", size - part)):
+    for start, limit in zip(starts, largest_starts(shape, sizes), strict=True):
+        for operation, bound in (("ge", 0), ("le", limit)):
             is_inside = build.add("and", build.add(operation, start, build.constant(bound, start.dtype)), is_inside)
     return is_inside
 
 
 def fill_value_of(build: Builder, fill: Any, dtype: np.dtype) -> Value:
-    """The value that a gather reads beyond its array: the given one, or JAX's default for the dtype."""
+    """The value that a gather reads beyond its array: ``fill``, or JAX's default for the dtype if ``fill`` is None."""
     if fill is not None:
         return build.constant(fill, dtype)
     match dtype.kind:
@@ -189,26 +221,28 @@ def fill_value_of(build: Builder, fill: Any, dtype: np.dtype) -> Value:
 def combine_window(
     build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
 ) -> Tensor:
-    """An array of which a window is combined with other values.
+    """An array in which each element of a window is combined with a new value.
+
+    The start of the window is known only when the lane runs. So each element of the array is compared with every place
+    that it could have in the window.
 
     Args:
         build: The builder.
         operand: The array.
         starts: Start of the window along each axis; a window that reaches beyond the array changes nothing.
-        update: The other values, in the shape of the window.
+        update: The new values, in the shape of the window.
         combine: ``(old element, new element) -> element``.
 
     Raises:
         Unsupported: Too many elements would have to be compared.
     """
-    if operand.size * update.size > MOST_SELECTS * 16:
+    if operand.size * update.size > MOST_COMPARISONS:
         raise Unsupported(f"{update.size} of {operand.size} numbers written at an index")
     result = operand.copy()
-    for offset in np.ndindex(update.shape):
-        choices = [
-            range(at, at + size - part + 1) for at, size, part in zip(offset, operand.shape, update.shape, strict=True)
-        ]
-        for position in product(*choices):
+    limits = largest_starts(operand.shape, update.shape)
+    for offset in np.ndindex(update.shape):  # place of an element in the window
+        possible_positions = [range(at, at + limit + 1) for at, limit in zip(offset, limits, strict=True)]
+        for position in product(*possible_positions):
             is_in_window = build.constant(True, np.dtype(bool))
             for axis, at in enumerate(position):
                 start = build.constant(at - offset[axis], starts[axis].dtype)
@@ -224,9 +258,8 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, e
     operand, *starts = operands
     if isinstance(operand, Memory):
         return np.array([operand.read(build, wide_index(build, starts[0]))], object)
-    wide = [wide_index(build, start) for start in starts]
-    return window(build, as_tensor(operand, build) if not isinstance(operand, np.ndarray) else operand, wide,
-                  params["slice_sizes"])  # fmt: skip
+    wide_starts = [wide_index(build, start) for start in starts]
+    return window(build, as_array(operand, build), wide_starts, params["slice_sizes"])
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
@@ -235,53 +268,65 @@ def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parame
     if isinstance(operand, Memory):
         return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
     target = as_tensor(operand, build)
-    new = as_tensor(update, build)
-    limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
+    replacement = as_tensor(update, build)
+    limits = largest_starts(target.shape, replacement.shape)
     pairs = zip(starts, limits, strict=True)
     clipped_starts = [clip_index(build, wide_index(build, start), limit) for start, limit in pairs]
-    return combine_window(build, target, clipped_starts, new, lambda old, new: new)
+    return combine_window(build, target, clipped_starts, replacement, lambda old, new: new)
 
 
 def scatter(operation: str) -> Callable[..., Tensor]:
-    """The translation of ``lax.scatter``: an array with several windows combined with other values.
+    """The translation of ``lax.scatter``: an array in which several windows are combined with new values.
 
     Args:
-        operation: Operation of the combination; empty: replacement.
+        operation: Operation of the combination; empty: the new values replace the old.
     """
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        """The changed array; the windows change it in their order."""
         operand, indices, updates = operands
         numbers = params["dimension_numbers"]
         target = as_tensor(operand, build)
-        new = as_tensor(updates, build)
-        vectors = index_rows(build, indices)
-        batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
-        windows = np.transpose(new, [*batch, *numbers.update_window_dims])
-        windows = windows.reshape(len(vectors), *(new.shape[axis] for axis in numbers.update_window_dims))
+        vectors = index_vectors(build, indices)
+        windows = update_windows(as_tensor(updates, build), numbers.update_window_dims, len(vectors))
         clip = params["mode"].name == "CLIP"
 
         def combined(old: Value, new: Value) -> Value:
+            """The combination of an old and a new element."""
             return build.add(operation, old, new) if operation else new
 
-        for i, vector in enumerate(vectors):
-            update = np.expand_dims(windows[i], tuple(numbers.inserted_window_dims))
+        for elements, vector in zip(windows, vectors, strict=True):
+            update = np.expand_dims(elements, tuple(numbers.inserted_window_dims))
+            limits = largest_starts(target.shape, update.shape)
             starts = [build.constant(0, INDEX_TYPE)] * target.ndim
             for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
-                limit = target.shape[axis] - update.shape[axis]
-                starts[axis] = clip_index(build, start, limit) if clip else start
+                starts[axis] = clip_index(build, start, limits[axis]) if clip else start
             target = combine_window(build, target, starts, update, combined)
         return target
 
     return rule
 
 
+def update_windows(updates: Tensor, window_axes: Sequence[int], count: int) -> Tensor:
+    """The windows of a scatter's new values, shape (count, ...).
+
+    Args:
+        updates: The new values of all windows.
+        window_axes: Axes of ``updates`` that are axes of a window; the other axes number the windows.
+        count: Number of windows.
+    """
+    batch_axes = [axis for axis in range(updates.ndim) if axis not in window_axes]
+    batch_first = np.transpose(updates, [*batch_axes, *window_axes])
+    return batch_first.reshape(count, *(updates.shape[axis] for axis in window_axes))
+
+
 def has_no_batches(numbers: Any, equation: JaxprEqn) -> bool:
-    """The condition of a gather's or scatter's dimension numbers: there are no batches."""
+    """Whether a gather's or scatter's dimension numbers name no batch axis of the array, which has no translation."""
     return not numbers.operand_batching_dims
 
 
 def scatter_rule(operation: str) -> TranslationRule:
-    """The rule of a scatter with an operation; see :func:`scatter`."""
+    """The rule of a scatter that combines by an operation; empty: it replaces."""
     return rule(
         scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=has_no_batches, mode=MODES,
         update_jaxpr=any_value, update_consts=no_value, indices_are_sorted=any_value, unique_indices=any_value,
@@ -298,4 +343,4 @@ INDEXING_RULES: dict[str, TranslationRule] = {
     "scatter": scatter_rule(""),
     "scatter-add": scatter_rule("add"),
 }  # fmt: skip
-"""The rule of each primitive by its name."""
+"""The rules of gathers, scatters and slices, by the name of JAX's primitive."""

@@ -18,8 +18,9 @@ from dssc_jax.lanes.tracing.varying import parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
 SMALLEST = 8
-"""Smallest length of an array that stays in memory; the elements of a shorter one become scalars."""
+"""Smallest length of an array that stays in memory; the elements of a shorter array become scalars."""
 LARGEST = 8192
+"""Largest length of an array that stays in memory."""
 INDEX_TYPE = np.dtype(np.int32)
 
 
@@ -45,7 +46,7 @@ class Memory:
         return (self.slot.length,)
 
     def successor(self, token: Value) -> "Memory":
-        """The content after an operation that returns the token; it replaces this content."""
+        """The content that replaces this one, after an operation that returns the token."""
         self.is_overwritten = True
         return Memory(self.slot, token)
 
@@ -53,7 +54,7 @@ class Memory:
         """Require that no later content has replaced this one.
 
         Raises:
-            Unsupported: One has.
+            Unsupported: A later content has replaced it.
         """
         if self.is_overwritten:
             raise Unsupported("an array that is read after it was written")
@@ -92,82 +93,93 @@ class Memory:
 
 
 def clamped_position(build: Builder, index: Value, length: int) -> Value:
-    """An index clamped to 0 .. length - 1, as JAX does it, and converted to :data:`INDEX_TYPE`.
+    """An index clamped to 0, ..., length - 1, as JAX does it, and converted to :data:`INDEX_TYPE`.
 
     Raises:
         Unsupported: The index differs between lanes.
     """
     if index.varying:
         raise Unsupported("an array of the time loop at an index that differs between lanes")
-    clipped = build.add("max", index, build.constant(0, index.dtype))
-    clamped_index = build.add("min", clipped, build.constant(length - 1, index.dtype))
+    not_negative = build.add("max", index, build.constant(0, index.dtype))
+    clamped_index = build.add("min", not_negative, build.constant(length - 1, index.dtype))
     return build.add("convert", clamped_index, dtype=INDEX_TYPE)
 
 
-def move_to_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
+def move_to_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first_state: int) -> list[Any]:
     """The initial state of a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
 
     Args:
         build: The builder.
         initial_state: The initial state.
         body: The loop's body.
-        first: Number of the body's operands before the state.
+        first_state: Position of the first state among the body's operands.
     """
     states = []
     for position, value in enumerate(initial_state):
-        dtype = zeros_of(value)
-        if dtype is not None and stays_in_place(body, first + position, position):
+        dtype = dtype_of_zeros(value)
+        if dtype is not None and stays_in_place(body, first_state + position, position):
             slot = Slot(len(value), dtype)
-            value = Memory(slot, build.memory(slot))
-        states.append(value)
+            states.append(Memory(slot, build.memory(slot)))
+        else:
+            states.append(value)
     return states
 
 
-def zeros_of(value: Any) -> np.dtype | None:
-    """The dtype of a value if it is a one-dimensional array of floating-point zeros of admissible length; else None."""
+def dtype_of_zeros(value: Any) -> np.dtype | None:
+    """The dtype of a one-dimensional array of floating-point zeros (+0) of admissible length; None for other values."""
     if not isinstance(value, np.ndarray) or value.ndim != 1 or not SMALLEST <= len(value) <= LARGEST:
         return None
-    elements = value
-    if value.dtype == object:
-        constants = {id(element): element for element in value}.values()
-        if any(not isinstance(element, Value) or element.operation != "constant" for element in constants):
-            return None
-        elements = np.array([element.detail for element in constants])
-    return elements.dtype if elements.dtype.kind == "f" and not np.any(elements.view(f"u{elements.itemsize}")) else None
+    numbers = distinct_constants(value) if value.dtype == object else value
+    if numbers is None or numbers.dtype.kind != "f":
+        return None
+    bits = numbers.view(f"u{numbers.itemsize}")  # -0 has a bit that is set
+    return None if np.any(bits) else numbers.dtype
+
+
+def distinct_constants(values: np.ndarray) -> np.ndarray | None:
+    """The numbers of an array of constants, each constant once; None if an element is no constant."""
+    distinct = {id(element): element for element in values}.values()
+    if any(not isinstance(element, Value) or element.operation != "constant" for element in distinct):
+        return None
+    return np.array([element.detail for element in distinct])
 
 
 def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
-    """Whether a body only accesses single elements of an operand, and returns it as one result alone.
+    """Whether a loop's body only accesses single elements of an array, and returns it as one result alone.
 
     Args:
         body: The body.
-        operand: Position of the operand.
+        operand: Position of the array among the operands.
         result: Position of the result.
     """
     return versions(body, body.invars[operand]) == [result]
 
 
 def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
-    """Positions of the results that are later versions of an array.
+    """Positions of the results that are later versions of an array: the array, perhaps with changed elements.
 
     Returns:
-        None if the program does more with the array than access single elements of it.
+        The positions; None if the program does more with the array than access single elements of it.
     """
     version_variables: set[Any] = {array}
     for equation in jaxpr.eqns:
-        operands = enumerate(equation.invars)
-        operand_positions = [i for i, atom in operands if isinstance(atom, Var) and atom in version_variables]
+        operand_positions = positions_among(equation.invars, version_variables)
         if not operand_positions:
             continue
-        changed = versions_of(equation, operand_positions)
-        if changed is None:
+        result_positions = versions_after_equation(equation, operand_positions)
+        if result_positions is None:
             return None
-        version_variables |= {equation.outvars[i] for i in changed}
-    return [i for i, atom in enumerate(jaxpr.outvars) if isinstance(atom, Var) and atom in version_variables]
+        version_variables |= {equation.outvars[i] for i in result_positions}
+    return positions_among(jaxpr.outvars, version_variables)
 
 
-def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] | None:
-    """As :func:`versions`, for one equation.
+def positions_among(atoms: Sequence[Any], variables: set[Any]) -> list[int]:
+    """Positions of the operands or results that are variables of a set; literals, which have no hash, are passed by."""
+    return [i for i, atom in enumerate(atoms) if isinstance(atom, Var) and atom in variables]
+
+
+def versions_after_equation(equation: JaxprEqn, operand_positions: list[int]) -> list[int] | None:
+    """As :func:`versions`, for one equation: [] if it only reads the array, None if it does something else with it.
 
     Args:
         equation: The equation.
@@ -176,24 +188,20 @@ def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] |
     name = equation.primitive.name
     params = equation.params
     if name == "dynamic_slice":
-        return [] if operand_positions == [0] and tuple(params["slice_sizes"]) == (1,) else None
+        reads_one_element = operand_positions == [0] and tuple(params["slice_sizes"]) == (1,)
+        return [] if reads_one_element else None
     if name == "dynamic_update_slice":
-        single = getattr(equation.invars[1].aval, "shape", None) == (1,)
-        return [0] if operand_positions == [0] and single else None
+        writes_one_element = operand_positions == [0] and getattr(equation.invars[1].aval, "shape", None) == (1,)
+        return [0] if writes_one_element else None
     if len(operand_positions) > 1 or name == "cond":
         return None
-    (operand,) = operand_positions
+    operand = operand_positions[0]
     if name == "while":
-        condition_constants = params["cond_nconsts"]
-        state = operand - condition_constants - params["body_nconsts"]
-        tests = versions(params["cond_jaxpr"].jaxpr, params["cond_jaxpr"].jaxpr.invars[condition_constants + state])
-        if state < 0 or tests != []:
-            return None
-        return carried_versions(params["body_jaxpr"].jaxpr, operand - condition_constants, state)
+        return versions_after_while(equation, operand)
     if name == "scan":
         constants, count = parts_of_scan(equation)
         state = operand - constants
-        return carried_versions(params["jaxpr"].jaxpr, operand, state) if 0 <= state < count else None
+        return versions_after_loop(params["jaxpr"].jaxpr, operand, state) if 0 <= state < count else None
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if not isinstance(inner, ClosedJaxpr | Jaxpr):
         return None
@@ -201,7 +209,25 @@ def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] |
     return versions(program, program.invars[operand]) if len(program.invars) == len(equation.invars) else None
 
 
-def carried_versions(body: Jaxpr, operand: int, state: int) -> list[int] | None:
+def versions_after_while(equation: JaxprEqn, operand: int) -> list[int] | None:
+    """As :func:`versions`, for a while loop, whose condition may only read the array.
+
+    Args:
+        equation: The loop; its operands are the condition's constants, the body's constants, and the initial states.
+        operand: Position of the array among the operands.
+    """
+    params = equation.params
+    head_constants = params["cond_nconsts"]
+    state = operand - head_constants - params["body_nconsts"]
+    if state < 0:
+        return None
+    head = params["cond_jaxpr"].jaxpr
+    if versions(head, head.invars[head_constants + state]) != []:
+        return None
+    return versions_after_loop(params["body_jaxpr"].jaxpr, operand - head_constants, state)
+
+
+def versions_after_loop(body: Jaxpr, operand: int, state: int) -> list[int] | None:
     """As :func:`versions`, for a loop that carries the array.
 
     Args:

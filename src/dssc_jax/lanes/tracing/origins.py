@@ -44,7 +44,7 @@ class Place(NamedTuple):
 
     Args:
         code: The code object that contains it.
-        span: Its first and last line, first and last column.
+        span: Its first line, last line, first column and last column; None for each that Python does not know.
     """
 
     code: CodeType
@@ -73,12 +73,13 @@ class OriginTranslator(Translator):
     has_memory = False
 
     def __init__(self, build: Builder) -> None:
+        """Begin without origins, outside of every call."""
         super().__init__(build)
         self.origins: dict[int, Origin] = {}
         self._outermost_call: JaxprEqn | None = None
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Translate one equation; values computed within a call get the origin of the outermost call."""
+        """Translate one equation; values computed within a call get the origin of the outermost call, but no name."""
         is_outermost = self._outermost_call is None and equation.primitive.name in INLINED
         if is_outermost:
             self._outermost_call = equation
@@ -86,14 +87,22 @@ class OriginTranslator(Translator):
         if is_outermost:
             self._outermost_call = None
         origin = origin_of(self._outermost_call or equation)
-        if self._outermost_call is not None:
+        is_within_call = self._outermost_call is not None
+        if is_within_call:
             origin = origin._replace(name="")
         for result in results:
             if isinstance(result, Value) and result.operation != "constant":
-                previous_origin = self.origins.get(id(result))
-                if previous_origin is None or (origin.name and not previous_origin.name):
-                    self.origins[id(result)] = origin
+                self._record(result, origin)
         return results
+
+    def _record(self, value: Value, origin: Origin) -> None:
+        """Record a value's origin, unless an earlier equation gave it one that is as good.
+
+        Equal operations are one value, so that several equations may return it. The first name counts.
+        """
+        previous = self.origins.get(id(value))
+        if previous is None or (origin.name and not previous.name):
+            self.origins[id(value)] = origin
 
 
 def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, dict[int, Origin]]:
@@ -115,12 +124,17 @@ def translate_with_origins(lane: Any, *arguments: Any) -> tuple[Program, Any, di
 
 
 def origin_of(equation: JaxprEqn) -> Origin:
-    """The origin of an equation's results; empty if no model's source leads to the equation."""
+    """The origin of an equation's results; empty if no model's source leads to the equation.
+
+    The function is the innermost one that is no operator of a class, such as ``__add__``.
+    """
     places = list(model_places(equation))
     if not places:
         return Origin("")
     outside_operators = [place for place in places if not place.code.co_name.startswith("__")]
-    return Origin(assigned_name(places), *function_at((outside_operators or places)[0]))
+    innermost = (outside_operators or places)[0]
+    function, summary = function_at(innermost)
+    return Origin(assigned_name(places), function, summary)
 
 
 def model_places(equation: JaxprEqn) -> Iterator[Place]:
@@ -128,16 +142,23 @@ def model_places(equation: JaxprEqn) -> Iterator[Place]:
     traceback = getattr(getattr(equation, "source_info", None), "traceback", None)
     if traceback is None:
         return
-    for code, instruction in zip(*traceback.raw_frames(), strict=True):
+    codes, byte_offsets = traceback.raw_frames()
+    for code, byte_offset in zip(codes, byte_offsets, strict=True):
         file = code.co_filename.replace("\\", "/")
         if not any(part in file for part in LIBRARY):
-            positions = list(code.co_positions())
-            yield Place(code, positions[instruction // 2] if instruction // 2 < len(positions) else (None,) * 4)
+            yield Place(code, span_at(code, byte_offset))
+
+
+def span_at(code: CodeType, byte_offset: int) -> tuple[int | None, ...]:
+    """First line, last line, first column and last column of the instruction at an offset in Python's byte code."""
+    spans = list(code.co_positions())
+    instruction = byte_offset // 2  # an instruction has two bytes
+    return spans[instruction] if instruction < len(spans) else (None,) * 4
 
 
 @cache
-def source(file: str) -> Source:
-    """The syntax tree of a file; empty if it cannot be read."""
+def read_source(file: str) -> Source:
+    """Parse a file; its syntax tree is empty if the file cannot be read."""
     try:
         tree = ast.parse(Path(file).read_text(encoding="utf-8"))
     except (OSError, SyntaxError, ValueError):
@@ -151,61 +172,75 @@ def source(file: str) -> Source:
 
 
 def function_at(place: Place) -> tuple[str, str]:
-    """Qualified name of the function around a place, and the first line of its docstring."""
-    nodes, parents = source(place.code.co_filename)
+    """Qualified name of the function around a place, and the first line of its docstring; empty if it has none."""
+    nodes, parents = read_source(place.code.co_filename)
     node: ast.AST | None = nodes.get(place.span)
     while node is not None and not isinstance(node, ast.FunctionDef):
         node = parents.get(node)
     name = place.code.co_qualname.replace(".<locals>", "").removesuffix(".<genexpr>")
-    if node is None:
-        return name, ""
-    return name, (ast.get_docstring(node) or "").partition("\n")[0]
+    docstring = None if node is None else ast.get_docstring(node)
+    summary, _, _ = (docstring or "").partition("\n")
+    return name, summary
 
 
 def assigned_name(places: Sequence[Place]) -> str:
     """The name to which a value is assigned, at its own place or where the calls around it return it.
 
     Args:
-        places: The place of the value, then those of the calls around it.
+        places: The place of the value, then the places of the calls around it, innermost first.
 
     Returns:
         The name; empty if the value is a part of an expression.
     """
-    elements: list[int] = []  # positions of the value in the tuples that contain it, innermost last
+    elements: list[int] = []  # positions of the value in the tuples that contain it, outermost last
     for place in places:
-        nodes, parents = source(place.code.co_filename)
+        nodes, parents = read_source(place.code.co_filename)
         start = nodes.get(place.span)
         if start is None:
             return ""
-        node: ast.expr = start
-        while True:
-            parent = parents.get(node)
-            if isinstance(parent, ast.IfExp) and node is not parent.test:
-                node = parent
-            elif isinstance(parent, ast.Tuple) and isinstance(parents.get(parent), ast.Return | ast.Assign):
-                elements.append(parent.elts.index(node))
-                node = parent
-            else:
-                break
-        if isinstance(parent, ast.Assign) and len(parent.targets) == 1:
-            return target_name(parent.targets[0], elements)
-        if isinstance(parent, ast.AnnAssign):
-            return target_name(parent.target, elements)
-        if isinstance(parent, ast.keyword):
-            return parent.arg or "" if not elements else ""
-        if isinstance(parent, ast.Call) and node in parent.args and not elements:
-            return field_name(place.code, parent, parent.args.index(node))
-        if not isinstance(parent, ast.Return | ast.Lambda):
-            return ""
+        node, positions = whole_expression(start, parents)
+        elements += positions
+        match parents.get(node):
+            case ast.Return() | ast.Lambda():
+                continue  # the call around it may assign the value
+            case ast.Assign(targets=[target]) | ast.AnnAssign(target=target):
+                return target_name(target, elements)
+            case ast.keyword(arg=name) if not elements:
+                return name or ""  # None: of **keywords
+            case ast.Call(args=arguments) as call if node in arguments and not elements:
+                return field_name(place.code, call, arguments.index(node))
+        return ""
     return ""
 
 
+def whole_expression(node: ast.expr, parents: dict[ast.AST, ast.AST]) -> tuple[ast.expr, list[int]]:
+    """The largest expression that has the value of a node, perhaps as a case of ``if`` or within assigned tuples.
+
+    Args:
+        node: The node.
+        parents: The parent of each node of the file.
+
+    Returns:
+        The expression, and the positions of the value in the tuples around it, outermost last.
+    """
+    positions = []
+    while True:
+        parent = parents.get(node)
+        if isinstance(parent, ast.IfExp) and node is not parent.test:
+            node = parent
+        elif isinstance(parent, ast.Tuple) and isinstance(parents.get(parent), ast.Return | ast.Assign):
+            positions.append(parent.elts.index(node))
+            node = parent
+        else:
+            return node, positions
+
+
 def target_name(target: ast.AST, elements: list[int]) -> str:
-    """The name in an assignment's target that gets an element of the value; empty if none does.
+    """The name in an assignment's target that gets an element of the value; empty if no public name gets it.
 
     Args:
         target: The target, a name or nested tuples of names.
-        elements: Positions in the nested tuples of the value, innermost last.
+        elements: Positions in the nested tuples of the value, outermost last.
     """
     remaining = list(elements)
     while isinstance(target, ast.Tuple) and remaining:
@@ -213,7 +248,8 @@ def target_name(target: ast.AST, elements: list[int]) -> str:
         if position >= len(target.elts):
             return ""
         target = target.elts[position]
-    return target.id if isinstance(target, ast.Name) and not remaining and not target.id.startswith("_") else ""
+    is_public_name = isinstance(target, ast.Name) and not target.id.startswith("_")
+    return target.id if is_public_name and not remaining else ""
 
 
 def field_name(code: CodeType, call: ast.Call, position: int) -> str:
@@ -227,6 +263,7 @@ def field_name(code: CodeType, call: ast.Call, position: int) -> str:
     if not isinstance(call.func, ast.Name):
         return ""
     modules = list(sys.modules.values())
-    home = next((module for module in modules if getattr(module, "__file__", None) == code.co_filename), None)
-    fields = getattr(getattr(home, call.func.id, None), "_fields", ())
+    module = next((module for module in modules if getattr(module, "__file__", None) == code.co_filename), None)
+    called_object = getattr(module, call.func.id, None)
+    fields = getattr(called_object, "_fields", ())  # only a NamedTuple has it
     return fields[position] if position < len(fields) else ""

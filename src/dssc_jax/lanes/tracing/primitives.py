@@ -30,7 +30,8 @@ from dssc_jax.lanes.tracing.specification import (
 )
 
 ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
-"""``(builder, operands, parameters of the equation, dtype of the result) -> result``."""
+"""``(build, operands, params, dtype) -> result``: the builder, the operands, the parameters of JAX's equation by name,
+and the dtype of the result."""
 
 
 def same_operation(operation: str) -> ElementRule:
@@ -42,6 +43,7 @@ def larger_or_smaller(operation: str) -> ElementRule:
     """The translation of ``max`` or ``min``; for truth values these are "or" and "and"."""
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        """The larger or smaller operand."""
         logic = {"max": "or", "min": "and"}
         return build.add(logic[operation] if dtype == BOOL else operation, *operands)
 
@@ -56,6 +58,7 @@ def division(operation: str) -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        """The quotient or remainder; the machine divides by 1 where the divisor is 0 or -1."""
         x, y = operands
         if dtype.kind == "f":
             return build.add(operation, x, y)
@@ -64,13 +67,13 @@ def division(operation: str) -> ElementRule:
         by_zero = build.add("eq", y, zero)
         signed = dtype.kind == "i"
         unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
-        quotient = build.add(operation, x, build.add("select", unusual, unit, y))
-        if operation == "rem":  # by 1 it is 0, and so it is by -1
-            return build.add("select", by_zero, x, quotient)
+        result = build.add(operation, x, build.add("select", unusual, unit, y))
+        if operation == "rem":  # the remainder by 1 is 0, as the one by -1 is
+            return build.add("select", by_zero, x, result)
         if signed:
-            quotient = build.add("select", unusual, build.add("neg", x), quotient)
+            result = build.add("select", unusual, build.add("neg", x), result)
         all_bits = build.constant(np.array(-1).astype(dtype), dtype)
-        return build.add("select", by_zero, all_bits, quotient)
+        return build.add("select", by_zero, all_bits, result)
 
     return translate
 
@@ -85,6 +88,7 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        """The shifted operand; the machine shifts by less than the width, which it must not reach."""
         width = 8 * dtype.itemsize
         unsigned = np.dtype(f"u{dtype.itemsize}")
         kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
@@ -100,25 +104,25 @@ def shift(operation: str, treated_as: str = "") -> ElementRule:
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The sign of the operand, -1 or 1; the operand itself if it is a zero or NaN."""
-    (x,) = operands
+    x = operands[0]
     zero = build.constant(0, dtype)
-    not_positive = x
+    sign_unless_positive = x
     if dtype.kind != "u":
-        negative = build.add("lt", x, zero)
-        not_positive = build.add("select", negative, build.constant(-1, dtype), x)
-    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), not_positive)
+        is_negative = build.add("lt", x, zero)
+        sign_unless_positive = build.add("select", is_negative, build.constant(-1, dtype), x)
+    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), sign_unless_positive)
 
 
 def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The middle operand, at least the first and at most the last."""
-    floor, x, limit = operands
-    return build.add("min", build.add("max", x, floor), limit)
+    lower, x, upper = operands
+    return build.add("min", build.add("max", x, lower), upper)
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """Select one of the cases: the first operand is the index of the case, or a boolean for two of them.
+    """``lax.select_n``: one of several cases, of which the first operand is the index, or a truth value for two cases.
 
-    An index below 0 chooses the first case, one beyond the end the last.
+    An index below 0 selects the first case, and an index beyond the end the last.
     """
     index, *cases = operands
     if index.dtype == BOOL:
@@ -133,53 +137,56 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
 
 
 def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand converted to the dtype of the result; to a truth value, whether it is not 0."""
-    (x,) = operands
+    """The operand converted to the dtype of the result; a truth value tells whether the operand differs from 0."""
+    x = operands[0]
     if dtype == BOOL and x.dtype != BOOL:
         return build.add("ne", x, build.constant(0, x.dtype))
     return build.add("convert", x, dtype=dtype)
 
 
 def whole_power(build: Builder, x: Value, exponent: int) -> Value:
-    """x to a whole power, by squaring."""
+    """x to a whole power: the product of the powers x, x^2, x^4, ... whose bits are set in the exponent."""
     if exponent < 0:
         return build.add("div", build.constant(1, x.dtype), whole_power(build, x, -exponent))
-    result = None
-    square = x
+    product = None  # of no factor yet
+    power = x  # x^(2^i) for bit i of the exponent
     while exponent:
         if exponent & 1:
-            result = square if result is None else build.add("mul", result, square)
+            product = power if product is None else build.add("mul", product, power)
         exponent >>= 1
-        square = build.add("mul", square, square) if exponent else square
-    return build.constant(1, x.dtype) if result is None else result
+        if exponent:
+            power = build.add("mul", power, power)
+    return build.constant(1, x.dtype) if product is None else product
 
 
 def is_finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """Whether a number is neither infinite nor NaN."""
-    (x,) = operands
+    x = operands[0]
     return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
 
 
 def in_total_order(operation: str) -> ElementRule:
-    """The translation of a comparison in which NaN is above all numbers.
+    """The translation of a comparison ``lt`` or ``le`` in which NaN is above all numbers.
 
     JAX removes the signs of 0 and of NaN before it.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        """Whether the first operand is below the second, or perhaps equal to it."""
         a, b = operands
-        unequal = build.add("ne", b, b)
+        holds_by_nan = build.add("ne", b, b)  # b is NaN, and a is at most NaN
         if operation == "lt":
-            unequal = build.add("and", unequal, build.add("eq", a, a))
-        return build.add("or", build.add(operation, a, b), unequal)
+            a_is_number = build.add("eq", a, a)
+            holds_by_nan = build.add("and", holds_by_nan, a_is_number)
+        return build.add("or", build.add(operation, a, b), holds_by_nan)
 
     return translate
 
 
 def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
     """The operand with every bit inverted."""
-    ones = build.constant(True if dtype == BOOL else -1, dtype)
-    return build.add("xor", operands[0], ones)
+    all_bits = build.constant(True if dtype == BOOL else -1, dtype)
+    return build.add("xor", operands[0], all_bits)
 
 
 def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
@@ -188,31 +195,32 @@ def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dt
 
 
 def nearest_whole(build: Builder, x: Value, method: str) -> Value:
-    """The whole number nearest to x; ``method`` rounds halves to even, or away from zero."""
+    """The whole number nearest to x; by ``method``, halves go to the even one, or away from zero."""
     if method == "TO_NEAREST_EVEN":
         return build.add("round", x)
-    half = build.add("trunc", x)
-    distance = build.add("abs", build.add("sub", x, half))
-    unit = sign_of(build, [x], {}, x.dtype)
-    beyond_half = build.add("ge", distance, build.constant(0.5, x.dtype))
-    return build.add("select", beyond_half, build.add("add", half, unit), half)
+    truncated = build.add("trunc", x)
+    distance = build.add("abs", build.add("sub", x, truncated))
+    outward_unit = sign_of(build, [x], {}, x.dtype)
+    is_half_or_more = build.add("ge", distance, build.constant(0.5, x.dtype))
+    return build.add("select", is_half_or_more, build.add("add", truncated, outward_unit), truncated)
 
 
 def refuse_other_width(equation: JaxprEqn) -> str | None:
-    """Why a bitcast is not translated: operand and result differ in width; None if they do not."""
+    """The reason why a bitcast is not translated: operand and result differ in width; else None."""
     sizes = {np.dtype(array_type(variable).dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
     return None if len(sizes) == 1 else "bits of another width"
 
 
 def refuse_lost_bits(equation: JaxprEqn) -> str | None:
-    """Why a reduction of precision is not translated: it removes bits; None if it keeps all."""
-    digits = np.finfo(array_type(equation.outvars[0]).dtype)
-    lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
-    return None if lengths == (digits.nexp, digits.nmant) else "fewer bits than the type has"
+    """The reason why a reduction of precision is not translated: it removes bits; None if it keeps all bits."""
+    own_format = np.finfo(array_type(equation.outvars[0]).dtype)
+    own_lengths = own_format.nexp, own_format.nmant  # bits of the exponent and of the mantissa
+    kept_lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
+    return None if kept_lengths == own_lengths else "fewer bits than the type has"
 
 
-def real_power(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The operand to a constant whole power."""
+def integer_power(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """``lax.integer_pow``: the operand to a constant whole power, which is a parameter of the equation."""
     return whole_power(build, operands[0], params["y"])
 
 
@@ -260,7 +268,7 @@ ELEMENT_RULES: dict[str, TranslationRule] = {
     "convert_element_type": rule(convert, SCALARS, new_dtype=any_value, weak_type=any_value, sharding=no_value),
     "bitcast_convert_type": TranslationRule(same_bits, Specification(
         NUMBER_TYPES, {"new_dtype": any_value}, refuse_other_width)),
-    "integer_pow": rule(real_power, NUMBER_TYPES, y=any_value),
+    "integer_pow": rule(integer_power, NUMBER_TYPES, y=any_value),
     "square": rule(square, NUMBER_TYPES),
     "rsqrt": rule(reciprocal_root, REAL, accuracy=no_value),
     "round": rule(rounding, REAL, rounding_method=one_of("TO_NEAREST_EVEN", "AWAY_FROM_ZERO")),
@@ -271,4 +279,4 @@ ELEMENT_RULES: dict[str, TranslationRule] = {
     "reduce_precision": TranslationRule(same_value, Specification(
         REAL, {"exponent_bits": any_value, "mantissa_bits": any_value}, refuse_lost_bits)),
 }  # fmt: skip
-"""The rule of each primitive by its name; its translation is an :data:`ElementRule`."""
+"""The rules of elementwise operations, by the name of JAX's primitive; each translation is an :data:`ElementRule`."""

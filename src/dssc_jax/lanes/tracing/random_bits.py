@@ -33,7 +33,9 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 WORD = np.dtype(np.uint32)
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
+"""Bits by which Threefry rotates a word in four rounds, and in the next four."""
 PARITY = 0x1BD11BDA
+"""Threefry's constant; its exclusive or with both words of a key is the key's third word."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,32 +48,35 @@ class Key:
 
 def rotate_left(build: Builder, x: Value, count: int) -> Value:
     """A word of 32 bits, rotated left by ``count`` bits."""
-    up = build.add("shl", x, build.constant(count, WORD))
-    return build.add("or", up, build.add("shr", x, build.constant(32 - count, WORD)))
+    upper_part = build.add("shl", x, build.constant(count, WORD))
+    return build.add("or", upper_part, build.add("shr", x, build.constant(32 - count, WORD)))
 
 
 def threefry(build: Builder, key: Key, high: Value, low: Value) -> tuple[Value, Value]:
-    """Threefry's cipher: encrypt a block of two words with a key."""
-    parity = build.add("xor", build.add("xor", key.high, key.low), build.constant(PARITY, WORD))
-    schedule = key.high, key.low, parity
+    """Threefry's cipher: encrypt a block of two words with a key.
+
+    After every four of its 20 rounds, it adds two of the key's three words, in turn, and the number of these rounds.
+    """
+    third_word = build.add("xor", build.add("xor", key.high, key.low), build.constant(PARITY, WORD))
+    key_words = key.high, key.low, third_word
     x = build.add("add", high, key.high)
     y = build.add("add", low, key.low)
     for group in range(5):
         for count in ROTATIONS[group % 2]:
             x = build.add("add", x, y)
             y = build.add("xor", x, rotate_left(build, y, count))
-        x = build.add("add", x, schedule[(group + 1) % 3])
-        y = build.add("add", y, build.add("add", schedule[(group + 2) % 3], build.constant(group + 1, WORD)))
+        x = build.add("add", x, key_words[(group + 1) % 3])
+        y = build.add("add", y, build.add("add", key_words[(group + 2) % 3], build.constant(group + 1, WORD)))
     return x, y
 
 
 def require_threefry(key_type: Any) -> None:
-    """Require that a type of keys is that of Threefry.
+    """Require that keys of a type belong to the generator Threefry.
 
     Raises:
-        Unsupported: It belongs to another generator.
+        Unsupported: They belong to another generator.
     """
-    if "fry" not in str(key_type):
+    if "fry" not in str(key_type):  # JAX prints Threefry's type as key<fry>
         raise Unsupported(f"random numbers of another generator, {key_type}")
 
 
@@ -82,8 +87,8 @@ def fold_in(build: Builder, operands: Sequence[Any], params: Parameters, equatio
 
 
 def seed(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:
-    """``jax.random.key``: the upper and the lower word of a seed."""
-    (number,) = operands
+    """``jax.random.key``: the key that consists of the upper and the lower word of a seed."""
+    number = operands[0]
     if number.dtype.itemsize < 8:
         return Key(build.constant(0, WORD), build.add("convert", number, dtype=WORD))
     wide = np.dtype(np.uint64)
@@ -115,11 +120,13 @@ def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
 
 def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """``jax.random.bits``: an array of random words of 8, 16, 32 or 64 bits."""
-    (key,), width, shape = operands, params["bit_width"], params["shape"]
-    dtype = np.dtype(f"u{width // 8}")
+    key = operands[0]
+    shape = params["shape"]
+    bit_width = params["bit_width"]
+    dtype = np.dtype(f"u{bit_width // 8}")
     words = []
     for high, low in counter_blocks(build, key, shape):
-        if width == 64:
+        if bit_width == 64:
             upper = build.add("shl", build.add("convert", high, dtype=dtype), build.constant(32, dtype))
             words.append(build.add("or", upper, build.add("convert", low, dtype=dtype)))
         else:
@@ -129,8 +136,9 @@ def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
 
 def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """``jax.random.split``: an array of new keys from one key."""
-    (key,), shape = operands, params["shape"]
-    return with_shape([Key(*pair) for pair in counter_blocks(build, key, shape)], shape)
+    shape = params["shape"]
+    keys = [Key(high, low) for high, low in counter_blocks(build, operands[0], shape)]
+    return with_shape(keys, shape)
 
 
 def words_of_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
@@ -147,8 +155,9 @@ def key_of_words(build: Builder, operands: Sequence[Any], params: Parameters, eq
 
 
 def refuse_arrays(equation: JaxprEqn) -> str | None:
-    """Why an equation is not translated: an operand is an array of keys or seeds; None if none is."""
-    return "an array of random keys" if any(array_type(variable).shape for variable in equation.invars) else None
+    """The reason why an equation is not translated: an operand is an array of keys or seeds; else None."""
+    has_array = any(array_type(variable).shape != () for variable in equation.invars)
+    return "an array of random keys" if has_array else None
 
 
 def single_key_rule(translate: Callable[..., Any], types: Types, **parameters: Condition) -> TranslationRule:
@@ -164,4 +173,4 @@ RANDOM_RULES: dict[str, TranslationRule] = {
     "random_unwrap": single_key_rule(words_of_key, UNSIGNED_INTEGERS | {KEY}),
     "random_wrap": rule(key_of_words, UNSIGNED_INTEGERS | {KEY}, impl=any_value),
 }
-"""TranslationRule of each primitive by its name; a generator is refused by the type of its keys."""
+"""The rules of random numbers, by the name of JAX's primitive; another generator is refused by the type of its keys."""

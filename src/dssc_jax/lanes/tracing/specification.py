@@ -16,6 +16,7 @@ from jax.extend.core import JaxprEqn, Literal, Var
 from dssc_jax.lanes.unsupported import Unsupported
 
 KEY = "random key"
+"""Type of the elements of an array of random keys of Threefry, JAX's default generator."""
 TRUTH = frozenset({np.dtype(bool)})
 REAL = frozenset({np.dtype(np.float32), np.dtype(np.float64)})
 SIGNED_INTEGERS = frozenset(np.dtype(f"i{size}") for size in (1, 2, 4, 8))
@@ -43,7 +44,8 @@ def any_value(value: object, equation: JaxprEqn) -> bool:
 
 def no_value(value: object, equation: JaxprEqn) -> bool:
     """The condition of a parameter that must be None or empty."""
-    return value is None or (isinstance(value, tuple | list) and not value)
+    is_empty = isinstance(value, tuple | list) and len(value) == 0
+    return value is None or is_empty
 
 
 def result_type(value: Any, equation: JaxprEqn) -> bool:
@@ -53,7 +55,7 @@ def result_type(value: Any, equation: JaxprEqn) -> bool:
 
 
 def one_of(*values: object) -> Condition:
-    """The condition of a parameter that must have one of some values, or one of these names in an enumeration."""
+    """The condition of a parameter that must have one of some values; for members of an enumeration, their names."""
     return lambda value, equation: getattr(value, "name", value) in values
 
 
@@ -62,9 +64,10 @@ class Specification:
     """The types and parameters of a primitive that are translated exactly.
 
     Args:
-        types: Types that every operand and result may have; None: a call or a loop, whose inner equations are checked.
+        types: Types that every operand and result may have; None: any, as for a call or a loop, whose inner equations
+            are checked.
         parameters: The condition of each parameter; a parameter that is not listed is refused.
-        exact: ``(equation) -> reason`` why the whole equation is not translated exactly, or None if it is.
+        exact: ``(equation) -> reason`` why the equation is not translated exactly; None if it is.
     """
 
     types: Types | None
@@ -75,7 +78,7 @@ class Specification:
         """Require that an equation meets the specification.
 
         Raises:
-            Unsupported: A type, a parameter or the value of a parameter does not.
+            Unsupported: A type, a parameter or the value of a parameter has no exact translation.
         """
         if self.types is not None:
             for variable in (*equation.invars, *equation.outvars):
@@ -122,12 +125,13 @@ def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
 
 
 def element_type(aval: object) -> ElementType:
-    """The type of the elements of an abstract array of JAX."""
+    """The type of an abstract array's elements: a dtype of NumPy, :data:`KEY`, or JAX's name of another type."""
     dtype = getattr(aval, "dtype", None)
-    if dtype is None:
+    if dtype is None:  # it is no array
         return str(aval)
     if jnp.issubdtype(dtype, jax.dtypes.prng_key):
-        return KEY if "fry" in str(dtype) else str(dtype)
+        is_threefry = "fry" in str(dtype)  # JAX prints the type as key<fry>
+        return KEY if is_threefry else str(dtype)
     return np.dtype(dtype)
 
 
@@ -146,6 +150,7 @@ def require_type(aval: object, types: Types) -> None:
 
 
 def abbreviation(value: object) -> str:
-    """The text of a parameter's value for a message, at most 60 characters."""
-    text = " ".join(str(getattr(value, "name", value)).split())
+    """The text of a parameter's value on one line of a message, at most 60 characters."""
+    printed_value = str(getattr(value, "name", value))  # the name of a member of an enumeration
+    text = " ".join(printed_value.split())
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,4 +1,7 @@
-"""Conversion of a loop's states between the values of a trace and the scalars of a program."""
+"""Conversion of a loop's states between the values of a trace and the scalars of a program.
+
+A value of a trace is a scalar, an array, a random key, or an array in memory. A program's loop carries scalars alone.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,15 +17,24 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 
 def flags_of_components(flags: Sequence[int], values: Sequence[Any], build: Builder) -> list[bool]:
-    """The flag of each state of a loop, repeated for each of its :func:`components`."""
-    return [bool(flag) for flag, value in zip(flags, values, strict=True) for _ in components(value, build)]
+    """A truth value for each scalar of several values, from one flag of each value (0: false).
+
+    Args:
+        flags: The flag of each value.
+        values: The values.
+        build: The builder.
+    """
+    repeated_flags = []
+    for flag, value in zip(flags, values, strict=True):
+        repeated_flags += [bool(flag)] * len(components(value, build))
+    return repeated_flags
 
 
 def components(value: Any, build: Builder) -> list[Value]:
     """The scalars of a value, in order: itself, the words of a key, the token of a memory, or an array's elements.
 
     Raises:
-        Unsupported: The value is a recording, or an array of keys.
+        Unsupported: The value is a recording or an array of keys, or an array in memory that was read before.
     """
     if isinstance(value, Value):
         return [value]
@@ -39,17 +51,22 @@ def components(value: Any, build: Builder) -> list[Value]:
 
 
 def refuse_recordings(operands: Sequence[Any]) -> None:
-    """Require that no operand is an array that a loop records or carries in memory, which no operation can read.
+    """Require that no operand is an array that a loop records or carries in memory, which this operation cannot read.
 
     Raises:
-        Unsupported: An operand is one.
+        Unsupported: An operand is such an array.
     """
     if any(isinstance(operand, Recording | Memory) for operand in operands):
         raise Unsupported("an array that a loop records or carries, as an operand")
 
 
 def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
-    """Build values of the kinds and shapes of ``likes`` from their scalars; the inverse of :func:`flatten`."""
+    """Build values from their scalars; the inverse of :func:`flatten`.
+
+    Args:
+        likes: Values of the kinds and shapes that are wanted.
+        scalars: The scalars of all values, in order.
+    """
     remaining = list(scalars)
     values = []
     for like in likes:
@@ -68,7 +85,7 @@ def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
 
 
 def flatten(values: Sequence[Any], build: Builder) -> list[Value]:
-    """The scalars of several values in one list."""
+    """The scalars of several values in one list, in order."""
     return [scalar for value in values for scalar in components(value, build)]
 
 

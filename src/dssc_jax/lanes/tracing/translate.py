@@ -55,19 +55,23 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
 
 
 def traced_program(translator: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
-    """Trace the program of one lane and translate it by a translator; see :func:`translate`."""
-    traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
+    """Trace the program of one lane, and translate it by ``translator``; otherwise as :func:`translate`.
+
+    Raises:
+        Unsupported: An operation has no rule.
+    """
+    traced, result_shapes = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
     for aval in (*traced.in_avals, *traced.out_avals):
         require_type(aval, SCALARS)
     build = translator.build
     types = [np.dtype(aval.dtype) for aval in traced.in_avals]
     inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
-    outputs = translator.run(traced, inputs)
-    return Program(types, build.here, [output(value) for value in outputs]), shape
+    outputs = [require_output(value) for value in translator.run(traced, inputs)]
+    return Program(types, build.here, outputs), result_shapes
 
 
-def output(value: Any) -> Value | Recording:
-    """The value itself, which must be a scalar or a recording to be a result of a lane.
+def require_output(value: Any) -> Value | Recording:
+    """Require that a value is a scalar or a recording, as a result of a lane must be; return it.
 
     Raises:
         Unsupported: It is an array.
@@ -89,9 +93,10 @@ class Translator:
     has_memory = True
 
     def __init__(self, build: Builder) -> None:
+        """Begin without traces of functions and without subroutines."""
         self.build = build
         self.varying_results = VaryingResults()
-        self._functions: dict[Any, ClosedJaxpr] = {}
+        self._traces: dict[Any, ClosedJaxpr] = {}
         self._subroutines: dict[Any, Subroutine] = {}
 
     def run(self, program: ClosedJaxpr, operands: Sequence[Any]) -> list[Any]:
@@ -101,10 +106,12 @@ class Translator:
             Unsupported: An equation has no translation; the error tells its place in the model.
         """
         jaxpr = program.jaxpr
-        scope: dict[Var, Any] = dict(zip(jaxpr.constvars, map(self.constant, program.consts), strict=True))
+        constants = [self.constant(number) for number in program.consts]
+        scope: dict[Var, Any] = dict(zip(jaxpr.constvars, constants, strict=True))
         scope.update(zip(jaxpr.invars, operands, strict=True))
 
         def read(atom: Any) -> Any:
+            """The value of an operand or result, which is a literal of the trace or a variable."""
             return self.constant(atom.val, array_type(atom).dtype) if isinstance(atom, Literal) else scope[atom]
 
         for equation in jaxpr.eqns:
@@ -116,11 +123,11 @@ class Translator:
         return [read(atom) for atom in jaxpr.outvars]
 
     def constant(self, number: Any, dtype: Any = None) -> Any:
-        """A constant of a trace: a number, a table or a random key.
+        """A constant of a trace, as a value: a number, a table or a random key.
 
         Args:
             number: The constant.
-            dtype: Its dtype; None: its own.
+            dtype: Dtype of the value; None: the constant's own.
         """
         if is_key(jax.typeof(number)):
             random_bits.require_threefry(number.dtype)
@@ -148,66 +155,74 @@ class Translator:
     def families(
         self,
     ) -> Sequence[tuple[Mapping[str, TranslationRule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
-        """The tables of rules, each with the method that applies a rule of it."""
+        """The tables of rules, each with the method that applies a rule of this table."""
         return (
-            (INLINED, self.program),
-            (LOOPS, self.program),
-            (OVER_LANES, self.program),
-            (random_bits.RANDOM_RULES, self.array),
-            (ELEMENT_RULES, self.element),
-            (ELEMENTARY, self.elementary),
-            (ARRAY_RULES, self.array),
-            (indexing.INDEXING_RULES, self.array),
-            (FOREIGN_RULES, self.array),
+            (INLINED, self.apply_to_program),
+            (LOOPS, self.apply_to_program),
+            (OVER_LANES, self.apply_to_program),
+            (random_bits.RANDOM_RULES, self.apply_to_arrays),
+            (ELEMENT_RULES, self.apply_to_elements),
+            (ELEMENTARY, self.apply_traced_function),
+            (ARRAY_RULES, self.apply_to_arrays),
+            (indexing.INDEXING_RULES, self.apply_to_arrays),
+            (FOREIGN_RULES, self.apply_to_arrays),
         )
 
-    def program(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Apply a rule of an equation with inner programs, or over several lanes."""
+    def apply_to_program(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """Apply a rule whose translation needs the translator: for inner programs, or a reduction over the lanes."""
         return translation.translate(self, equation, operands)
 
-    def element(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def apply_to_elements(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """Apply a rule of an elementwise operation to each element."""
         refuse_recordings(operands)
         dtype = np.dtype(array_type(equation.outvars[0]).dtype)
 
-        def scalar(*scalars: Value) -> Value:
+        def translate_element(*scalars: Value) -> Value:
+            """The operation's result for one element of each operand."""
             return translation.translate(self.build, scalars, equation.params, dtype)
 
-        return [elementwise(scalar, self.build, operands)]
+        return [elementwise(translate_element, self.build, operands)]
 
-    def elementary(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """Apply a rule of an elementary function, which is itself traced, to each element."""
+    def apply_traced_function(
+        self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]
+    ) -> Sequence[Any]:
+        """Apply a rule of an elementary function to each element; the function is a program of JAX, which is traced."""
         refuse_recordings(operands)
         types = [np.dtype(array_type(atom).dtype) for atom in equation.invars]
-        function = self.function(translation.translate, types)
+        function = self.trace_of(translation.translate, types)
+
+        def usual_result(*scalars: Value) -> Value:
+            """The function's result for one element of each operand."""
+            return self.run(function, scalars)[0]
+
         if not isinstance(translation, RareRule):
-            return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        condition = self.function(translation.is_rare, types)
+            return [elementwise(usual_result, self.build, operands)]
+        condition = self.trace_of(translation.is_rare, types)
         subroutine = self.subroutine(translation.rarely, types)
 
-        def usual_or_rare(*scalars: Value) -> Value:
-            usual_result = self.run(function, scalars)[0]
+        def usual_or_rare_result(*scalars: Value) -> Value:
+            """The function's result or, where the arguments are rare, the result of the subroutine."""
+            usual = usual_result(*scalars)
             is_rare = self.run(condition, scalars)[0]
-            operands = is_rare, usual_result, *scalars
-            return self.build.add("rarely", *operands, dtype=usual_result.dtype, detail=subroutine)
+            return self.build.add("rarely", is_rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
 
-        return [elementwise(usual_or_rare, self.build, operands)]
+        return [elementwise(usual_or_rare_result, self.build, operands)]
 
-    def array(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def apply_to_arrays(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """Apply a rule of an operation that moves or combines the elements of arrays."""
         if translation not in MEMORY_RULES:
             refuse_recordings(operands)
         results = translation.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
-    def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
+    def trace_of(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
         """The trace of an elementary function of scalars with some dtypes, made once, with 64 bits allowed."""
         key = function, *types
-        if key not in self._functions:
+        if key not in self._traces:
             scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in types]
             with jax.enable_x64(True):
-                self._functions[key] = jax.make_jaxpr(function)(*scalars)
-        return self._functions[key]
+                self._traces[key] = jax.make_jaxpr(function)(*scalars)
+        return self._traces[key]
 
     def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
         """The subroutine of a function of scalars with some dtypes, translated once."""
@@ -215,23 +230,25 @@ class Translator:
         if key not in self._subroutines:
             translator = Translator(Builder(self.build.fast))
             inputs = [translator.build.input(position, dtype) for position, dtype in enumerate(types)]
-            outputs = translator.run(self.function(function, types), inputs)
-            widths = [str(8 * dtype.itemsize) for dtype in types]
-            name = "_".join((function.__name__, *widths))  # such as "far_sin_64"
+            outputs = translator.run(self.trace_of(function, types), inputs)
+            bits = [str(8 * dtype.itemsize) for dtype in types]
+            name = "_".join((function.__name__, *bits))  # such as "far_sin_64"
             self._subroutines[key] = Subroutine(name, Program(list(types), translator.build.here, outputs))
         return self._subroutines[key]
 
 
-def called_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """Inline a call; return its results."""
+def inline_call(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """Translate the program of a call in place of the call; return its results."""
     inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
-    return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+    program = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())  # (): it has no constants
+    return translator.run(program, operands)
 
 
-def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """Inline an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
+def inline_whole_operation(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """Translate the program of an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
     shapes = [array_type(atom) for atom in equation.invars]
-    return translator.run(jax.make_jaxpr(equation.params["_prim"].expand)(*shapes), operands)
+    program = jax.make_jaxpr(equation.params["_prim"].expand)(*shapes)
+    return translator.run(program, operands)
 
 
 def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -241,42 +258,43 @@ def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: lis
     for operand in operands:
         if not isinstance(operand, Value):
             raise Unsupported("a maximum over the lanes of arrays")
-        varying = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
-        results.append(build.add("convert", varying, dtype=operand.dtype))
+        any_lane_has = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
+        results.append(build.add("convert", any_lane_has, dtype=operand.dtype))
     return results
 
 
 def is_lane_axis(axes: Any, equation: JaxprEqn) -> bool:
-    """Whether a reduction's only axis is that over the lanes: the condition under which it has a translation."""
+    """Whether a reduction runs over the lanes alone, and not along an axis of the user's, which has no translation."""
     return tuple(axes) == (AXIS,)
 
 
 OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=is_lane_axis, axis_index_groups=no_value)}
 """Reductions over the lanes that run together."""
 
-REMATERIALISED = rule(called_program, None, jaxpr=any_value, prevent_cse=any_value, differentiated=any_value,
+REMATERIALISED = rule(inline_call, None, jaxpr=any_value, prevent_cse=any_value, differentiated=any_value,
                       policy=any_value)  # fmt: skip
+"""The rule of a call whose results JAX would compute again for a gradient, under the three names that JAX gives it."""
 MEMORY_RULES = [indexing.INDEXING_RULES[name] for name in ("dynamic_slice", "dynamic_update_slice")]
 """Rules of the operations that an array in memory allows."""
 
 INLINED = {
     "jit": rule(
-        called_program, None, jaxpr=any_value, name=any_value, in_shardings=any_value, out_shardings=any_value,
+        inline_call, None, jaxpr=any_value, name=any_value, in_shardings=any_value, out_shardings=any_value,
         in_layouts=any_value, out_layouts=any_value, donated_invars=any_value, ctx_mesh=any_value,
         keep_unused=any_value, inline=any_value, compiler_options_kvs=no_value,
     ),
-    "closed_call": rule(called_program, None, call_jaxpr=any_value),
-    "core_call": rule(called_program, None, call_jaxpr=any_value),
-    "call_hi_primitive": rule(expanded_program, None, _prim=any_value),
+    "closed_call": rule(inline_call, None, call_jaxpr=any_value),
+    "core_call": rule(inline_call, None, call_jaxpr=any_value),
+    "call_hi_primitive": rule(inline_whole_operation, None, _prim=any_value),
     "remat": REMATERIALISED,
     "remat2": REMATERIALISED,
     "checkpoint": REMATERIALISED,
     "custom_jvp_call": rule(
-        called_program, None, call_jaxpr=any_value, jvp_jaxpr_fun=any_value, num_consts=any_value,
+        inline_call, None, call_jaxpr=any_value, jvp_jaxpr_fun=any_value, num_consts=any_value,
         symbolic_zeros=any_value,
     ),
     "custom_vjp_call": rule(
-        called_program, None, call_jaxpr=any_value, fwd_jaxpr_thunk=any_value, bwd=any_value, num_consts=any_value,
+        inline_call, None, call_jaxpr=any_value, fwd_jaxpr_thunk=any_value, bwd=any_value, num_consts=any_value,
         out_trees=any_value, symbolic_zeros=any_value,
     ),
 }  # fmt: skip

@@ -22,12 +22,12 @@ def is_key(aval: Any) -> bool:
 
 
 def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
-    """The number of a scan's operands that are constants, and the number that are its state.
+    """The number of a scan's constants and the number of its states, which are its first operands, in this order.
 
     JAX stores these two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
     """
     params = equation.params
-    if "ft_in" in params:
+    if "ft_in" in params:  # the tree
         constants, state, _ = params["ft_in"].update(equation.invars).unpack()
         return len(list(constants)), len(list(state))
     return params["num_consts"], params["num_carry"]
@@ -41,63 +41,72 @@ class VaryingResults:
     """
 
     def __init__(self) -> None:
+        """Begin without masks of any program."""
         self._masks: dict[int, tuple[Jaxpr, list[int]]] = {}
 
     def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
         """The mask of each result of a jaxpr, from the mask of each operand.
 
-        The masks in terms of the jaxpr's inputs are computed once. The jaxpr is stored with them, so that no other one
-        can get its id.
+        The masks in terms of the jaxpr's inputs are computed once. The jaxpr is stored with them, so that no other
+        jaxpr can get its id.
         """
         if id(jaxpr) not in self._masks:
-            scope: dict[Var, int] = {variable: 2 << i for i, variable in enumerate(jaxpr.invars)}
+            self._masks[id(jaxpr)] = jaxpr, self._in_terms_of_inputs(jaxpr)
+        _, masks = self._masks[id(jaxpr)]
+        return [with_operands(mask, operands) for mask in masks]
 
-            def read(atoms: Iterable[Any]) -> list[int]:
-                return [0 if isinstance(atom, Literal) else scope.get(atom, 0) for atom in atoms]
+    def _in_terms_of_inputs(self, jaxpr: Jaxpr) -> list[int]:
+        """The mask of each result of a jaxpr, in which bit i + 1 stands for input i."""
+        scope: dict[Var, int] = {variable: 1 << (i + 1) for i, variable in enumerate(jaxpr.invars)}
 
-            for equation in jaxpr.eqns:
-                scope.update(zip(equation.outvars, self._equation(equation, read(equation.invars)), strict=True))
-            self._masks[id(jaxpr)] = jaxpr, read(jaxpr.outvars)
-        return [varying_mask(mask, operands) for mask in self._masks[id(jaxpr)][1]]
+        def read(atoms: Iterable[Any]) -> list[int]:
+            """The masks of operands or results; 0, which is "never", for literals and constants."""
+            return [0 if isinstance(atom, Literal) else scope.get(atom, 0) for atom in atoms]
+
+        for equation in jaxpr.eqns:
+            scope.update(zip(equation.outvars, self._equation(equation, read(equation.invars)), strict=True))
+        return read(jaxpr.outvars)
 
     def of_while(
-        self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
+        self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first_body_constant: int, first_state: int
     ) -> tuple[list[int], int]:
         """The mask of each state of a while loop, and the mask of its condition.
+
+        If the condition varies, some lanes keep their states while others go on, so that all states vary.
 
         Args:
             head: The loop's condition.
             body: The loop's body.
             operands: Masks of the condition's constants, the body's constants, and the initial states.
-            first: Position of the body's first constant.
-            second: Position of the first state.
+            first_body_constant: Position of the body's first constant.
+            first_state: Position of the first state.
         """
-        head_constants = operands[:first]
-        constants = operands[first:second]
-        state = list(operands[second:])
+        head_constants = operands[:first_body_constant]
+        body_constants = operands[first_body_constant:first_state]
+        state = list(operands[first_state:])
         while True:
             condition = self.of(head, [*head_constants, *state])[0]
-            body_masks = self.of(body, [*constants, *state])
+            body_masks = self.of(body, [*body_constants, *state])
             next_state = [old | new | condition for old, new in zip(state, body_masks, strict=True)]
             if next_state == state:
                 return state, condition
             state = next_state
 
-    def of_scan(self, body: Jaxpr, operands: Sequence[int], first: int, second: int) -> list[int]:
+    def of_scan(self, body: Jaxpr, operands: Sequence[int], first_state: int, first_row: int) -> list[int]:
         """The mask of each state of a scan.
 
         Args:
             body: The scan's body.
             operands: Masks of the constants, the initial states, and the rows.
-            first: Position of the first state.
-            second: Position of the first row.
+            first_state: Position of the first state.
+            first_row: Position of the first row.
         """
-        constants = operands[:first]
-        state = list(operands[first:second])
-        rows = operands[second:]
+        constants = operands[:first_state]
+        state = list(operands[first_state:first_row])
+        rows = operands[first_row:]
         while True:
-            body_masks = self.of(body, [*constants, *state, *rows])
-            next_state = [old | new for old, new in zip(state, body_masks, strict=False)]
+            body_masks = self.of(body, [*constants, *state, *rows])[: len(state)]  # without the stacked outputs
+            next_state = [old | new for old, new in zip(state, body_masks, strict=True)]
             if next_state == state:
                 return state
             state = next_state
@@ -107,35 +116,37 @@ class VaryingResults:
         name = equation.primitive.name
         params = equation.params
         count = len(equation.outvars)
-        if name.startswith("pmax"):
+        if name.startswith("pmax"):  # a maximum over the lanes: never
             return [0] * count
-        if name == FOREIGN_CALL:
+        if name == FOREIGN_CALL:  # always
             return [1] * count
         if name == "while":
-            first = params["cond_nconsts"]
-            second = params["cond_nconsts"] + params["body_nconsts"]
-            return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
+            first_body_constant = params["cond_nconsts"]
+            first_state = first_body_constant + params["body_nconsts"]
+            head = params["cond_jaxpr"].jaxpr
+            state, _ = self.of_while(head, params["body_jaxpr"].jaxpr, operands, first_body_constant, first_state)
+            return state
         if name == "scan":
-            constants, state_count = parts_of_scan(equation)
-            state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + state_count)
-            return [*state, *[1] * (count - len(state))]
+            first_state, state_count = parts_of_scan(equation)
+            state = self.of_scan(params["jaxpr"].jaxpr, operands, first_state, first_state + state_count)
+            stacked = [1] * (count - state_count)
+            return [*state, *stacked]
         if name == "cond":
             index, *arguments = operands
-            sides = [self.of(branch.jaxpr, arguments) for branch in params["branches"]]
-            return [reduce(or_, masks, index) for masks in zip(*sides, strict=True)]
+            masks_of_sides = [self.of(branch.jaxpr, arguments) for branch in params["branches"]]
+            return [reduce(or_, masks, index) for masks in zip(*masks_of_sides, strict=True)]
         inner = params.get("jaxpr", params.get("call_jaxpr"))
         if isinstance(inner, ClosedJaxpr | Jaxpr):
             jaxpr = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
             if len(jaxpr.invars) == len(operands) and len(jaxpr.outvars) == count:
                 return self.of(jaxpr, operands)
-        return [reduce(or_, operands, 0)] * count
+        return [reduce(or_, operands, 0)] * count  # if any operand varies
 
 
-def varying_mask(mask: int, operands: Sequence[int]) -> int:
-    """Replace the operands in a mask by their own masks."""
-    result_mask = mask & 1
-    while mask := mask & ~1:
-        lowest = mask & -mask
-        result_mask |= operands[lowest.bit_length() - 2]
-        mask ^= lowest
-    return result_mask
+def with_operands(mask: int, operands: Sequence[int]) -> int:
+    """A mask in which the mask of operand i takes the place of bit i + 1; bit 0 stays."""
+    result = mask & 1
+    for i, operand_mask in enumerate(operands):
+        if mask >> (i + 1) & 1:
+            result |= operand_mask
+    return result

@@ -1,4 +1,7 @@
-"""A recorded signal as desired output."""
+"""A recorded signal as desired output.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -40,7 +43,11 @@ class RatedPieces(NamedTuple):
 
 
 def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPieces:
-    """The piecewise cubics of a record; raises ConfigError."""
+    """The record as functions of time by a rule of interpolation, with its recorded rate if it has one.
+
+    Raises:
+        ConfigError: Lengths do not fit, times do not rise, or times of a rate are given without a rate.
+    """
     value = cubic_pieces(params.time, params.value, rule)
     if params.rate is None:
         if params.rate_time is not None:
@@ -68,7 +75,7 @@ def unwrapped(params: RecordParams) -> RecordParams:
 
 
 def record(rule: Interpolation) -> Reference:
-    """The reference that interpolates a record by a rule."""
+    """Make the reference that interpolates a record by a rule; an angle takes the shorter way between values."""
     of_angle = Reference(RecordParams, record_at, lambda params: record_pieces(unwrapped(params), rule))
     return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), of_angle=of_angle)
 

@@ -1,0 +1,152 @@
+"""The text of a function of LLVM as it is being written: its lines, the registers of values, and its basic blocks."""
+
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.program import BOOL, Subroutine, Value
+
+FAST, STRICT = "contract nsz ", ""
+"""LLVM's flags of arithmetic: a product and a sum may be contracted, and zeros may have any sign; or neither."""
+
+
+def scalar_type(dtype: np.dtype) -> str:
+    """LLVM's type of a dtype."""
+    if dtype.kind == "f":
+        return {4: "float", 8: "double"}[dtype.itemsize]
+    return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
+
+
+def literal(number: Any, dtype: np.dtype) -> str:
+    """A number as a literal of LLVM; a floating-point number, of any size, by its bits as a float64 number."""
+    if dtype == BOOL:
+        return "true" if number else "false"
+    if dtype.kind == "f":
+        big_endian_bytes = struct.pack(">d", float(number))
+        return f"0x{big_endian_bytes.hex().upper()}"
+    return str(int(number))
+
+
+@dataclass
+class FunctionText:
+    """The lines of a function of LLVM so far, with the register of each value.
+
+    Args:
+        width: Lanes of a vector.
+        flags: :data:`FAST` or :data:`STRICT`.
+        stored_constants: Whether operations read constants from memory, as whole vectors, because registers are few.
+        lines: The instructions so far.
+        tables: Definitions of constant tables.
+        names: Register of each value, by the value's id and whether it is a vector.
+        declarations: Declarations of LLVM's functions and of constants.
+        subroutines: Subroutines that are called, with the width of their vectors, by name.
+        count: Number of names so far.
+        label: Label of the present basic block.
+        allocated: Instructions that reserve memory, for the start of the function.
+        slots: Register with the address of each slot, by the slot's id.
+    """
+
+    width: int
+    flags: str = FAST
+    stored_constants: bool = False
+    lines: list[str] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    names: dict[tuple[int, bool], str] = field(default_factory=dict)
+    declarations: set[str] = field(default_factory=set)
+    subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
+    count: int = 0
+    label: str = "entry"
+    allocated: list[str] = field(default_factory=list)
+    slots: dict[int, str] = field(default_factory=dict)
+
+    # Names and types
+
+    def new_name(self, prefix: str = "v") -> str:
+        """A name for a register or label that no other one has: the prefix and a number."""
+        self.count += 1
+        return f"{prefix}{self.count}"
+
+    def kind(self, dtype: np.dtype, vector: bool) -> str:
+        """LLVM's type of a scalar, or of a vector of lanes."""
+        scalar = scalar_type(dtype)
+        return f"<{self.width} x {scalar}>" if vector and self.width > 1 else scalar
+
+    def emit(self, text: str, prefix: str = "v") -> str:
+        """Write an instruction; return the register of its result."""
+        name = f"%{self.new_name(prefix)}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def read(self, value: Value, vector: bool) -> str:
+        """The register or literal of a value, as a vector or as a scalar."""
+        vector = vector and self.width > 1
+        if value.operation == "constant":
+            number = literal(value.detail, value.dtype)
+            return f"splat ({scalar_type(value.dtype)} {number})" if vector else number
+        return self.names[id(value), vector]
+
+    def operand(self, value: Value, vector: bool) -> str:
+        """As :meth:`read`, for operations that may read a constant vector of floating-point numbers from memory."""
+        is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
+        is_stored = self.stored_constants and vector and self.width > 1 and is_number
+        if not is_stored:
+            return self.read(value, vector)
+        kind = self.kind(value.dtype, True)
+        bits = literal(value.detail, value.dtype)
+        name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"
+        self.declarations.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
+        return self.emit(f"load {kind}, ptr {name}, align 64", "c")
+
+    def is_vector(self, value: Value) -> bool:
+        """Whether a value is computed as a vector."""
+        return value.varying and self.width > 1
+
+    def splat(self, dtype: np.dtype, name: str) -> str:
+        """Write a vector whose elements all equal the scalar in a register; return its register."""
+        scalar = scalar_type(dtype)
+        kind = self.kind(dtype, True)
+        inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
+        return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
+
+    def name(self, value: Value, name: str) -> None:
+        """Store the register of a value; a uniform value is also written as a vector, whose register is stored, too."""
+        vector = self.is_vector(value)
+        self.names[id(value), vector] = name
+        if not vector and self.width > 1:
+            self.names[id(value), True] = self.splat(value.dtype, name)
+
+    def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
+        """Write a call of one of LLVM's functions; return the result's register.
+
+        Args:
+            function: Name of the function.
+            result: Type of the result.
+            arguments: Type and register of each argument.
+        """
+        kinds = ", ".join(kind for kind, _ in arguments)
+        typed_registers = ", ".join(f"{kind} {register}" for kind, register in arguments)
+        self.declarations.add(f"declare {result} @{function}({kinds})")
+        return self.emit(f"call {result} @{function}({typed_registers})")
+
+    def suffix(self, dtype: np.dtype, vector: bool) -> str:
+        """The name that a type has within the names of LLVM's functions, such as "v4f64" in llvm.sqrt.v4f64."""
+        scalar = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else scalar_type(dtype)
+        return f"v{self.width}{scalar}" if vector and self.width > 1 else scalar
+
+    def column(self, array: str, position: int) -> str:
+        """Write the loading of the address of an input's or output's column; return its register."""
+        place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
+        return self.emit(f"load ptr, ptr {place}", "p")
+
+    # Basic blocks
+
+    def begin(self, label: str) -> None:
+        """Begin a basic block."""
+        self.lines.append(f"{label}:")
+        self.label = label
+
+    def current(self) -> str:
+        """The label of the basic block that is being written."""
+        return self.label
