@@ -1,7 +1,7 @@
 """First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
 
 The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly with the
-command held, behind those of its actuators that are linear. All rules then work with numbers of that system alone,
+command held, behind its linear actuators. All rules then work with numbers of that system alone,
 whatever its units:
 
 * PID: phase margin of 60 degrees at the bandwidth, or 45 where one lead element gives no more. Integral action at 0.1,

@@ -16,7 +16,7 @@ from dssc_jax.design.linear_plant import LinearPlant
 from dssc_jax.study.components import Component
 
 GRID = 600
-"""Frequencies at which the peak of the sensitivity is sought, besides those of the poles."""
+"""Frequencies of the grid on which the peak of the sensitivity is sought."""
 DECADES = 6.0
 """Decades of this grid, below the Nyquist frequency."""
 SETTLED = 0.02

@@ -233,7 +233,7 @@ def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> Actua
             return vector
 
         def drive(z: jax.Array, u: Scalar) -> Scalar:
-            """What the actuators' system is driven by until the next sample, from the state z after the sample."""
+            """Drive v of the actuators' system until the next sample, from the state z after the sample."""
             if model.advance is not None:
                 _, moments = model.advance(params, sample_time)(unravel(z), u)
                 return jnp.asarray(moments.mean, float)

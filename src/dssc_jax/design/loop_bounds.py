@@ -58,7 +58,8 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
     """The parameters of Table 1 and the bounds of a study's loop, for all draws at once, at each point of its sweep.
 
     Raises:
-        NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
+        NotCovered: The plant is not (5)-(8), the controller is not DSSC with Table 1's functions, or a number has no
+            bound.
     """
     ends = ends_of(study)
     if study.loop.plant is not NORMAL_FORM:  # raises what the plant lacks, before what the controller lacks
