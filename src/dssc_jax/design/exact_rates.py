@@ -62,7 +62,7 @@ def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
         def rates(disturbances: jax.Array) -> jax.Array:
             """The y' of every channel, shape (channels,), with these disturbances and no command."""
             at_commands, at_inputs = tuple(disturbances[:channel_count]), tuple(disturbances[channel_count:])
-            drive = PlantInput(zeros, disturbance=at_commands, wind=None, inputs=at_inputs)
+            drive: PlantInput[Signals] = PlantInput(zeros, disturbance=at_commands, wind=None, inputs=at_inputs)
             measurements = plant.measure(template.plant, state, drive)
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
 

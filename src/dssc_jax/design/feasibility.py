@@ -111,8 +111,8 @@ def last_true(holds: Callable[[float], bool], end: float) -> float:
     if holds(end):
         return float("inf") if end > 1.0 else 0.0
 
-    def holds_at(logarithm: float) -> bool:
-        """Whether the condition holds for the factor with this logarithm."""
+    def holds_at(logarithm: np.ndarray) -> bool:
+        """Whether the condition holds for the factor with this logarithm, a single number."""
         return holds(float(np.exp(logarithm)))
 
     holding_logarithm, _ = bisect(holds_at, 0.0, float(np.log(end)), FACTOR_HALVINGS)

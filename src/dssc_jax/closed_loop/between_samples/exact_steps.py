@@ -192,12 +192,12 @@ def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, cha
     if plant.remainder is None:
         return ()
     remainder = plant.remainder
-    zeros = (0.0,) * channels
+    zeros: Signals = (0.0,) * channels
     is_zero_entry: list[bool] = []
 
     def record_zeros(state: State) -> State:
         """The remainder in a state; while it is traced, ``is_zero_entry`` gets a flag for each entry."""
-        drive = PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(plant, params))
+        drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(plant, params))
         slope = remainder(params, state, drive, 0.0)
         is_zero_entry.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
         return slope

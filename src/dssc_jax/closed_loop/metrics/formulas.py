@@ -254,8 +254,8 @@ def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, ins
         instant: The signals at the sample.
     """
     k = instant.channels[0].k  # the same in all channels
-    has_delay_lines = not isinstance(state.memory, tuple)
-    lines = DelayLines(state.memory if has_delay_lines else None, k)
+    memory = None if isinstance(state.memory, tuple) else state.memory  # (): the formula has no delay line
+    lines = DelayLines(memory, k)
     stream = Stream(lambda comparison: comparison.margin(instant), lines, extremes)
     latches = []
     for latched, latch in zip(latched_formulas(formula), state.latches, strict=True):

@@ -83,8 +83,12 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     rows = np.empty(c.shape, complex)
     loops_with_states = len(a) if order else 0
     for i in range(loops_with_states):
-        balanced, (scale, _) = matrix_balance(a[i], permute=False, separate=True)
-        triangles[i], basis = schur(balanced, output="complex")
+        balancing = matrix_balance(a[i], permute=False, separate=True)
+        balanced = balancing[0]
+        scale = balancing[1][0]  # of the states; [1][1] permutes them, which is off
+        decomposition = schur(balanced, output="complex")
+        triangles[i] = decomposition[0]
+        basis = decomposition[1]
         columns[i] = basis.conj().T @ (b[i] / scale)
         rows[i] = (c[i] * scale) @ basis
 

@@ -1,6 +1,6 @@
 """Backlash (play) in series with the plant input, as of a gear: the output moves when the gap is used up.
 
-The play is solved implicitly: after a monotone change of the command, the output is that of the play in continuous
+The play is solved implicitly: after a monotone change of the command, the output equals the play's in continuous
 time, whatever the step, and it cannot chatter.
 
 In units, u stands for the unit of the command.

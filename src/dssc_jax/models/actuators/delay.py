@@ -68,7 +68,7 @@ def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Arr
     """The memory after a new command, with the delayed command that the plant gets until the next one.
 
     A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
-    to that of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
     """
     commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     return DelayState(commands, dot(delay_weights(params.samples, len(commands)), commands))

@@ -86,10 +86,11 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
     """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
 
-    The unit of time is that of :func:`scale_time`, in which the denominator is monic, so that the direct feedthrough is
+    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is
     the last coefficient of the numerator.
     """
     unit, scaled_denominator = scale_time(denominator)
+    # the numerator over the denominator's first coefficient, in rising powers of s' = unit mu s
     scaled_numerator = np.zeros(len(scaled_denominator))
     scaled_numerator[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
     feedthrough = scaled_numerator[-1]

@@ -129,7 +129,9 @@ def sliding_smoothness(gains: DsscGains) -> Smoothness:
 
 def explicit_smoothness(gains: DsscGains) -> Smoothness:
     """Where DSSC in its explicit form has a derivative: nowhere, unless a positive width smooths its sign."""
-    smallest_width = 0.0 if gains.sign_width is None else extent(gains.sign_width)[0]
+    smallest_width = 0.0
+    if gains.sign_width is not None:
+        smallest_width, _ = extent(gains.sign_width)
     if smallest_width == 0.0:
         return not_smooth(f"in its explicit form {SWITCHES}")
     return sliding_smoothness(gains)

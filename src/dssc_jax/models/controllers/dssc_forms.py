@@ -287,7 +287,7 @@ def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
     """
     size = jnp.abs(w)
     signals = (gains.functions, gains.l0, e)
-    start = size / phi_1_and_slope(signals, 0.0 * size)[1]
+    start = size / phi_1_and_slope(signals, 0.0 * size)[1]  # over the slope at 0
     return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
 
 
@@ -372,10 +372,7 @@ def sigma_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
 
 
 def sigma_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """1/tau_m.
-
-    It is the rate [1/s] at which the predictor's state sigma_hat decays.
-    """
+    """The rate 1/tau_m [1/s] at which the predictor's state sigma_hat of the implicit and the explicit form decays."""
     return sample.ratios.pole
 
 

@@ -132,7 +132,7 @@ class ApproximateSta1(NamedTuple):
 
 
 class ApproximateSta2(NamedTuple):
-    """The functions of the second approximation of the STA: those of the standard STA with r + delta in place of r."""
+    """The functions of the second approximation of the STA: the standard STA's, with r + delta in place of r."""
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]

@@ -91,11 +91,15 @@ def memory_layout(controller: NativeController) -> MemoryLayout:
     )
 
 
-def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[np.generic]:
+def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[Scalar]:
     """The state that the library's ``init`` leaves, word by word."""
     padding = np.zeros(controller.real, np.uint8)  # the last word may end after the exchange
     memory = np.append(initial_memory(controller), padding)
-    return [memory[start : start + word.itemsize].view(word)[0] for word, start in layout.words]
+    words = []
+    for word, start in layout.words:
+        (value,) = memory[start : start + word.itemsize].view(word)
+        words.append(value)
+    return words
 
 
 class NativeCalls:
@@ -128,7 +132,7 @@ class NativeCalls:
     def foreign_function(
         self, name: str, address: int, operands: tuple[MemoryPlace, ...], results: tuple[MemoryPlace, ...]
     ) -> ForeignFunction:
-        """Make one function of the library known to lanes; ``address`` is that of its code."""
+        """Make one function of the library known to lanes; ``address`` is its code's."""
         symbol = provide_function(self.library, self.controller, name, address)
         size = self.controller.exchange + self.controller.real  # the last word may end after the exchange
         return ForeignFunction(symbol, size, operands, results)

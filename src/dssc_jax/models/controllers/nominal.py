@@ -28,7 +28,7 @@ def nominal_control(
 
     u_n = -c_e e - c_sigma sigma - c_m1 y_m' - c_m2 y_m'' with c_e = (a_n - l0) l0/k_n,
     c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n and c_m2 = -1/k_n; the article prints the last two for k_n = 1
-    only. If a_n and k_n are those of the plant, sigma' = k_p u + k_p d - sigma/tau_m is left for u to control. The term
+    only. If a_n and k_n are the plant's own, sigma' = k_p u + k_p d - sigma/tau_m is left for u to control. The term
     1/tau_m is an explicit, held feedback: it needs T_s (1/tau_m + |l0 - a_n|) < 2 for every discretisation of the
     controller.
 

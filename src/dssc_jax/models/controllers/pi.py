@@ -80,6 +80,7 @@ def pi(implicit: bool) -> Controller:
         error = tracking_error(measurement, reference, gains.l0)
         robust = command - nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         integrates = gains.k_i > 0.0
+        # with backward Euler the integral in the command includes this sample
         needed = -(robust + gains.k_p * error.sigma) / jnp.where(integrates, gains.k_i, 1.0)
         return PiState(jnp.where(integrates, needed - (dt * error.sigma if implicit else 0.0), 0.0))
 

@@ -78,6 +78,9 @@ def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
         k1: k_n kappa_1.
         k2: k_n kappa_2/2.
         h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
     """
     return -k1 * root_abs(x) * sign(x) + v, v - h * k2 * sign(x)
 
@@ -85,7 +88,7 @@ def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding.
 
-    Arguments and results are those of :func:`explicit_update`. Without a disturbance the sample leads from x to
+    Arguments and results are as for :func:`explicit_update`. Without a disturbance the sample leads from x to
     x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi with b = x + h v and xi in Sgn x+. For |b| <= h^2 k2 the solution is
     x+ = 0; else s = |x+|^(1/2) solves a quadratic.
     """
@@ -99,7 +102,7 @@ def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 def proper_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
     """The proper implicit form: reaches |x| <= L h^2.
 
-    Arguments and results are those of :func:`explicit_update`; L bounds |d'| of the disturbance. xi in Sgn x is the
+    Arguments and results are as for :func:`explicit_update`; L bounds |d'| of the disturbance. xi in Sgn x is the
     set-valued sign, and s the root that takes the place of |x|^(1/2).
     """
     xi = saturate(x / (h * h * k2), 1.0)

@@ -34,7 +34,7 @@ from dssc_jax.models.controllers.state_functions import ROOT_FLOOR, super_twisti
 
 
 class VgstaGains(NamedTuple):
-    """Gains of the VGSTA, those of Table 1; ``limit`` bounds |u|, but does not stop the integral."""
+    """Gains of the VGSTA, as in Table 1; ``limit`` bounds |u|, but does not stop the integral."""
 
     l0: Annotated[Scalar, L0]
     phi_a: Annotated[Scalar, Quantity("(y/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
@@ -100,6 +100,9 @@ def explicit_update(
         at: Variable gains kappa_1 and kappa_2 at the sample.
         k_n: Nominal input gain.
         h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
     """
     phi_1, phi_2 = phi_at(x, shape)
     return -k_n * at.kappa1 * phi_1 + v, v - h * k_n * at.kappa2 * phi_2
@@ -110,7 +113,7 @@ def implicit_update(
 ) -> tuple[Scalar, Scalar]:
     """Backward Euler with the gains of the sample: A s^2 + B s = |x + h v| - h^2 kappa_2 a a_slope/2.
 
-    Arguments and results are those of :func:`explicit_update`; s = |x+|^(1/2). In the code A is ``quadratic``, B is
+    Arguments and results are as for :func:`explicit_update`; s = |x+|^(1/2). In the code A is ``quadratic``, B is
     ``linear``, and ``dead_zone`` is the last term: where |x + h v| does not exceed it, x+ = 0.
     """
     a, a_slope, b = shape
@@ -158,7 +161,7 @@ def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
 def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
     """The table of the VGSTA that corresponds to DSSC.
 
-    It has the numbers of Table 1 if DSSC's functions are those of Table 1. Else it is the STA that the functions
+    It has the numbers of Table 1 if DSSC's functions have them. Else it is the STA that the functions
     approximate, as a VGSTA: phi_a = 1 and phi_b = 0, with constant gains and the smoothing delta.
     """
     if isinstance(gains.functions, Vgsta):

@@ -14,7 +14,7 @@ from dssc_jax.core.numerics import clip, delay_weights, dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
-MOST_SAMPLES = 200  # samples: the state holds a scalar for each, as that of the constant delay
+MOST_SAMPLES = 200  # samples: the state holds a scalar for each, as for the constant delay
 
 
 class GrowingParams(NamedTuple):
@@ -57,7 +57,7 @@ def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax
     """The memory after a new command, with the delayed command that the plant gets until the next one.
 
     A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
-    to that of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
     """
     commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     samples = clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)

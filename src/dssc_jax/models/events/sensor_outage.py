@@ -21,7 +21,7 @@ class OutageParams(NamedTuple):
 
 
 class OutageState(NamedTuple):
-    """State of a sensor with an outage: that of the sensor itself (``inner``), and the last reading (``shown``)."""
+    """State of a sensor with an outage: the sensor's own state (``inner``), and the last reading shown (``shown``)."""
 
     inner: State
     shown: Measurement

@@ -10,7 +10,7 @@ from dssc_jax.core.vectors import Vec3
 
 
 class ShearParams(NamedTuple):
-    """A wind that is added to that of the study: ``gradient`` times the vehicle's height above ``height``."""
+    """A wind that is added to the study's: ``gradient`` times the vehicle's height above ``height``."""
 
     at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
@@ -27,7 +27,7 @@ def prepare(params: ShearParams) -> ShearParams:
 
 
 def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of this shear beside those of other events."""
+    """The condition of the vehicle with a share, in [0, 1], of this shear beside the shears of other events."""
     shear = Shear(Vec3(*params.gradient) * share, params.height)
     return condition._replace(shears=(*condition.shears, shear))
 

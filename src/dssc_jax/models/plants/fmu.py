@@ -110,13 +110,13 @@ class FmuPlant:
 
     def init(self, params: Params) -> FmuState:
         """The state before an instance of the FMU is started, which :meth:`begin` replaces."""
-        return FmuState(empty_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
+        return FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=(0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
         """Start an instance with the draw's parameters; return the state at t = 0.
 
         Args:
-            params: Parameters with those of the FMU.
+            params: Parameters, among them the FMU's.
             state: The state of :meth:`init`.
             lane: Word that tells the draw's instance apart.
             steps: Number of steps of the flight.
@@ -185,7 +185,7 @@ def loaded_plant(table: TomlTable) -> Plant:
 
 UNLOADED = Plant(
     FmuPlantParams,
-    init=lambda params: FmuState(empty_words(), 0.0, 0.0, ()),
+    init=lambda params: FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=()),
     derivative=no_derivative,
     measure=lambda params, state, drive: Measurement(state.y, state.y_dot),
     input_gain=input_gain,

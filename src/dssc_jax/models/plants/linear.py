@@ -50,7 +50,7 @@ class StateSpaceParams(NamedTuple):
         a: Rows of A.
         b: Input column of the command.
         c: Output row.
-        disturbance: Input column e of the disturbance; None: that of the command, so that the disturbance is matched.
+        disturbance: Input column e of the disturbance; None: the command's, so that the disturbance is matched.
         x0: First entries of the initial state; the others are zero.
         outputs: Signals beside y, by their names in the study.
         inputs: Input columns of additional disturbances, by their names in the study.
@@ -72,7 +72,7 @@ class StateSpaceParams(NamedTuple):
 
     @property
     def disturbance_column(self) -> Column:
-        """The input column of the disturbance, by default that of the command."""
+        """The input column of the disturbance, by default the command's."""
         return self.b if self.disturbance is None else self.disturbance
 
 

@@ -34,7 +34,7 @@ class NormalFormState(NamedTuple):
 
 
 def init(params: NormalFormParams) -> NormalFormState:
-    """The state at t = 0; components of eta beyond those of ``initial`` are zero."""
+    """The state at t = 0; components of eta that ``initial`` does not give are zero."""
     x1, x2, *eta = params.initial
     order = 0 if params.zero_dynamics is None else len(params.zero_dynamics.a)
     return NormalFormState(x1, x2, tuple(eta) + (0.0,) * (order - len(eta)))

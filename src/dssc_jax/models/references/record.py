@@ -18,7 +18,7 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 class RecordParams(NamedTuple):
     """A recorded desired output; the first value holds before the first time, the last one after the last time.
 
-    Derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
+    Derivatives follow from the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
     rule, and y_ref'' its slope.
 
     The record of an angle may jump by a turn, such as one in (-pi, pi]; the reference then takes the shorter way.
@@ -62,7 +62,7 @@ def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPi
 
 
 def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
-    """The reference at t [s]; its derivatives are those of the value, or come from the recorded rate."""
+    """The reference at t [s]; its derivatives follow from the recorded rate, or else from the value."""
     if isinstance(pieces, RatedPieces):
         rate = piece_at(pieces.rate, t)
         return ReferencePoint(piece_at(pieces.value, t).y, rate.y, rate.y_dot)

@@ -26,7 +26,7 @@ class LagState(NamedTuple):
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
     """The state at the first measurement, which the sensor shows as if it had been constant before."""
-    return LagState(measurement, measurement)
+    return LagState(true=measurement, shown=measurement)
 
 
 def lag_step(

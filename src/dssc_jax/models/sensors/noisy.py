@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 
-EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are those of noise
+EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are the noise's
 MOST_DELAY = 200  # samples; each costs two scalars of the state, which are copied at every sample
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0, leading=True)
 VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)

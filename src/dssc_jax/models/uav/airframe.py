@@ -224,7 +224,7 @@ def hover_thrust(mass: float, geometry: TomlTable) -> float:
 
 
 def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
-    """Entries of the vehicle for the drag: SIH_KDV v as that of the propellers of ``rotors`` rotors in hover."""
+    """Entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
     if "SIH_KDV" in parameters:
         notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
     else:
@@ -354,7 +354,7 @@ def read_airframe(
 
     Args:
         file: The file's text, or parameters by name.
-        mass: Mass of the vehicle [kg]; None: that of the file.
+        mass: Mass of the vehicle [kg]; None: the file's.
         arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
             ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
         cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.

@@ -128,19 +128,20 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
 def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     """The entries of the vehicle that place its rotors: angles for equal rotors on a level circle, else a list."""
     moments = [rotor.moment for rotor in rotors]
+    places = [rotor.place for rotor in rotors]
     axes = [rotor.axis for rotor in rotors]
     is_upright = all(x == 0.0 and y == 0.0 and z > 0.0 for x, y, z in axes)
-    distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
+    distances = [math.hypot(x, y) for x, y, _ in places]
     arm = sum(distances) / len(distances)
     mean_moment = sum(map(abs, moments)) / len(moments)
     is_regular = are_similar(distances) and are_similar([abs(moment) for moment in moments])
-    is_level = all(rotor.place[2] == 0.0 for rotor in rotors)
+    is_level = all(z == 0.0 for _, _, z in places)
     signs = [-math.copysign(1.0, moment) for moment in moments]  # of the drag torque, s_i
     if is_upright and is_regular and is_level:
         return {
             "arm": arm,
             "torque_coefficient": mean_moment,
-            "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
+            "rotor_angles": [math.atan2(y, x) for x, y, _ in places],
             "spins": signs,
         }
     rotor_entries = []

@@ -122,7 +122,7 @@ def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
 def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, float]:
     """The largest angular acceleration about each axis [rad/s^2] that is possible in hover in both directions.
 
-    The keys are ``roll``, ``pitch`` and ``yaw``. Net thrust and the other two moments stay those of hover, and no rotor
+    The keys are ``roll``, ``pitch`` and ``yaw``. Net thrust and the other two moments stay as in hover, and no rotor
     exceeds its limits.
 
     Args:

@@ -173,12 +173,12 @@ def desaturated(
     turning = moment if with_yaw else Vec3(moment.x, moment.y, 0.0)
     # yaw joins last, so that it is given up first, except in the mode that raises net thrust for yaw, too
     thrusts: list[Scalar] = [dot(row, (thrust, *turning)) for row in inverse]
-    if with_yaw:
+    if with_yaw:  # net thrust may rise for all axes
         thrusts = desaturated_along(along.thrust, thrusts, limit)
         return desaturated_along(along.yaw, thrusts, limit)
-    if mode is Desaturation.AIRMODE_ROLL_PITCH:
+    if mode is Desaturation.AIRMODE_ROLL_PITCH:  # net thrust may rise for roll and pitch
         thrusts = desaturated_along(along.thrust, thrusts, limit)
-    else:
+    else:  # net thrust may only fall; roll and pitch give up what is left
         thrusts = reduced_along(along.thrust, thrusts, limit)
         thrusts = desaturated_along(along.roll, thrusts, limit)
         thrusts = desaturated_along(along.pitch, thrusts, limit)

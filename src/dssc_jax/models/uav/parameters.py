@@ -43,7 +43,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV: the vehicle, its software, and its state at the start.
 
-    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or those of the equilibrium
+    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or as in the equilibrium
     in the wind if the integrals start settled.
 
     The fields after ``battery`` follow from the vehicle's nominal values before tracing:
@@ -112,7 +112,8 @@ class UavParams(NamedTuple):
         thrusts = tuple(f * actual / believed for f, actual, believed in rotors)
         lift = wrench(self.vehicle, thrusts).thrust
         if self.ground is not None and self.ground.rotor_radius is not None:
-            lift = lift * lift_factor(self.ground, self.position[2])
+            _, _, height = self.position
+            lift = lift * lift_factor(self.ground, height)
         return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / lift)
 
     @property
@@ -219,8 +220,9 @@ def has_law(rotor: Rotor) -> bool:
 def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
     """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle."""
     shares = tuple(row[0] for row in allocation)  # the column of the net thrust
-    equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
-    return () if equal and not vehicle.rotor else shares
+    are_equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
+    is_circle = not vehicle.rotor
+    return () if is_circle and are_equal else shares
 
 
 def believed_rotors(params: UavParams) -> tuple[float, ...]:

@@ -88,7 +88,7 @@ def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
 
     Args:
         vehicle: The vehicle.
-        fields: Names of the fields that the study gives; the others are those of a known vehicle.
+        fields: Names of the fields that the study gives; the others are a known vehicle's.
     """
     lines = []
     for number in usual_ranges(vehicle):

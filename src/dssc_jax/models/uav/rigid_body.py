@@ -55,7 +55,7 @@ def loaded_derivative(
 ) -> BodyState:
     """The derivative of the body's state with additional masses, which move the centre of mass.
 
-    The state is that of the point O, the centre of mass without them. With the total mass M, the centre of mass
+    The state belongs to the point O, the centre of mass without them. With the total mass M, the centre of mass
     c = sum m r/M and the inertia J_c about it, Newton and Euler give
     R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and J_c Omega' = tau - c x F - Omega x J_c Omega.
 
@@ -65,7 +65,7 @@ def loaded_derivative(
         inertia: Diagonal of its inertia about O [kg m^2].
         load: The additional masses.
         force: All forces but the weight, body frame [N].
-        torque: All torques about O but that of the weight, body frame [N m].
+        torque: All torques about O but the weight's, body frame [N m].
         rotation: R of the state's attitude.
     """
     total = mass + load.mass

@@ -116,7 +116,9 @@ def rotor_torque(vehicle: Vehicle, rate: Vec3, motion: RotorMotion) -> Vec3:
         return gyroscopic_torque(rate, vehicle.rotor_inertia_z, -dot(vehicle.spins, motion.speeds), spin_up)
     momentum = turning_sum(vehicle, motion.speeds)
     torque = -rate.cross(momentum)
-    return torque - turning_sum(vehicle, motion.accelerations) if motion.accelerations else torque
+    if not motion.accelerations:  # (): without a motor lag
+        return torque
+    return torque - turning_sum(vehicle, motion.accelerations)
 
 
 def turning_sum(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> Vec3:

@@ -98,7 +98,7 @@ def bounded_step(
 ) -> BoundedWindState:
     """The state at the next sample, where the wind may switch to another random extreme.
 
-    The probability of a switch, 1 - exp(-dt/period), is that of an event of a Poisson process within the sample.
+    Switches are the events of a Poisson process: a sample has at least one with the probability 1 - exp(-dt/period).
     """
     turn, side, chance = uniforms(key, 3)
     switches = chance < -jnp.expm1(-dt / params.period)

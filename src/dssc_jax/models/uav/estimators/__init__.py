@@ -28,7 +28,7 @@ class Estimator(Protocol[M]):
 
 
 class NoEstimator(NamedTuple):
-    """The controllers see the true state."""
+    """The absence of an estimator: the controllers see the true state."""
 
 
 ESTIMATORS: Registry = {

@@ -26,6 +26,7 @@ from dssc_jax.models.uav.estimators.sensors import (
     Random,
     SensorMemory,
     Sensors,
+    StartPlace,
     heading_of,
     rotation_of,
     rotation_vector,
@@ -78,7 +79,7 @@ class KalmanFilter(NamedTuple):
     def start(self, motion: Motion, random: Random) -> KalmanMemory:
         """The filter at t = 0, with errors drawn from its covariance.
 
-        It takes the biases for 0; the sensors draw the true ones. The places of the random numbers tell them apart.
+        It takes the biases for 0; the sensors draw the true ones.
         """
         stds = (
             *(self.initial_position,) * 3,
@@ -90,12 +91,12 @@ class KalmanFilter(NamedTuple):
         rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]  # the lower triangle
         for i, std in enumerate(stds):
             rows[i][i] = std * std
-        attitude_error = random.vector(2, self.initial_attitude)
+        attitude_error = random.vector(StartPlace.ATTITUDE, self.initial_attitude)
         zero = Vec3(0.0, 0.0, 0.0)
         sensors = start_sensors(self.sensors, motion, random)
         estimate = Motion(
-            motion.position - random.vector(3, self.initial_position),
-            motion.velocity - random.vector(4, self.initial_velocity),
+            motion.position - random.vector(StartPlace.POSITION, self.initial_position),
+            motion.velocity - random.vector(StartPlace.VELOCITY, self.initial_velocity),
             product(rotation_of(-attitude_error), motion.attitude),
             motion.rate + sensors.gyro_bias,
         )
@@ -181,7 +182,10 @@ class KalmanFilter(NamedTuple):
         )
 
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
-        """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
+        """Squared error of position, velocity and attitude, normalised by its covariance.
+
+        Its law is chi-squared with 9 degrees of freedom if the covariance is right.
+        """
         estimate = memory.estimate
         attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
         error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *attitude_error)

@@ -6,6 +6,7 @@ those of the true motion, and strapdown integration is exact.
 """
 
 import math
+from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 import jax
@@ -23,6 +24,28 @@ MOST_DELAYED = 64
 """Largest delay of a position [samples]."""
 UP = Vec3(0.0, 0.0, GRAVITY)
 """The specific force that holds the vehicle against its weight, inertial [m/s^2]."""
+
+
+class StartPlace(IntEnum):
+    """Places of the random numbers at t = 0, which tell them apart."""
+
+    GYRO_BIAS = 0
+    ACCEL_BIAS = 1
+    ATTITUDE = 2
+    POSITION = 3
+    VELOCITY = 4
+
+
+class SamplePlace(IntEnum):
+    """Places of the random numbers of a sample, which tell them apart."""
+
+    GYRO = 0
+    ACCEL = 1
+    POSITION = 2
+    GYRO_WALK = 3
+    ACCEL_WALK = 4
+    HEIGHT = 5
+    HEADING = 6
 
 
 class Motion(NamedTuple):
@@ -134,7 +157,7 @@ class Random(NamedTuple):
         """``count`` numbers with mean 0 and standard deviation ``std``."""
         if std is None or is_zero(std):
             return (0.0,) * count
-        return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, place), count))
+        return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, int(place)), count))
 
     def vector(self, place: int, std: Scalar | None) -> Vec3:
         """Three numbers with mean 0 and standard deviation ``std``."""
@@ -180,8 +203,8 @@ def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMem
     """The sensors at t = 0, with random biases, as if the vehicle had been at its place before."""
     return SensorMemory(
         previous=motion,
-        gyro_bias=random.vector(0, sensors.gyro_bias),
-        accel_bias=random.vector(1, sensors.accel_bias),
+        gyro_bias=random.vector(StartPlace.GYRO_BIAS, sensors.gyro_bias),
+        accel_bias=random.vector(StartPlace.ACCEL_BIAS, sensors.accel_bias),
         positions=(motion.position,) * sensors.delay_samples,
     )
 
@@ -208,8 +231,8 @@ def sense(
     *later_positions, delayed_position = (motion.position, *memory.positions)
     next_memory = SensorMemory(
         previous=motion,
-        gyro_bias=memory.gyro_bias + random.vector(3, sensors.gyro_walk) * math.sqrt(dt),
-        accel_bias=memory.accel_bias + random.vector(4, sensors.accel_walk) * math.sqrt(dt),
+        gyro_bias=memory.gyro_bias + random.vector(SamplePlace.GYRO_WALK, sensors.gyro_walk) * math.sqrt(dt),
+        accel_bias=memory.accel_bias + random.vector(SamplePlace.ACCEL_WALK, sensors.accel_walk) * math.sqrt(dt),
         positions=tuple(later_positions),
     )
     return next_memory, increments, measured_aids(sensors, motion, delayed_position, random, k, dt)
@@ -232,8 +255,8 @@ def measured_increments(
     rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
     velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
     position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
-    rotation_error = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
-    velocity_error = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
+    rotation_error = memory.gyro_bias * dt + random.vector(SamplePlace.GYRO, sensors.gyro_noise) * math.sqrt(dt)
+    velocity_error = memory.accel_bias * dt + random.vector(SamplePlace.ACCEL, sensors.accel_noise) * math.sqrt(dt)
     return Increments(
         rotation=rotation * (1.0 + sensors.gyro_scale) + rotation_error,
         velocity=velocity * (1.0 + sensors.accel_scale) + velocity_error,
@@ -262,11 +285,11 @@ def measured_aids(
         is_outage = jnp.logical_and(has_begun, t < sensors.outage_start + sensors.outage_duration)
         has_position = jnp.logical_and(has_position, jnp.logical_not(is_outage))
     return Aids(
-        position=delayed_position + random.vector(2, sensors.position),
+        position=delayed_position + random.vector(SamplePlace.POSITION, sensors.position),
         has_position=has_position,
-        height=motion.position.z + random.number(5, sensors.height),
+        height=motion.position.z + random.number(SamplePlace.HEIGHT, sensors.height),
         has_height=is_reading_time(k, sensors.height_period),
-        heading=heading_of(motion.attitude) + random.number(6, sensors.heading),
+        heading=heading_of(motion.attitude) + random.number(SamplePlace.HEADING, sensors.heading),
         has_heading=is_reading_time(k, sensors.heading_period),
     )
 

@@ -9,7 +9,7 @@ The article gives their gains but not their formulas; this is a reconstruction:
     phi'' = 60 (phi_d - phi) - 15 phi', theta'' likewise, psi'' = k_d (u_psi - psi') + k_p int (u_psi - psi')
     M_net = J W euler'' + J W' euler' + Omega x J Omega,   Omega = W euler'
 
-with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not those of the draw.
+with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not the draw's.
 """
 
 from enum import StrEnum
@@ -48,8 +48,8 @@ class ThrustRule(StrEnum):
 class AttitudeReference(StrEnum):
     """Whether the desired roll and pitch, phi_d and theta_d, count as constants, or their rates are fed forward.
 
-    With a held command the rates are those of -k_d v. Feed-forward then acts as additional stiffness, and velocity
-    loops slow down from 1/(s + 1) to 0.8/(s + 0.8).
+    With a held command the desired acceleration changes as -k_d v does. Feed-forward then acts as more stiffness,
+    and velocity loops slow down from 1/(s + 1) to 0.8/(s + 0.8).
     """
 
     PLAIN = "plain"
@@ -91,7 +91,7 @@ class InnerGains(NamedTuple):
         return integral._replace(z=integral.z + (carrying / craft.mass - GRAVITY) / self.kp_velocity)
 
     def trimmed(self, craft: Craft, trim: Trim) -> "Integrals":
-        """The integrals that hold an equilibrium; the study's start values add to those of velocity [m].
+        """The integrals that hold an equilibrium; the study's start values add to the integrals of velocity [m].
 
         The attitude loops have no integral action. Where the equilibrium needs a moment, the desired angles therefore
         differ from the angles by what makes this moment. The inner loop does not know the drag, and takes the force

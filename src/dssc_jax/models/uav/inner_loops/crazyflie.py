@@ -4,9 +4,9 @@
     (phi', theta', psi')_d = PID of the angles, psi_d the integral of u_psi
     M_d = PID(Omega_d - Omega)
 
-All derivatives are those of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
+All derivatives are of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
 and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
-by 180/pi/65535. A roll or pitch command changes each rotor by half of it, that of yaw by all of it.
+by 180/pi/65535. A roll or pitch command changes each rotor by half of it, and a yaw command by all of it.
 
 References:
     Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
@@ -35,7 +35,7 @@ PER_RADIAN = math.degrees(1.0) / MOTOR_RANGE
 THRUST_SCALE = 1000.0 / MOTOR_RANGE
 """From the output of the vertical PID to a share of the full thrust."""
 OVERHEAD = 1.1
-"""Limit of the horizontal PIDs over that of the tilt."""
+"""Limit of the horizontal PIDs over the limit of the tilt."""
 INTEGRAL_OF_VELOCITY = 5000.0
 """Limit of the integrals of velocity [m]."""
 
@@ -56,9 +56,9 @@ TRIPLES = (
 
 
 class CrazyflieGains(NamedTuple):
-    """Gains of the Crazyflie's cascade; the defaults are those of the firmware, in SI units.
+    """Gains of the Crazyflie's cascade; the defaults are the firmware's, in SI units.
 
-    Triples are those of roll, pitch and yaw; pairs are those of the horizontal and the vertical direction.
+    A triple has a value for roll, pitch and yaw each; velocity gains are horizontal, and climb gains vertical.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0
@@ -145,7 +145,9 @@ class CrazyflieGains(NamedTuple):
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
         level = GRAVITY * self.velocity_p
-        yaw = self.attitude_p[2] * self.rate_p[2] * torque_units(craft).z / craft.inertia.z
+        _, _, yaw_p = self.attitude_p
+        _, _, yaw_rate_p = self.rate_p
+        yaw = yaw_p * yaw_rate_p * torque_units(craft).z / craft.inertia.z
         return level, level, self.climb_p * craft.full_thrust / craft.mass, yaw
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "CrazyflieState":
@@ -246,7 +248,7 @@ class CrazyflieGains(NamedTuple):
         velocity, output = pid(state.velocity, error, measured, slope, gains, bound, dt)
         forward = clip(output.x, -self.tilt_max, self.tilt_max)
         left = clip(output.y, -self.tilt_max, self.tilt_max)
-        climb = clip(output.z, -0.5, 0.5)
+        climb = clip(output.z, -0.5, 0.5)  # half of the full thrust: the firmware's limit of this PID
         thrust = climb + self.hover(craft)
         bounded = thrust < self.thrust_min
         return state._replace(
@@ -265,6 +267,7 @@ class CrazyflieGains(NamedTuple):
         Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into shares
         of the largest torques. All angles are wrapped to (-pi, pi].
         """
+        # attitude: from errors of the angles to desired rates
         angles = angles_of(readings.attitude.matrix())
         setpoint = state.setpoint._replace(z=wrap_angle(state.setpoint.z + state.yaw_rate * dt))
         error = setpoint - angles
@@ -274,6 +277,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
         bound = Vec3(*self.attitude_integral_max)
         attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
+        # rates: from their errors to shares of the largest torques
         slope = (readings.rate - state.rate.measured) * (1.0 / dt)
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)

@@ -64,9 +64,9 @@ TRIPLES = ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "r
 
 
 class Px4Gains(NamedTuple):
-    """Gains of PX4's cascade; the defaults are those of its parameters, with angles in radians.
+    """Gains of PX4's cascade; the defaults are PX4's own, with angles in radians.
 
-    Triples are those of roll, pitch and yaw.
+    A triple has a value for roll, pitch and yaw each.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
@@ -141,7 +141,7 @@ class Px4Gains(NamedTuple):
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
-        yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z
+        yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z  # [2]: of roll, pitch, yaw
         return self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z, yaw
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "Px4State":
@@ -182,7 +182,11 @@ class Px4Gains(NamedTuple):
         return integral._replace(z=integral.z + GRAVITY * (carrying / self.hover_thrust(craft) - 1.0))
 
     def trimmed(self, craft: Craft, state: "Px4State", trim: Trim) -> "Px4State":
-        """The state whose integrals hold a trim; their numbers in the study add to it."""
+        """The state whose integrals hold a trim; their numbers in the study add to it.
+
+        The integral of velocity is then the desired acceleration that gives the trim's thrust, and the integral of the
+        rates its moment, in shares of the largest torques.
+        """
         upward = trim.upward
         lift = GRAVITY * (trim.thrust * upward.z / self.hover_thrust(craft) - 1.0)
         held = Vec3(GRAVITY * upward.x / upward.z, GRAVITY * upward.y / upward.z, lift)
