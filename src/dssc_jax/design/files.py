@@ -184,7 +184,7 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
 def default_criterion(bounds: Bounds) -> str:
     """The criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
 
-    Without a reference and a disturbance the residual is 0 for every design.
+    Without a reference and a disturbance, the residual of every design is 0.
     """
     drives_sliding = derive(bounds, l0=1.0).beta_m > 0.0  # for any l0
     drives_zero_dynamics = bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0

@@ -1,7 +1,7 @@
 """First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
 
 The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly with the
-command held, behind those of its actuators that are linear. All rules then work with numbers of that system alone,
+command held, behind its linear actuators. All rules then work with numbers of that system alone,
 whatever its units:
 
 * PID: phase margin of 60 degrees at the bandwidth, or 45 where one lead element gives no more. Integral action at 0.1,
@@ -40,14 +40,8 @@ from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.design.linear_plant import (
-    ClosedLoop,
-    DesignProblem,
-    LinearActuators,
-    closed_loop,
-    linear_actuators,
-    sampled_plant,
-)
+from dssc_jax.design.linear_loop import ClosedLoop, closed_loop
+from dssc_jax.design.linear_plant import NO_ACTUATORS, DesignProblem, linear_actuators, sampled_plant
 from dssc_jax.design.linearised_plant import LinearisedPlant, linearised_plant
 from dssc_jax.design.pid_gains import SLOWEST, pid
 from dssc_jax.design.regulators import lqg, state_feedback
@@ -58,20 +52,32 @@ from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
 """Frequencies below which the integral acts, in bandwidths, that are tried."""
-SLOW_ERROR = 3.0  # ratio of the bandwidth to l0
-MOST_SHARE = 0.2  # largest bandwidth, in pi/T_s
+SLOW_ERROR = 3.0
+"""Ratio of the bandwidth to the error pole l0 of SSC."""
+MOST_SHARE = 0.2
+"""Largest bandwidth, in pi/T_s."""
+FIRST_SHARE = 0.05
+"""First bandwidth that is tried where none is stated, in pi/T_s."""
+SMALL_PRODUCT = 1e-9
+"""Share of the sum of magnitudes below which c b counts as 0, so that the plant has relative degree two."""
 DIGITS = 4
-STATED_DIGITS = 12  # of the plant's own numbers
+"""Significant digits of a gain."""
+STATED_DIGITS = 12
+"""Significant digits of the plant's own numbers in a controller's table."""
 STATED = ("resting_output", "resting_command", "resting_signals", "model")
 """Entries of a controller that are the plant's own numbers."""
 NOT_OF_DEVIATIONS = ("resting_output", "resting_command", "resting_signals", "low", "high")
-"""Entries without which a law acts on deviations, within its limits."""
+"""Entries for the operating point and the limits, without which the law acts linearly on deviations."""
 HALVINGS = 14
-FURTHER = 3  # halvings of the bandwidth after the last better loop
+"""Most bandwidths that are tried, each half of the one before."""
+FURTHER = 3
+"""Halvings of the bandwidth after the last better loop."""
 NEARBY = tuple(2.0 ** (third / 3.0) for third in (2, 1, -1, -2))
 """Bandwidths that are tried around the best of the halvings, relative to it."""
-FASTER = 1.05  # ratio of settling times from which on a design is better
-MOST_PEAK = 2.0  # of abs(S), where no bandwidth is stated
+FASTER = 1.05
+"""Ratio of settling times from which on a design is better."""
+MOST_PEAK = 2.0
+"""Largest good peak of abs(S), where no bandwidth is stated."""
 
 
 class FirstController(StrEnum):
@@ -84,17 +90,17 @@ class FirstController(StrEnum):
 
 
 class FirstGains(NamedTuple):
-    """A first design.
+    """First gains of a controller, with properties of the sampled closed loop that they make.
 
     Args:
         table: ``[controller]`` of a study.
-        bandwidth: The frequency that it is made for [rad/s].
+        bandwidth: The frequency for which the gains are made [rad/s].
         radius: Largest modulus of the poles of the sampled closed loop, below 1; of SSC while it slides.
-        sensitivity_peak: Largest abs(S) of that loop, broken at the command.
-        settling: Time after which its output stays within 2 % of the largest deviation, after a step of a disturbance
+        sensitivity_peak: Largest abs(S) of the loop, broken at the command.
+        settling: Time after which the output stays within 2 % of the largest deviation, after a step of a disturbance
             at the command [s].
-        linear_kinds: Kinds of the actuators in that loop.
-        left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
+        linear_kinds: Kinds of the actuators in the loop.
+        left_out: Kinds of the parts that the loop lacks: actuators that are not linear, sensors and differentiators.
         loop: The sampled closed loop.
         plant: The plant at its start, with its operating point.
     """
@@ -117,16 +123,19 @@ def first_gains(
     limit: float | None = None,
     at: float | None = None,
 ) -> FirstGains:
-    """First gains for a study's plant.
+    """First gains of a controller for a study's plant, from a bandwidth and the sample time.
+
+    Without a stated bandwidth, the search begins at a twentieth of pi/T_s and halves it, until three more halvings
+    bring nothing better. Then it tries four bandwidths around the best one, a third of an octave apart. Of two loops
+    with a peak of abs(S) of at most 2, the better one settles faster after a disturbance; otherwise it has the smaller
+    peak.
 
     Args:
-        study: The study; what it says of its controller is not used.
+        study: The study; its controller is not used.
         kind: ``pid``, ``lqg``, ``state_feedback`` or ``ssc``.
-        bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: a twentieth of pi/T_s, its half, and
-            so on: of those with a peak of abs(S) of at most 2 the one that settles fastest after a disturbance, until
-            three more halvings bring nothing better; else the one with the smallest peak. Then the best of that one
-            and of four around it, a third of an octave apart.
-        limit: Largest size of the command, in its unit; ``ssc`` needs it, the others respect it.
+        bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: it is sought.
+        limit: Largest magnitude of the command, in its unit; ``ssc`` needs it, the others respect it; None: there is
+            no limit.
         at: Output at which a nonlinear plant rests where it is linearised; None: its start.
 
     Raises:
@@ -143,34 +152,41 @@ def first_gains(
         raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
     plant = linearised_plant(study, at)
     actuators = linear_actuators(study)
-    bare_plant = sampled_plant(plant, LinearActuators(None, (), (), ()), sample_time)
     problem = DesignProblem(
         study=study,
         plant=plant,
-        bare_plant=bare_plant,
+        bare_plant=sampled_plant(plant, NO_ACTUATORS, sample_time),
         actuators=actuators,
         actuated_plant=sampled_plant(plant, actuators, sample_time),
         limit=limit,
     )
     if bandwidth is None:
-        return fastest_design(problem, kind, 0.05 * fastest)
-    first_design = design_at_bandwidth(problem, kind, bandwidth)
-    if first_design.radius < 1.0:
-        return first_design
+        return fastest_design(problem, kind, FIRST_SHARE * fastest)
+    gains = design_at_bandwidth(problem, kind, bandwidth)
+    if gains.radius < 1.0:
+        return gains
     suffix = f", behind its linear actuators ({' + '.join(actuators.linear_kinds)})" if actuators.linear_kinds else ""
-    pole = f"largest pole {first_design.radius:.4g}"
+    pole = f"largest pole {gains.radius:.4g}"
     rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{suffix} ({pole})"
     raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
 
 
 def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> FirstGains:
-    """The design of a kind at a bandwidth [rad/s] with the best integral action; its loop need not be stable.
+    """The design of a kind at a bandwidth with the best integral action; its loop need not be stable.
+
+    Args:
+        problem: The plant, its actuators and the limit of the command.
+        kind: Kind of the controller.
+        bandwidth: The bandwidth [rad/s].
 
     Raises:
         ConfigError: The kind has no gains at this bandwidth.
     """
-    best = design_with_ratio(problem, kind, bandwidth, INTEGRAL_RATIOS[0])
-    for ratio in INTEGRAL_RATIOS[1:] if kind != FirstController.SSC else ():
+    slowest, *faster_ratios = INTEGRAL_RATIOS
+    best = design_with_ratio(problem, kind, bandwidth, slowest)
+    if kind == FirstController.SSC:  # it has one integral action
+        return best
+    for ratio in faster_ratios:
         try:
             candidate = design_with_ratio(problem, kind, bandwidth, ratio)
         except ConfigError:
@@ -181,16 +197,24 @@ def design_at_bandwidth(problem: DesignProblem, kind: str, bandwidth: float) -> 
 
 
 def is_better(candidate: FirstGains, best: FirstGains) -> bool:
-    """Whether a candidate is better: it settles faster if both peaks of |S| are good, else it has the smaller peak."""
-    if candidate.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK:
+    """Whether a candidate is better than the best design so far.
+
+    If both peaks of abs(S) are good, the better design settles faster; otherwise it has the smaller peak.
+    """
+    are_peaks_good = candidate.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK
+    if are_peaks_good:
         return FASTER * candidate.settling < best.settling
     return candidate.sensitivity_peak < best.sensitivity_peak
 
 
 def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio: float) -> FirstGains:
-    """The design of a kind at a bandwidth [rad/s] with an integral below ``ratio`` times that.
+    """The design of a kind at a bandwidth, with the properties of its loop, which need not be stable.
 
-    Its loop need not be stable.
+    Args:
+        problem: The plant, its actuators and the limit of the command.
+        kind: Kind of the controller.
+        bandwidth: The bandwidth [rad/s].
+        ratio: Frequency below which the integral acts, in bandwidths.
 
     Raises:
         ConfigError: The kind has no such gains.
@@ -211,19 +235,16 @@ def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio
             controller = replace(controller, params=controller.model.fit(controller.params, setting))
     loop = closed_loop(problem.actuated_plant, controller)
     radius = loop.radius
-    peak = loop.sensitivity_peak if radius < 1.0 else math.inf
-    row = np.zeros(len(loop.a))
-    row[: len(problem.actuated_plant.c)] = problem.actuated_plant.c
-    settling = loop.settling(row) * study.loop.sample_time
-    linear_kinds, left_out = problem.actuators.linear_kinds, problem.actuators.left_out
+    output_row = np.zeros(len(loop.a))  # y does not depend on the controller's states, which come last
+    output_row[: len(problem.actuated_plant.c)] = problem.actuated_plant.c
     return FirstGains(
         table=table,
         bandwidth=bandwidth,
         radius=radius,
-        sensitivity_peak=peak,
-        settling=settling,
-        linear_kinds=linear_kinds,
-        left_out=left_out,
+        sensitivity_peak=loop.sensitivity_peak if radius < 1.0 else math.inf,
+        settling=loop.settling(output_row) * study.loop.sample_time,
+        linear_kinds=problem.actuators.linear_kinds,
+        left_out=problem.actuators.left_out,
         loop=loop,
         plant=problem.plant,
     )
@@ -232,12 +253,17 @@ def design_with_ratio(problem: DesignProblem, kind: str, bandwidth: float, ratio
 def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGains:
     """The best design at a start bandwidth, its half, and so on, and then at bandwidths around the best of these.
 
-    The halving ends when several in a row are no better.
+    The halving ends when :data:`FURTHER` bandwidths in a row are no better.
+
+    Args:
+        problem: The plant, its actuators and the limit of the command.
+        kind: Kind of the controller.
+        start: The highest bandwidth [rad/s].
 
     Raises:
-        ConfigError: None is stable.
+        ConfigError: No design gives a stable loop.
     """
-    refusal: ConfigError | None = None
+    first_refusal: ConfigError | None = None
     best: FirstGains | None = None
     bandwidth = start
     last_halving = HALVINGS - 1
@@ -248,26 +274,33 @@ def fastest_design(problem: DesignProblem, kind: str, start: float) -> FirstGain
         try:
             candidate = design_at_bandwidth(problem, kind, bandwidth)
         except ConfigError as error:
-            refusal = refusal or error
+            first_refusal = first_refusal or error
             continue
         if best is None or is_better(candidate, best):
             best = candidate
             if best.sensitivity_peak <= MOST_PEAK:
                 last_halving = halving + FURTHER
-    if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
+    if best is not None and best.radius < 1.0:  # also with a large peak, as for a plant that is unstable itself
         return best_nearby(problem, kind, best, start)
-    if refusal is not None and refusal.where != "`bandwidth`":
-        raise refusal
-    if refusal is not None:
-        rule = f"has no gains at any bandwidth tried from {start:.4g} down to {bandwidth:.4g} rad/s"
-        remedy = f"the first one {refusal.rule}"
-        raise ConfigError(f"{problem.study.source}: plant", f"{rule}: {remedy}")
-    rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
-    raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
+    if first_refusal is None:
+        rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
+        raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
+    if first_refusal.where != "`bandwidth`":  # a lower bandwidth does not help
+        raise first_refusal
+    rule = f"has no gains at any bandwidth tried from {start:.4g} down to {bandwidth:.4g} rad/s"
+    remedy = f"the first one {first_refusal.rule}"
+    raise ConfigError(f"{problem.study.source}: plant", f"{rule}: {remedy}")
 
 
 def best_nearby(problem: DesignProblem, kind: str, best: FirstGains, highest: float) -> FirstGains:
-    """The best of a design and of those at some bandwidths around its own, up to the highest [rad/s]."""
+    """The best of a design and of the designs at some bandwidths around its own.
+
+    Args:
+        problem: The plant, its actuators and the limit of the command.
+        kind: Kind of the controller.
+        best: The design.
+        highest: Highest bandwidth that is tried [rad/s].
+    """
     middle = best.bandwidth
     for factor in NEARBY:
         if factor * middle > highest:
@@ -289,36 +322,41 @@ def setting_for(study: Study) -> LoopSetting:
 
 
 def ssc(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of SSC, whose loop in sliding is sigma'' + k_p K_P sigma' + k_p K_I sigma = 0.
+    """The table of SSC, the special case of DSSC with constants, for a bandwidth.
+
+    In sliding it synthesises a PI law of sigma with the gains K_P = 1/(k_o tau_av) and K_I = K_P/tau_m. The loop
+    sigma'' + k_p K_P sigma' + k_p K_I sigma = 0 then has a double pole at the bandwidth.
 
     Args:
         problem: The plant and the limit of the command.
         omega: The bandwidth [rad/s].
-        ratio: Not used: SSC has one integral action. The argument is that of the other kinds.
+        ratio: Not used, since SSC has one integral action; the function has the arguments of :func:`pid`.
 
     Raises:
         ConfigError: The plant has another relative degree than two or a negative gain, or the command has no limit.
     """
+    del ratio
     study, limit = problem.study, problem.limit
     a, b, c = problem.plant.a, problem.plant.b, problem.plant.c
-    if abs(c @ b) > 1e-9 * (np.abs(c) @ np.abs(b)) or not c @ a @ b > 0.0:
+    k_p = float(c @ a @ b)  # high-frequency gain of a plant of relative degree two, for which c b = 0
+    is_of_degree_two = abs(c @ b) <= SMALL_PRODUCT * (np.abs(c) @ np.abs(b))
+    if not is_of_degree_two or not k_p > 0.0:
         rule = "is not of relative degree two with k_p > 0 from command to output, as SSC needs"
         raise ConfigError(f"{study.source}: plant", f"{rule}; ask for 'pid' or 'lqg'")
     if limit is None:
         raise ConfigError("`limit`", "is required for 'ssc': rho is the largest command that it can average")
-    gain = float(c @ a @ b)
-    averaging = max(2.0 * study.loop.sample_time, 0.1 / omega)
-    functions = {"kind": "constant", "k_o": gain / (2.0 * omega * averaging), "tau_av": averaging, "tau_m": 2.0 / omega}
+    averaging = max(2.0 * study.loop.sample_time, 0.1 / omega)  # tau_av: at least two samples
+    functions = {"kind": "constant", "k_o": k_p / (2.0 * omega * averaging), "tau_av": averaging, "tau_m": 2.0 / omega}
     return {"kind": "ssc", "l0": omega / SLOW_ERROR, "rho": limit, "functions": functions}
 
 
 def rounded_table(table: TomlTable, digits: int = DIGITS) -> TomlTable:
-    """A controller's table whose numbers have ``digits`` significant digits, those of the plant ``STATED_DIGITS``."""
+    """A controller's table with rounded numbers: gains to ``digits`` significant digits, the plant's own to 12."""
     return {name: rounded_value(value, STATED_DIGITS if name in STATED else digits) for name, value in table.items()}
 
 
 def rounded_value(value: Any, digits: int) -> Any:
-    """A number rounded to ``digits`` significant digits; a list or a table of numbers entry by entry."""
+    """A number rounded to ``digits`` significant digits; a list or a table of numbers is rounded entry by entry."""
     if isinstance(value, list):
         return [rounded_value(item, digits) for item in value]
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""A study's plant at its start, with the linear actuators before it, sampled exactly; and the loop with a controller.
+"""A study's plant at its start, with the linear actuators before it, sampled exactly.
 
 The plant is linearised at its start. The actuators that declare themselves linear (lags, transfer functions, delays)
 stay before it; the others count as a gain of 1, and are named. With the command held, the whole is one discrete system,
@@ -6,8 +6,7 @@ x(k+1) = A x(k) + B u(k). It follows from one matrix exponential of the plant an
 from the derivative of what the others do at a sample.
 """
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,35 +14,29 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.core.chains import chain
-from dssc_jax.core.contracts import Controller, Unmodelled
-from dssc_jax.core.influences import closure
+from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.sampled_linear import LinearSystem
-from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.design.linearised_plant import LinearisedPlant
 from dssc_jax.models.controllers.linear_quadratic import sampled_system
 from dssc_jax.study.actuators import acting_elements
-from dssc_jax.study.components import Component
 from dssc_jax.study.fitting import nominal_params
 from dssc_jax.study.study import Study
 
-GRID = 600  # frequencies of the sensitivity's peak
-DECADES = 6.0  # decades of this grid, below the Nyquist frequency
-SETTLED = 0.02  # share of the largest distance from the end
-FADED = 7.0  # time constants of the slowest pole, over which an output is looked at
-INSTANTS = 2000
-
 
 class LinearPlant(NamedTuple):
-    """Plant and linear actuators, sampled: x(k+1) = A x + B u, y = c x; the first entries of x are the plant's state.
+    """Plant and linear actuators, sampled with a held command: x(k+1) = A x(k) + B u(k), y = c x.
+
+    The first entries of x are the plant's state.
 
     Args:
-        a: Shape (n, n).
-        b: Shape (n,).
-        c: Shape (n,).
+        a: A, shape (n, n).
+        b: B, shape (n,).
+        c: Row of y, shape (n,).
         rate: Row of y', shape (n,).
         signals: Rows of the measured signals, shape (m, n).
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
     """
 
     a: np.ndarray
@@ -54,7 +47,7 @@ class LinearPlant(NamedTuple):
     sample_time: float
 
     def response(self, omega: float) -> complex:
-        """The frequency response from the held command to the sampled output, at an angular frequency [rad/s]."""
+        """Frequency response from the held command to the sampled output, at an angular frequency [rad/s]."""
         z = np.exp(1j * omega * self.sample_time)
         return complex(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 
@@ -75,57 +68,8 @@ class LinearActuators(NamedTuple):
     left_out: tuple[str, ...]
 
 
-class ClosedLoop(NamedTuple):
-    """The sampled closed loop x(k+1) = A x + b w, u = c x, with w added to the command u.
-
-    Args:
-        a: A, shape (n, n).
-        b: Shape (n,).
-        c: Shape (n,).
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-
-    @property
-    def radius(self) -> float:
-        """Largest modulus of its poles."""
-        return float(np.max(np.abs(np.linalg.eigvals(self.a))))
-
-    @property
-    def sensitivity_peak(self) -> float:
-        """Largest |S| up to the Nyquist frequency, with the sensitivity S = 1 + c (z - A)^-1 b of the command."""
-        angles = np.append(
-            np.geomspace(np.pi * 10.0**-DECADES, np.pi, GRID), np.abs(np.angle(np.linalg.eigvals(self.a)))
-        )
-        identity = np.eye(len(self.a))
-        z = np.exp(1j * angles)[:, None, None]
-        state_response = np.linalg.solve(z * identity - self.a, self.b[:, None])[..., 0]
-        return float(np.max(np.abs(1.0 + state_response @ self.c)))
-
-    def settling(self, row: np.ndarray) -> float:
-        """Samples after which an output stays near its final value, after a step is added to the command.
-
-        Near is within 2 % of the largest distance from it. Infinite if the loop is unstable.
-
-        Args:
-            row: Row from the state to the output, shape (n,).
-        """
-        if self.radius >= 1.0:
-            return math.inf
-        order = len(self.a)
-        steady = np.linalg.solve(np.eye(order) - self.a, self.b)
-        decay = -math.log(max(self.radius, np.finfo(float).tiny))
-        stride = max(1, math.ceil(FADED / (decay * INSTANTS)))
-        stride_transition = np.linalg.matrix_power(self.a, stride)
-        distance = np.empty(INSTANTS)
-        state = -steady
-        for k in range(INSTANTS):
-            distance[k] = abs(row @ state)
-            state = stride_transition @ state
-        outside = np.flatnonzero(distance > SETTLED * np.max(distance))
-        return float(stride * (outside[-1] + 1)) if outside.size else 0.0
+NO_ACTUATORS = LinearActuators(model=None, params=(), linear_kinds=(), left_out=())
+"""For a plant without actuators, which the command reaches unchanged."""
 
 
 class DesignProblem(NamedTuple):
@@ -151,26 +95,28 @@ class DesignProblem(NamedTuple):
 def linear_actuators(study: Study) -> LinearActuators:
     """The linear actuators of a study of one channel, in series as one actuator, and the kinds of the parts left out.
 
-    Left out are sensors and actuators for which superposition does not hold.
+    Left out are sensors, a differentiator, and actuators for which superposition does not hold.
     """
-    linear_elements = []
+    elements = []
+    params_of_elements = []
     left_out = measuring_kinds(study)
     for element, params in acting_elements(study.table, study.config):
-        if element.model.linear is not None or element.model.superposes:
-            linear_elements.append((element, nominal_params(params)))
+        is_linear = element.model.linear is not None or element.model.superposes
+        if is_linear:
+            elements.append(element)
+            params_of_elements.append(nominal_params(params))
         else:
             left_out.append(element.kind)
-    if not linear_elements:
-        return LinearActuators(None, (), (), tuple(left_out))
-    model, params = linear_elements[0][0].model, linear_elements[0][1]
-    if len(linear_elements) > 1:
-        model = chain(tuple(element for element, _ in linear_elements))
-        params = tuple(params for _, params in linear_elements)
-    return LinearActuators(model, params, tuple(element.kind for element, _ in linear_elements), tuple(left_out))
+    if not elements:
+        return NO_ACTUATORS._replace(left_out=tuple(left_out))
+    kinds = tuple(element.kind for element in elements)
+    if len(elements) == 1:
+        return LinearActuators(elements[0].model, params_of_elements[0], kinds, tuple(left_out))
+    return LinearActuators(chain(tuple(elements)), tuple(params_of_elements), kinds, tuple(left_out))
 
 
 def measuring_kinds(study: Study) -> list[str]:
-    """Slot and kind of the sensors and the differentiator between plant and controller, but for ideal ones."""
+    """Slot and kind, in words, of each sensor and differentiator that is not ideal."""
     config = study.config
     kinds = []
     for slot, neutral in (("sensor", "ideal"), ("differentiator", "none")):
@@ -185,33 +131,44 @@ def measuring_kinds(study: Study) -> list[str]:
 
 
 def sampled_plant(plant: LinearisedPlant, actuators: LinearActuators, sample_time: float) -> LinearPlant:
-    """The plant behind the linear actuators, sampled with a held command.
+    """The plant behind the linear actuators, sampled with a held command u.
 
-    The state lists that of the plant, that of the actuators, and what their part that acts at the samples gave over the
-    last sample. A signal through which the command passes shows what reached the plant just before the sample.
+    The state is (x, z, v): state x of the plant, state z of the actuators, and the drive v by which the actuators acted
+    over the last sample. At a sample, u changes z and gives v; until the next sample, the actuators' system driven by
+    the constant v acts on the plant. A signal with a feedthrough shows what reached the plant just before the sample.
+
+    Args:
+        plant: The plant in continuous time.
+        actuators: The linear actuators.
+        sample_time: Sample time T_s [s].
     """
     n = len(plant.a)
     at_sample = actuators_at_sample(actuators, sample_time)
     system = at_sample.system
     order = len(system.a)
     total = n + order
+    # (x, z)' = a (x, z) + b v between two samples
     a = np.zeros((total, total))
     a[:n, :n] = plant.a
     a[:n, n:] = np.outer(plant.b, system.c)
     a[n:, n:] = system.a
-    held_system = sampled_system(a, np.append(plant.b * system.d, system.b)[:, None], sample_time)
-    after_sample = np.zeros((total, total + 1))  # the state with which the sample begins, of the state and of u
+    b = np.append(plant.b * system.d, system.b)
+    held_system = sampled_system(a, b[:, None], sample_time)
+    # (x, z) just after the sample and v, as rows that act on (x, z, u) just before it
+    after_sample = np.zeros((total, total + 1))
     after_sample[:n, :n] = np.eye(n)
     after_sample[n:, n:] = np.column_stack([at_sample.state, at_sample.state_input])
     drive_row = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
     drive_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
+    # (x, z) just before the next sample, as rows that act on (x, z, u)
     sampled = held_system.a @ after_sample + np.outer(held_system.b, np.append(drive_row, drive_input))
     transition = np.zeros((total + 1, total + 1))
     transition[:total, :total] = sampled[:, :total]
     transition[total, :total] = drive_row
-    plant_input_row = np.concatenate([np.zeros(n), system.c, [system.d]])
+    plant_input_row = np.concatenate([np.zeros(n), system.c, [system.d]])  # what reaches the plant, from (x, z, v)
 
     def padded(row: np.ndarray) -> np.ndarray:
+        """A row that acts on x, as one that acts on (x, z, v)."""
         return np.append(row, np.zeros(order + 1))
 
     signals = [padded(row) + d * plant_input_row for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
@@ -255,76 +212,49 @@ class ActuatorsAtSample(NamedTuple):
 def actuators_at_sample(actuators: LinearActuators, sample_time: float) -> ActuatorsAtSample:
     """The matrices of linear actuators at a sample, and their system between samples.
 
-    They are the derivatives of the actuators' functions, which are the same at every state.
+    The matrices are derivatives of the actuators' functions, which are the same at every state.
     """
     model, params = actuators.model, actuators.params
-    if model is None:
-        return ActuatorsAtSample(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
+    if model is None:  # v = u, without a state
+        return ActuatorsAtSample(
+            state=np.zeros((0, 0)),
+            state_input=np.zeros(0),
+            output=np.zeros(0),
+            output_input=1.0,
+            system=as_arrays(None, order=0),
+        )
     with arithmetic():
         start, unravel = as_vector(model.init(params))
         key = jax.random.key(0)
 
         def sample(z: jax.Array, u: Scalar) -> jax.Array:
-            return ravel_pytree(model.sample(params, unravel(z), u, key, sample_time))[0]
+            """State z after the sample."""
+            vector, _ = ravel_pytree(model.sample(params, unravel(z), u, key, sample_time))
+            return vector
 
-        def driving(z: jax.Array, u: Scalar) -> Scalar:
+        def drive(z: jax.Array, u: Scalar) -> Scalar:
+            """Drive v of the actuators' system until the next sample, from the state z after the sample."""
             if model.advance is not None:
                 _, moments = model.advance(params, sample_time)(unravel(z), u)
                 return jnp.asarray(moments.mean, float)
-            return jnp.asarray(u if model.linear is not None else model.output(params, unravel(z), u), float)
+            if model.linear is not None:
+                return jnp.asarray(u, float)
+            return jnp.asarray(model.output(params, unravel(z), u), float)
 
         state, state_input = map(np.asarray, jax.jit(jax.jacfwd(sample, argnums=(0, 1)))(start, 0.0))
-        output, output_input = map(np.asarray, jax.jit(jax.jacfwd(driving, argnums=(0, 1)))(start, 0.0))
-        system = as_arrays(model.linear(params) if model.linear is not None else None, len(start))
+        output, output_input = map(np.asarray, jax.jit(jax.jacfwd(drive, argnums=(0, 1)))(start, 0.0))
+        system = as_arrays(model.linear(params) if model.linear is not None else None, order=len(start))
     return ActuatorsAtSample(state, state_input, output, float(output_input), system)
 
 
 def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
-    """A linear system as arrays; None: a gain of 1, and ``order`` states that stand still."""
+    """A linear system as arrays of NumPy.
+
+    Args:
+        system: The system; None: a gain of 1, beside states that stand still.
+        order: Number of these states.
+    """
     if system is None:
         return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)
     a, b, c = (np.asarray(part, float) for part in system[:3])
     return SystemArrays(a, b, c, float(system.d))
-
-
-def closed_loop(plant: LinearPlant, controller: Component) -> ClosedLoop:
-    """The sampled loop of a linear plant and a controller, which is linearised at its second sample at rest.
-
-    States of the controller that do not move or have no effect are left out: an integral without k_i would be a pole
-    at 1.
-    """
-    model: Controller = controller.model
-    gains = controller.params
-    dt = plant.sample_time
-    rows = np.vstack([plant.c, plant.rate, plant.signals])
-    with arithmetic():
-
-        def sample(state: Any, outputs: jax.Array) -> tuple[Any, Scalar]:
-            measurement = Measurement(outputs[0], outputs[1], tuple(outputs[2:]))
-            next_state, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
-            return next_state, command.total
-
-        zero_outputs = jnp.zeros(len(rows))
-        start = model.init(gains, Measurement(0.0, 0.0, tuple(zero_outputs[2:])), ReferencePoint(0.0, 0.0, 0.0))
-        start, _ = sample(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), start), zero_outputs)
-        start_vector, unravel = ravel_pytree(start)
-
-        def flat_sample(state: jax.Array, outputs: jax.Array) -> jax.Array:
-            next_state, command = sample(unravel(state), outputs)
-            return jnp.append(ravel_pytree(next_state)[0], command)
-
-        slopes_of = jax.jit(jax.jacfwd(flat_sample, argnums=(0, 1)))
-        state_slopes, output_slopes = map(np.asarray, slopes_of(start_vector, zero_outputs))
-    state_influences = state_slopes[:-1] != 0.0
-    driven_states = np.any(output_slopes[:-1] != 0.0, axis=1)
-    moving_states = closure(driven_states, state_influences.T)
-    effective_states = moving_states & closure(state_slopes[-1] != 0.0, state_influences)  # no integral without k_i
-    state_slopes, output_slopes = (
-        state_slopes[np.append(effective_states, True)][:, effective_states],
-        output_slopes[np.append(effective_states, True)],
-    )
-    order = int(np.count_nonzero(effective_states))
-    command = np.append(output_slopes[order] @ rows, state_slopes[order])
-    a = np.block([[plant.a, np.zeros((len(plant.a), order))], [output_slopes[:order] @ rows, state_slopes[:order]]])
-    b = np.append(plant.b, np.zeros(order))
-    return ClosedLoop(a + np.outer(b, command), b, command)

@@ -1,4 +1,4 @@
-"""A study's plant, linearised in continuous time at its start or where it rests with an output, and that point."""
+"""A study's plant, linearised in continuous time: at its start, or at the point where it rests with a stated output."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,18 +19,22 @@ from dssc_jax.study.fitting import COMMAND_DISTURBANCE, nominal_params
 from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20
-STEPS_TO_OUTPUT = 21  # from the output at the start to a stated one
-AT_REST = 1e-9  # share of the rate of change without a command that may be left
-ROUNDING = 1e-12  # share of the terms of a rate of change that may be left, where they cancel
+"""Most steps of Newton's method."""
+STEPS_TO_OUTPUT = 21
+"""Equilibria from the output at the start to a stated output, both included."""
+AT_REST = 1e-9
+"""Share of a rate of change, or of an unknown, within which a plant counts as resting."""
+ROUNDING = 1e-12
+"""Share of the terms of a rate of change that rounding may leave where they cancel."""
 
 
 class Resting(NamedTuple):
     """An operating point at which a nonlinear plant rests.
 
     Args:
-        output: y_0.
-        command: u_0, which holds the plant.
-        signals: Each measured signal there.
+        output: Output y_0.
+        command: Command u_0, which holds the plant there.
+        signals: Value of each measured signal there.
     """
 
     output: float
@@ -41,19 +45,22 @@ class Resting(NamedTuple):
 class LinearisedPlant(NamedTuple):
     """A plant of one channel, linearised at a point: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
 
+    All signals are deviations from the point: state x, command u, disturbances w, output y, measured signals s.
+
     Args:
-        a: Shape (n, n).
-        b: Shape (n,).
-        c: Shape (n,).
-        rate: r, shape (n,).
+        a: A, shape (n, n).
+        b: Column of the command, shape (n,).
+        c: Row of y, shape (n,).
+        rate: r, row of y', shape (n,).
         rate_through: v, which is not 0 for a plant of relative degree one.
         signals: C, a row for each measured signal, shape (m, n).
         feedthrough: D, shape (m,).
-        disturbances: E, columns of the disturbance beside the command and of each named input, shape (n, q). A plant
-            without the former has the command's column.
+        disturbances: E, shape (n, q): first the column of the disturbance at the command, then one of each named input.
+            If the plant does not use the disturbance at the command, its column is the command's.
         inputs: Names of these columns.
-        resting: The operating point; None: a linear plant, which has 0 as one, or a start at which no command holds it.
-        is_held: Whether a command holds the plant at this point, or it is linear.
+        resting: The operating point; None for a linear plant, which rests at 0, and for a start at which no command
+            holds the plant.
+        is_held: Whether the plant is linear, or a command holds it at this point.
     """
 
     a: np.ndarray
@@ -70,7 +77,7 @@ class LinearisedPlant(NamedTuple):
 
     @property
     def nominal(self) -> NominalPlant:
-        """The plant as a controller is fitted to it."""
+        """The same matrices in the form to which a controller is fitted."""
         return NominalPlant(
             a=self.a,
             command=self.b,
@@ -83,12 +90,12 @@ class LinearisedPlant(NamedTuple):
 
 
 def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
-    """A study's plant, linearised with the median in place of each law.
+    """Linearise a study's plant, with the nominal value in place of each law.
 
     Args:
         study: The study.
-        at: Output at which a nonlinear plant rests where it is linearised; None: its start, with the command that keeps
-            it there, or 0 where there is none.
+        at: Output at which a nonlinear plant rests where it is linearised; None: the plant is linearised at its start,
+            with the command that holds it there, or 0 if no command does.
 
     Raises:
         ConfigError: The plant has several channels, or no derivative; or no equilibrium with this output is found.
@@ -106,12 +113,15 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
         quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
 
         def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
-            drive = PlantInput(u, disturbances[0], None, tuple(disturbances[1:]))
-            return ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))[0]
+            """Rate of change of the state, for a disturbance at the command and at each named input."""
+            drive = PlantInput(u, disturbance=disturbances[0], wind=None, inputs=tuple(disturbances[1:]))
+            rate_of_change, _ = ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))
+            return rate_of_change
 
         def outputs(x: jax.Array, u: Scalar) -> jax.Array:
+            """The output y, then y' and the measured signals."""
             state = unravel(x)
-            drive = PlantInput(u, 0.0, None, tuple(quiet[1:]))
+            drive = PlantInput(u, disturbance=0.0, wind=None, inputs=tuple(quiet[1:]))
             measurement = loop.plant.measure(params, state, drive)
             values = {"y": measurement.y, "y_dot": measurement.y_dot}
             values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
@@ -120,60 +130,68 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
             names = ("y", "y_dot", *(signal.name for signal in loop.measures))
             return jnp.stack([jnp.asarray(values[name], float) for name in names])
 
-        linear = loop.plant.linear is not None and loop.plant.remainder is None
-        if at is not None and linear:
+        def output(x: jax.Array, u: Scalar) -> jax.Array:
+            """The output y."""
+            return outputs(x, u)[0]
+
+        is_linear = loop.plant.linear is not None and loop.plant.remainder is None
+        if at is not None and is_linear:
             raise ConfigError("`at`", "is of a nonlinear plant; a linear one is the same everywhere")
+        point = start
         if at is None:
-            resting_command = holding_command(slope, start)
+            resting_command = holding_command(slope, start)  # None: no command holds the plant
         else:
-            start, resting_command = equilibrium(slope, lambda x, u: outputs(x, u)[0], start, at)
+            point, resting_command = equilibrium(slope, output, start, at)
         command = resting_command or 0.0
-        a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(start, command, quiet))
-        rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(outputs, argnums=(0, 1)))(start, command))
-        y, _, *signals = np.asarray(jax.jit(outputs)(start, command)).tolist()
-    if not np.any(columns[:, 0]):
+        a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(point, command, quiet))
+        rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(outputs, argnums=(0, 1)))(point, command))
+        y, _, *signals = np.asarray(jax.jit(outputs)(point, command)).tolist()
+    uses_command_disturbance = bool(np.any(columns[:, 0]))
+    if not uses_command_disturbance:
         columns = np.column_stack([b, columns[:, 1:]])
-    resting = None if linear or resting_command is None else Resting(y, command, tuple(signals))
-    is_held = linear or resting_command is not None
-    names = (COMMAND_DISTURBANCE, *loop.input_names)
-    through = float(feedthrough[1])
+    resting = None
+    if not is_linear and resting_command is not None:
+        resting = Resting(y, command, tuple(signals))
     return LinearisedPlant(
         a=a,
         b=b,
         c=rows[0],
         rate=rows[1],
-        rate_through=through,
+        rate_through=float(feedthrough[1]),
         signals=rows[2:],
         feedthrough=feedthrough[2:],
         disturbances=columns,
-        inputs=names,
+        inputs=(COMMAND_DISTURBANCE, *loop.input_names),
         resting=resting,
-        is_held=is_held,
+        is_held=is_linear or resting_command is not None,
     )
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
-    """The command with which a state stays where it is, by Newton's method; None where there is none.
+    """The command with which a state stays where it is, by Newton's method; None if there is no such command.
 
     Args:
         slope: ``(x, u) -> x'``.
         start: The state x.
     """
-    rate_of = jax.jit(lambda u: slope(start, u))
-    effect_of = jax.jit(jax.jacfwd(rate_of))
-    command = 0.0
+    rate_of = jax.jit(lambda u: slope(start, u))  # (u) -> x'
+    effect_of = jax.jit(jax.jacfwd(rate_of))  # (u) -> dx'/du
     initial_rate = float(np.max(np.abs(np.asarray(rate_of(0.0), float))))
-    for _ in range(NEWTON_STEPS if initial_rate > 0.0 else 0):
+    if initial_rate == 0.0:
+        return 0.0
+    command = 0.0
+    for _ in range(NEWTON_STEPS):
         rate = np.asarray(rate_of(command), float)
         effect = np.asarray(effect_of(command), float)
         size = float(effect @ effect)
-        if not size > 0.0:
+        if not size > 0.0:  # the command has no effect, or NaN
             return None
-        command -= float(effect @ rate) / size
+        command -= float(effect @ rate) / size  # least squares
     residual = np.abs(np.asarray(rate_of(command), float))
     slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
     terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
-    return command if np.all(residual <= np.maximum(AT_REST * initial_rate, ROUNDING * terms)) else None
+    is_at_rest = np.all(residual <= np.maximum(AT_REST * initial_rate, ROUNDING * terms))
+    return command if is_at_rest else None
 
 
 def equilibrium(
@@ -182,22 +200,23 @@ def equilibrium(
     start: jax.Array,
     at: float,
 ) -> tuple[jax.Array, float]:
-    """The state and the command with which a plant rests at an output.
+    """The state and the command with which a plant rests at a stated output.
 
-    Newton's method follows the equilibria from the output at the start to this one.
+    Newton's method follows the equilibria from the output at the start to the stated one.
 
     Args:
         slope: ``(x, u) -> x'``.
         output: ``(x, u) -> y``.
         start: The state x at the start.
-        at: The output.
+        at: The stated output.
 
     Raises:
-        ConfigError: It leads to none.
+        ConfigError: No equilibrium with this output is found.
     """
 
     @jax.jit
     def excess(point: jax.Array, y: Scalar) -> jax.Array:
+        """Rate of change x' and deviation of the output from y, which both vanish at the equilibrium (x, u)."""
         x, u = point[:-1], point[-1]
         return jnp.append(slope(x, u), output(x, u) - y)
 
@@ -206,7 +225,7 @@ def equilibrium(
     start_output = float(output(start, point[-1]))
     for y in np.linspace(start_output, at, STEPS_TO_OUTPUT):
         for _ in range(NEWTON_STEPS):
-            move = np.linalg.lstsq(np.asarray(slopes(point, y)), -np.asarray(excess(point, y)), rcond=None)[0]
+            move, *_ = np.linalg.lstsq(np.asarray(slopes(point, y)), -np.asarray(excess(point, y)), rcond=None)
             point = point + move
             if not np.all(np.isfinite(point)):
                 raise ConfigError("`at`", f"no equilibrium with the output {y:g} is found from the plant's start")
@@ -214,6 +233,8 @@ def equilibrium(
                 break
     residual = np.abs(np.asarray(excess(point, at)))
     terms = np.abs(np.asarray(slopes(point, at))) @ np.abs(point)
-    if not np.all(residual <= AT_REST * np.append(terms[:-1], abs(at) + terms[-1])):
+    terms[-1] += abs(at)  # the last equation is y(x, u) - at = 0
+    is_at_rest = np.all(residual <= AT_REST * terms)
+    if not is_at_rest:
         raise ConfigError("`at`", f"no equilibrium with the output {at:g} is found from the plant's start")
     return jnp.asarray(point[:-1]), float(point[-1])

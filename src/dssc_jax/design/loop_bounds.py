@@ -1,7 +1,7 @@
 """The bounds (A0)-(A4) of a study's loop, and its parameters of Table 1.
 
-They follow from the parts of the loop: the interval of k_p and a_p from their laws, the disturbance's constants from
-its kind, those of the reference and of the nominal control from theirs.
+The bounds follow from the parts of the loop: the intervals of k_p and a_p from their laws; the constants of the
+disturbance, of the reference and of the nominal control from the kinds and numbers of these parts.
 """
 
 import math
@@ -55,15 +55,16 @@ class PlantBounds(NamedTuple):
 
 
 def design_of(study: Study) -> tuple[Parameters, Bounds]:
-    """The parameters of Table 1 and the bounds of a study's loop, over its sweep.
+    """The parameters of Table 1 and the bounds of a study's loop, for all draws at once, at each point of its sweep.
 
     Raises:
-        NotCovered: The plant is not (5)-(8), the functions are not those of Table 1, or a number has no bound.
+        NotCovered: The plant is not (5)-(8), the controller is not DSSC with Table 1's functions, or a number has no
+            bound.
     """
     ends = ends_of(study)
-    if study.loop.plant is not NORMAL_FORM:  # what the plant lacks is told before what the controller lacks
+    if study.loop.plant is not NORMAL_FORM:  # raises what the plant lacks, before what the controller lacks
         plant_bounds(study.loop.plant, ends.part("plant"))
-    gains = ends.low.controller[0]
+    gains = ends.low.controller[0]  # at both ends, since they must be certain
     is_dssc = study.loop.controller[0] in DSSC.members.values()
     if not is_dssc or not isinstance(gains.functions, Vgsta):
         raise NotCovered(NOT_TABLE_1)
@@ -77,27 +78,39 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
 
 
 def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
-    """The bounds (A0)-(A4) of a loop of the class (5)-(8); the plant's stiffness is a disturbance -stiffness y/k_p."""
+    """The bounds (A0)-(A4) of a loop of the class (5)-(8).
+
+    The plant's stiffness counts as the disturbance -stiffness y/k_p, which adds to k_d4.
+
+    Args:
+        loop: The loop.
+        ends: Its parameters at the ends of all laws.
+        p: Parameters of Table 1, from which the bounds of the nominal control follow.
+
+    Raises:
+        NotCovered: A part is not covered by the theorem, or has no bound.
+    """
     plant = plant_bounds(loop.plant, ends.part("plant"))
     reference = reference_bounds(loop.reference, ends.part("reference"))
     require_no_inputs(loop)
     disturbance = disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0))
+    disturbance["k_d4"] = disturbance.get("k_d4", 0.0) + plant.stiffness / plant.k_min
     return Bounds(
         k_min=plant.k_min,
         k_max=plant.k_max,
         a_max=plant.a_max,
         zero_dynamics=plant.zero_dynamics,
         **reference,
-        **(disturbance | {"k_d4": disturbance.get("k_d4", 0.0) + plant.stiffness / plant.k_min}),
+        **disturbance,
         **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
     )
 
 
 def require_no_inputs(loop: Loop) -> None:
-    """Require that no disturbance acts at an input that the plant names.
+    """Require that no disturbance acts at an input that the plant names: the theorem's acts where the command does.
 
     Raises:
-        NotCovered: One does.
+        NotCovered: A disturbance does.
     """
     for name, model in zip(loop.input_names, loop.inputs, strict=True):
         if model is not NO_DISTURBANCE:
@@ -105,10 +118,14 @@ def require_no_inputs(loop: Loop) -> None:
 
 
 def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
-    """The bounds of a plant in normal form, or of a linear one that has this form.
+    """The bounds of a plant in normal form, or of a linear plant that has this form.
+
+    Args:
+        model: Model of the plant.
+        ends: Its parameters at both ends of their laws.
 
     Raises:
-        NotCovered: It is neither, or its zero dynamics are uncertain.
+        NotCovered: The plant is neither, or it is uncertain in a way that has no such bounds.
     """
     low, high = ends
     if model is NORMAL_FORM:
@@ -139,14 +156,19 @@ def bounds_of_normal_form(form: NormalForm) -> PlantBounds:
 
 
 def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
-    """The bounds of the plants numerator/(d_0 s^2 + d_1 s + d_2), from their parameters at both ends.
+    """The bounds of the plants n_0/(d_0 s^2 + d_1 s + d_2), that is y'' = -(d_1 y' + d_2 y)/d_0 + (n_0/d_0) u.
+
+    Args:
+        low: Parameters of the plant at the lower ends of their laws.
+        high: Parameters at the upper ends.
 
     Raises:
         NotCovered: A leading coefficient may be zero or negative.
     """
     lead_low = low.denominator[0]
     lead_high = high.denominator[0]
-    if not np.all(np.asarray(lead_low) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
+    has_positive_leads = np.all(np.asarray(lead_low) > 0.0) and np.all(np.asarray(low.numerator[0]) > 0.0)
+    if not has_positive_leads:
         raise NotCovered("the leading coefficients of the transfer function are not positive for every draw")
     magnitudes = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
     return PlantBounds(
@@ -158,20 +180,25 @@ def bounds_of_second_order(low: Any, high: Any) -> PlantBounds:
 
 
 def are_same_numbers(first: Any, second: Any) -> bool:
-    """Whether two parts, or two parameters, have equal numbers, none of which is swept."""
+    """Whether two parts, or two parameters, have equal plain numbers; a swept number is an array, and so not plain."""
     leaves = jax.tree.leaves((first, second))
     return all(isinstance(leaf, int | float) for leaf in leaves) and first == second
 
 
 def form_of(model: Plant, params: Any) -> NormalForm:
-    """The normal form of a linear plant, from parameters without laws."""
+    """The normal form of a linear plant, from parameters in plain numbers.
+
+    Args:
+        model: The plant in state space or as a transfer function.
+        params: Its parameters.
+    """
     if model is STATE_SPACE:
         return normal_form(*transfer_function(RealisedSystem(params.a, params.b, params.c)))
     return normal_form(params.numerator, params.denominator)
 
 
 def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
-    """Largest value of a derivative of a sine.
+    """Largest magnitude of a derivative of a sine, in the amplitude's unit per second to the order.
 
     Args:
         amplitude: Amplitude of the sine.
@@ -182,30 +209,41 @@ def swing(amplitude: Numeric, period: Numeric, order: int) -> Numeric:
 
 
 def reference_bounds(model: Reference, ends: Ends) -> dict[str, Numeric]:
-    """Suprema of the reference and its first three derivatives, as fields of :class:`Bounds`.
+    """Suprema of the reference and its first three derivatives, as fields of :class:`Bounds`; absent ones are 0.
+
+    Args:
+        model: Model of the reference.
+        ends: Its parameters at both ends of their laws.
 
     Raises:
         NotCovered: The third derivative has no known bound.
     """
-    for axis, member in MISSION_ENTRY.members.items():
+    for axis, member in MISSION_ENTRY.members.items():  # the article's missions are sines
         if model is member:
             ends = Ends(MISSION[axis], MISSION[axis])
             model = SINE
-    low = ends.low
     if model is ZERO:
         return {}
     if model is not SINE:
         raise NotCovered("the reference's third derivative has no known bound")
     amplitude = ends.largest("amplitude")
-    names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
-    swings = {name: swing(amplitude, low.period, order) for order, name in enumerate(names, 1)}
-    return {"y_m": amplitude + ends.largest("offset"), **swings}
+    period = ends.low.period  # the shortest one has the largest derivatives
+    return {
+        "y_m": amplitude + ends.largest("offset"),
+        "y_m_dot": swing(amplitude, period, order=1),
+        "y_m_ddot": swing(amplitude, period, order=2),
+        "y_m_dddot": swing(amplitude, period, order=3),
+    }
 
 
 def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
-    """The constants of (A0.b)-(A3), as fields of :class:`Bounds`.
+    """The constants of (A0.b)-(A3), as fields of :class:`Bounds`; absent ones are 0.
 
     A step counts as constant: the theorem applies again after its time.
+
+    Args:
+        model: Model of the disturbance.
+        ends: Its parameters at both ends of their laws.
 
     Raises:
         NotCovered: The disturbance's derivative has no known bound.
@@ -217,12 +255,12 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
         return {"alpha_d": ends.largest("value")}
     if model is SINE_DISTURBANCE:
         amplitude = ends.largest("amplitude")
-        return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, 1)}
+        return {"alpha_d": amplitude, "alpha_d3": swing(amplitude, low.period, order=1)}
     if model is SPLINE:
         pairs = zip(low.knots, ends.high.knots, strict=True)
-        knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]
-        steepest = np.max(np.add(knots[1:], knots[:-1]), axis=0) / low.interval  # of any knots that large
-        return {"alpha_d": np.max(knots, axis=0), "alpha_d3": steepest}
+        largest_knots = [0.0, *(np.maximum(np.abs(a), np.abs(b)) for a, b in pairs), 0.0]  # it begins and ends at 0
+        largest_steps = np.add(largest_knots[1:], largest_knots[:-1])  # between knots of opposite signs
+        return {"alpha_d": np.max(largest_knots, axis=0), "alpha_d3": np.max(largest_steps, axis=0) / low.interval}
     if model is PARTITION:
         names = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
         return {name: getattr(ends.high, name) for name in names}
@@ -230,7 +268,9 @@ def disturbance_bounds(model: Disturbance, ends: Ends) -> dict[str, Numeric]:
 
 
 def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> dict[str, Numeric]:
-    """The constants of (A4) for the nominal control (37), as fields of :class:`Bounds`, each at its worse end.
+    """The constants of (A4) for the nominal control (37), as fields of :class:`Bounds`; absent ones are 0.
+
+    Each constant is taken at the end of the gains' laws where it is larger.
 
     Args:
         ends: The nominal gains at both ends; their low end is None without a nominal control.
@@ -239,11 +279,13 @@ def nominal_bounds(ends: Ends, p: Parameters, reference: dict[str, Numeric]) -> 
     """
     if ends.low is None:
         return {}
-    speed, acceleration, jerk = (reference.get(name, 0.0) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
-    pole = predictor_pole(p) if ends.low.predictor_term else 0.0
-    k = ends.low.k
-    damping = ends.largest("a")
-    offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))
+    speed = reference.get("y_m_dot", 0.0)
+    acceleration = reference.get("y_m_ddot", 0.0)
+    jerk = reference.get("y_m_dddot", 0.0)
+    pole = predictor_pole(p) if ends.low.predictor_term else 0.0  # bound of 1/tau_m
+    k = ends.low.k  # nominal k_p
+    damping = ends.largest("a")  # nominal a_p
+    offset = greater(abs(ends.low.a - p.l0), abs(ends.high.a - p.l0))  # bound of |a - l0|
     c_e = offset * p.l0 / k
     return {
         "c_sigma": (offset + pole) / k,

@@ -16,7 +16,10 @@ from dssc_jax.design.arrays import Numeric, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.table1 import Parameters, f
 
-POINTS = 49  # of |sigma| and of |e| in the numerical attack, from 0 to infinity
+POINTS = 49
+"""Values of |sigma|, and of |e|, in the search for a negative eigenvalue."""
+GAIN_POINTS = 5
+"""Values of k_p in this search."""
 
 
 class Spread(NamedTuple):
@@ -32,7 +35,10 @@ class Spread(NamedTuple):
 
 
 def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
-    """Eigenvalues of P; the smaller one is NaN unless P > 0, that is gamma k_p > 4 eps^2."""
+    """Smallest and largest eigenvalue of P; the smallest is NaN unless P > 0, that is gamma k_p > 4 eps^2.
+
+    The smallest is the determinant divided by the largest, a quotient in which no digits cancel.
+    """
     p_11 = gamma * k_p
     root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
     high = 0.5 * (p_11 + 1.0 + root)
@@ -41,26 +47,34 @@ def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
 
 
 def norm_of_pb(eps: Numeric) -> Numeric:
-    """|P B| with B = [0, 1]^T: it does not depend on k_p."""
+    """The norm |P B| = (1 + 4 eps^2)^(1/2) with B = [0, 1]^T, which does not depend on k_p."""
     return (1.0 + 4.0 * eps**2) ** 0.5
 
 
 class Alphas(NamedTuple):
-    """Bounds rho_1, rho_2 of |alpha_1|, |alpha_2| (Appendix E)."""
+    """Bounds rho_1 and rho_2 of |alpha_1| and |alpha_2|, by which disturbances enter Q (Appendix E)."""
 
     rho_1: Numeric
     rho_2: Numeric
 
 
 def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
-    """rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2."""
+    """The bounds rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2.
+
+    Args:
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        constants: The constants that follow from them.
+        sigma: Values of sigma [m/s].
+        e: Values of e [m].
+    """
     beta_1_over_sigma = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
     beta_2_over_sigma = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
     return Alphas(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
 
 
 def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
-    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78)."""
+    """The gain function kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d (78)."""
     return (p.kappa_a * abs(sigma) + p.kappa_b * abs(e) + p.kappa_c) ** 2 + p.kappa_d
 
 
@@ -70,9 +84,9 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
     Args:
         p: Parameters of Table 1.
         k_p: High-frequency gain [1/s].
-        gain: kappa_1.
-        alpha_1: beta_1/phi_1 of the disturbance.
-        alpha_2: beta_2/phi_2.
+        gain: Value of the gain function kappa_1.
+        alpha_1: Ratio beta_1/phi_1 of a term of the disturbance.
+        alpha_2: Ratio beta_2/phi_2 of another term of the disturbance.
     """
     eps = p.eps
     p_11 = p.gamma * k_p
@@ -96,29 +110,31 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
 
 
 def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: Numeric) -> Numeric:
-    """Smallest eigenvalue of Q - 2 eps I over |alpha_1| <= rho_1, |alpha_2| <= rho_2.
+    """Smallest eigenvalue of Q - 2 eps I for all |alpha_1| <= rho_1 and |alpha_2| <= rho_2, at k_p, sigma and e.
 
-    The matrix is affine in (alpha_1, alpha_2), so the eigenvalue is concave and the four vertices suffice.
+    The matrix is affine in (alpha_1, alpha_2). So its smallest eigenvalue is concave, and is least at one of the four
+    vertices of the rectangle.
     """
     limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
-    vertices = [
+    eigenvalues = [
         smallest_of_q(p, k_p, gain, sign_1 * limit.rho_1, sign_2 * limit.rho_2)
         for sign_1, sign_2 in product((-1.0, 1.0), repeat=2)
     ]
-    xp = namespace(*vertices)
-    return xp.stack(xp.broadcast_arrays(*vertices)).min(axis=0)
+    xp = namespace(*eigenvalues)
+    return xp.stack(xp.broadcast_arrays(*eigenvalues)).min(axis=0)
 
 
 def attack_q(p: Parameters, bounds: Bounds) -> float:
-    """Smallest eigenvalue of Q - 2 eps I found over a grid of all sigma, e, and k_p; for plain numbers.
+    """Smallest eigenvalue of Q - 2 eps I that a search over a grid of sigma, e and k_p finds; for plain numbers.
 
-    |sigma| and |e| range up to 10^6 times the scale at which they matter in kappa.
+    It attacks the proof: a negative value would refute it. |sigma| and |e| range from 0 to 10^6 times the values at
+    which they matter in kappa_1.
     """
-    scale = np.concatenate([[0.0], np.logspace(-3, 6, POINTS - 1)])
-    sigma = scale[:, None, None] * p.kappa_c / p.kappa_a
-    e = scale[None, :, None] * p.kappa_c / p.kappa_b
-    k_p = np.linspace(bounds.k_min, bounds.k_max, 5)
+    multiples = np.concatenate([[0.0], np.logspace(-3, 6, POINTS - 1)])
+    sigma = multiples[:, None, None] * p.kappa_c / p.kappa_a
+    e = multiples[None, :, None] * p.kappa_c / p.kappa_b
+    k_p = np.linspace(bounds.k_min, bounds.k_max, GAIN_POINTS)
     return float(np.min(worst_of_q(p, bounds, k_p, sigma, e)))
 
 
@@ -144,17 +160,20 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     k_p = bounds.k_min
     gain = f(k_p, eps, p.gamma)
     p_11 = p.gamma * k_p
+    # coefficients of |sigma|, |e| and 1 in rho_1, rho_2, rho = 2 eps rho_1 + rho_2, and in the linear terms
     rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
     rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
-    a, b, d = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
-    linear = [4.0 * eps * p_11 * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)]
+    rho_sigma, rho_e, rho_0 = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
+    linear_sigma, linear_e, linear_0 = (
+        4.0 * eps * p_11 * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)
+    )
     return (
-        gain * p.kappa_a**2 - a**2,
-        2.0 * (gain * p.kappa_a * p.kappa_b - a * b),
-        gain * p.kappa_b**2 - b**2,
-        2.0 * (gain * p.kappa_a * p.kappa_c - a * d) - linear[0],
-        2.0 * (gain * p.kappa_b * p.kappa_c - b * d) - linear[1],
-        gain * (p.kappa_c**2 + p.kappa_d) - d**2 - linear[2] - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
+        gain * p.kappa_a**2 - rho_sigma**2,
+        2.0 * (gain * p.kappa_a * p.kappa_b - rho_sigma * rho_e),
+        gain * p.kappa_b**2 - rho_e**2,
+        2.0 * (gain * p.kappa_a * p.kappa_c - rho_sigma * rho_0) - linear_sigma,
+        2.0 * (gain * p.kappa_b * p.kappa_c - rho_e * rho_0) - linear_e,
+        gain * (p.kappa_c**2 + p.kappa_d) - rho_0**2 - linear_0 - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
     )
 
 
@@ -169,8 +188,8 @@ def q_is_positive(p: Parameters, bounds: Bounds) -> Numeric:
 def functions_are_positive(p: Parameters) -> Numeric:
     """Whether k_o tau_av > 0 and tau_m > 0 are proved for all sigma, e.
 
-    (28) is positive term by term. For (29), eps kappa phi_b > kappa_b (l0 |e| + |sigma|) suffices, coefficient by
-    coefficient: phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b), which is weaker than Table 1's kappa_a >
-        kappa_b/l0; kappa_c, kappa_d and gamma make it strict.
+    (28) for k_o tau_av is positive term by term. For (29), which gives tau_m, eps kappa phi_b > kappa_b (l0 |e| +
+    |sigma|) suffices. Coefficient by coefficient, this holds if phi_b >= l0/eps and kappa_a >= kappa_b/(eps phi_b),
+    which is weaker than kappa_a > kappa_b/l0 of Table 1; kappa_c, kappa_d and gamma make it strict.
     """
     return (p.eps * p.phi_b >= p.l0) & (p.kappa_a * p.eps * p.phi_b >= p.kappa_b)

@@ -22,7 +22,7 @@ from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.study import Study
 
 SAMPLES = 10_000
-"""Samples of noise in a mean; each also counts with the opposite sign."""
+"""Samples of noise in a mean; each counts a second time with the opposite sign."""
 OFFSETS = np.geomspace(1e-4, 1e4, 161)
 """Values of sigma that are searched for the largest rest, in standard deviations of its noise."""
 
@@ -32,8 +32,9 @@ class Drift(NamedTuple):
 
     Args:
         noise: Standard deviation of the noise of the measured sigma [m/s; rad/s for an angle].
-        rate: Largest mean rate at which noise drives the command away from zero sigma [m/s^2].
-        error: The output error |e| at which the loop comes to rest; 0 where it returns to zero.
+        rate: Largest mean rate at which noise drives the command away from sigma = 0 [m/s^2].
+        error: The output error |e| at which the loop comes to rest [m; rad for an angle]; 0 if it returns to zero,
+            infinite if it does not come to rest within the searched values.
     """
 
     noise: float
@@ -44,12 +45,23 @@ class Drift(NamedTuple):
 def sigma_noise(
     sensor: Sensor, differentiator: Differentiator, params: tuple[Any, Any], l0: Scalar, dt: Scalar
 ) -> jax.Array:
-    """Noise of sigma = y' + l0 y behind sensor and differentiator at y = y' = 0, less its mean; shape (SAMPLES,)."""
+    """Noise of sigma = y' + l0 y behind sensor and differentiator at y = y' = 0, less its mean, shape (SAMPLES,).
+
+    Args:
+        sensor: Sensor of the channel.
+        differentiator: Differentiator of the channel.
+        params: Parameters of sensor and differentiator.
+        l0: Error pole [1/s].
+        dt: Sampling period [s].
+    """
     leaves, tree = jax.tree.flatten(params)
-    # jit takes every scalar as static, since some are counts of samples; arrays are traced
-    static_scalars = tuple(None if np.ndim(leaf) else leaf for leaf in leaves)
-    traced_arrays = tuple(leaf if np.ndim(leaf) else None for leaf in leaves)
-    return traced_noise((sensor, differentiator), tree, static_scalars, traced_arrays, l0, dt)
+    static_scalars = []  # static for jit, since some of them are counts of samples
+    traced_arrays = []
+    for leaf in leaves:
+        is_array = np.ndim(leaf) > 0
+        static_scalars.append(None if is_array else leaf)
+        traced_arrays.append(leaf if is_array else None)
+    return traced_noise((sensor, differentiator), tree, tuple(static_scalars), tuple(traced_arrays), l0, dt)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
@@ -61,7 +73,7 @@ def traced_noise(
     l0: Scalar,
     dt: Scalar,
 ) -> jax.Array:
-    """:func:`sigma_noise`, compiled, with the leaves of the parameters divided into static scalars and traced arrays.
+    """Compute :func:`sigma_noise` in compiled code, from static scalars and traced arrays among the parameters.
 
     Args:
         models: Sensor and differentiator.
@@ -72,44 +84,51 @@ def traced_noise(
         dt: Sampling period [s].
     """
     sensor, differentiator = models
-    params = tree.unflatten(s if a is None else a for s, a in zip(static_scalars, traced_arrays, strict=True))
+    leaves = [s if a is None else a for s, a in zip(static_scalars, traced_arrays, strict=True)]
+    sensor_params, differentiator_params = tree.unflatten(leaves)
     at_rest = Measurement(0.0, 0.0)
     key = jax.random.key(stream("noise"))
 
     def sample(state: Any, k: Scalar) -> tuple[Any, Scalar]:
-        sensor_state, measurement = sensor.step(params[0], state[0], at_rest, jax.random.fold_in(key, k), k * dt, dt)
-        differentiator_state, measurement = differentiator.step(params[1], state[1], measurement, dt)
+        """Next states of sensor and differentiator, and the measured sigma, at sample k."""
+        sensor_state, differentiator_state = state
+        noise_key = jax.random.fold_in(key, k)
+        sensor_state, measurement = sensor.step(sensor_params, sensor_state, at_rest, noise_key, k * dt, dt)
+        differentiator_state, measurement = differentiator.step(
+            differentiator_params, differentiator_state, measurement, dt
+        )
         return (sensor_state, differentiator_state), measurement.y_dot + l0 * measurement.y
 
-    sensor_start = sensor.init(params[0], at_rest, key)
-    start = sensor_start, differentiator.init(params[1], at_rest)
+    sensor_start = sensor.init(sensor_params, at_rest, key)
+    start = sensor_start, differentiator.init(differentiator_params, at_rest)
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.result_type(float)), start)
-    sigma = jax.lax.scan(sample, start, jnp.arange(SAMPLES))[1]
+    _, sigma = jax.lax.scan(sample, start, jnp.arange(SAMPLES))
     return sigma - jnp.mean(sigma)
 
 
 @jax.jit
 def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """Mean rates of u_av [m/s^2] at a constant true sigma and e = sigma/l0: by the noise, and by phi_2.
+    """Mean rates of the command u_av at a constant true sigma and e = sigma/l0: by the noise, and by the law's phi_2.
 
     Args:
-        functions: The state-dependent functions.
+        functions: The state-dependent functions of DSSC.
         l0: Error pole [1/s].
         noise: Successive noise of sigma [m/s], shape (n,).
         sigma: True values of sigma [m/s], shape (m,).
         dt: Sampling period [s].
 
     Returns:
-        Two arrays of shape (m,).
+        Mean rates by the noise and by phi_2 [m/s^2], each of shape (m,).
     """
 
     def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
+        """Rates of u_av at one sample, by the change of the noise since the previous sample and by phi_2."""
         noisy_sigma = sigma + noise
         k_o, tau_av, tau_m = functions.at(noisy_sigma, sigma / l0, l0)
         gain = 1.0 / (k_o * tau_av)
         return gain * (noise - previous) / dt, gain * noisy_sigma / tau_m
 
-    present = jnp.stack([noise[1:], -noise[1:]])
+    present = jnp.stack([noise[1:], -noise[1:]])  # both signs, since the noise is symmetric
     previous = jnp.stack([noise[:-1], -noise[:-1]])
     by_noise, by_law = jax.vmap(lambda value: rates(value, present, previous))(sigma)
     return jnp.mean(by_noise, axis=(1, 2)), jnp.mean(by_law, axis=(1, 2))
@@ -131,8 +150,8 @@ def noise_drift(study: Study) -> dict[str, Drift]:
     template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)  # records: arrays
     drifts = {}
     for i, name in enumerate(loop.channels):
-        is_exact = not template.sensor[i] and not template.differentiator[i]
-        if is_exact or loop.controller[i] != DSSC.members[Discretisation.IMPLICIT]:
+        has_no_noise = not template.sensor[i] and not template.differentiator[i]  # parts without parameters
+        if has_no_noise or loop.controller[i] != DSSC.members[Discretisation.IMPLICIT]:
             continue
         gains = template.controller[i]
         with jax.enable_x64(True):
@@ -147,13 +166,19 @@ def noise_drift(study: Study) -> dict[str, Drift]:
 
 
 def noise_warning(study: Study) -> str | None:
-    """A sentence if :func:`noise_drift` predicts an error beyond the study's settling band in a channel; else None."""
+    """A warning of one sentence if :func:`noise_drift` predicts an error beyond the settling band of a channel.
+
+    None if it predicts no such error.
+    """
     band = study.config.metrics.window.band
-    large_drifts = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
-    if not large_drifts:
+    unit_of_channel = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
+    errors = []
+    for name, drift in noise_drift(study).items():
+        if drift.error > band:
+            place = f" in {name}" if name else ""
+            errors.append(f"{drift.error:.2g} {unit_of_channel[name]}{place}")
+    if not errors:
         return None
-    unit = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
-    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in large_drifts.items()]
     return (
         f"measurement noise is predicted to move DSSC's implicit form off its reference by {', '.join(errors)}; "
         "discretisation = 'conservative' in [controller] avoids this"
@@ -161,22 +186,23 @@ def noise_warning(study: Study) -> str | None:
 
 
 def rest_drift(noise_std: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
-    """The drift from rates over a grid of sigma: the loop rests at the largest sigma at which they balance.
+    """The drift from rates over a grid of sigma: the loop rests at the largest sigma at which the rates balance.
 
     Args:
         noise_std: Standard deviation of the noise of sigma [m/s].
-        sigma: Grid of sigma, shape (n,) [m/s].
-        by_noise: Mean rate of the command by the noise, shape (n,) [m/s^2].
-        by_law: Mean rate of the command by phi_2, shape (n,) [m/s^2].
+        sigma: Rising grid of sigma, shape (n,) [m/s].
+        by_noise: Mean rate of the command by the noise, shape (n,) [m/s^2]; negative where it drives sigma outward.
+        by_law: Mean rate of the command by phi_2, shape (n,) [m/s^2]; positive, since it drives sigma to 0.
         l0: Error pole [1/s].
     """
     total = by_noise + by_law
     outward = np.flatnonzero(total < 0.0)
+    largest_outward_rate = -float(by_noise.min())
     if not outward.size:
-        return Drift(noise_std, max(0.0, -float(by_noise.min())), 0.0)
+        return Drift(noise_std, max(0.0, largest_outward_rate), error=0.0)
     i = int(outward[-1])
     if i + 1 == sigma.size:
-        return Drift(noise_std, -float(by_noise.min()), np.inf)
-    share = total[i] / (total[i] - total[i + 1])
+        return Drift(noise_std, largest_outward_rate, error=np.inf)
+    share = total[i] / (total[i] - total[i + 1])  # of the logarithmic step from sigma[i], up to the balance
     rest_sigma = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
-    return Drift(noise_std, -float(by_noise.min()), float(rest_sigma / l0))
+    return Drift(noise_std, largest_outward_rate, error=float(rest_sigma / l0))

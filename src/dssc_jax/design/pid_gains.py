@@ -18,11 +18,22 @@ from dssc_jax.study.actuators import acting_elements
 from dssc_jax.study.fitting import nominal_params
 
 PHASE_MARGIN = math.radians(60.0)
-LEAST_MARGIN = math.radians(45.0)  # where one lead element gives no more with the slowest integral
-SLOWEST = 0.1  # corner of that integral, in bandwidths
-MOST_LEAD = math.radians(65.0)  # of one lead element
-MOST_LAG = math.radians(85.0)  # of the integral part at the bandwidth
-MOST_ADVANCE = math.radians(10.0)  # of a plant with a gain at rest that PID can make cross
+LEAST_MARGIN = math.radians(45.0)
+"""Phase margin that is accepted where one lead element gives no more with the slowest integral."""
+SLOWEST = 0.1
+"""Corner frequency of the slowest integral, in bandwidths."""
+MOST_LEAD = math.radians(65.0)
+"""Largest phase lead of one lead element."""
+MOST_LAG = math.radians(85.0)
+"""Largest phase lag of the integral part at the bandwidth."""
+MOST_ADVANCE = math.radians(10.0)
+"""Largest positive phase of a plant at the bandwidth with which PID can cross there."""
+LAG_BEYOND = math.radians(66.0)
+"""Phase, in (-pi, pi], above which a plant has a large lag of more than a half turn, rather than a lead."""
+FAR_BELOW = 1e-6
+"""Frequency, in bandwidths, at which a plant has its gain at rest."""
+VANISHING = 1e-3
+"""Share of the gain at the bandwidth below which the gain at rest counts as 0."""
 
 
 def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
@@ -39,23 +50,35 @@ def pid(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
     plant = problem.actuated_plant
     response = plant.response(omega)
     phase = float(np.angle(response))
-    phase -= 2.0 * math.pi if phase > math.radians(66.0) else 0.0  # a large lag, where no lead is meant
+    if phase > LAG_BEYOND:
+        phase -= 2.0 * math.pi
     if phase > MOST_ADVANCE:
         rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(phase):.0f} degrees"
         remedy = "ask for another bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
         raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
+    # the integral part 1 + corner/s lags by atan(corner/omega) at the bandwidth, with the plant by 90 degrees or more
     lag = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
     corner = omega * math.tan(lag) if acts_at_rest(plant, omega) else 0.0
     required_lead = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
-    has_slow_design = PHASE_MARGIN - math.pi - phase + math.atan(min(SLOWEST, corner / omega)) <= MOST_LEAD
-    if required_lead > MOST_LEAD + (0.0 if has_slow_design else PHASE_MARGIN - LEAST_MARGIN):
+    slowest_corner = min(SLOWEST, corner / omega)  # in bandwidths
+    lead_with_slowest = PHASE_MARGIN - math.pi - phase + math.atan(slowest_corner)
+    most_required_lead = MOST_LEAD
+    if lead_with_slowest > MOST_LEAD:  # no integral reaches the full margin
+        most_required_lead += PHASE_MARGIN - LEAST_MARGIN
+    if required_lead > most_required_lead:
         raise lead_error(problem, omega, required_lead)
     lead = min(max(required_lead, 0.0), MOST_LEAD)
     return gains_with_lead(response, omega, corner, lead) | limits(problem)
 
 
 def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> ConfigError:
-    """The error where PID would need more phase lead [rad] at the bandwidth [rad/s] than one element gives."""
+    """The error that PID would need more phase lead at the bandwidth than one lead element gives.
+
+    Args:
+        problem: The plant and the study's name.
+        omega: The bandwidth [rad/s].
+        required_lead: The phase lead [rad].
+    """
     if falls_at_rest(problem.actuated_plant, omega):
         rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
         return ConfigError(f"{problem.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
@@ -66,9 +89,10 @@ def lead_error(problem: DesignProblem, omega: float, required_lead: float) -> Co
 
 
 def gains_with_lead(response: complex, omega: float, corner: float, lead: float) -> TomlTable:
-    """The gains of PID with which the loop gain is 1 at the bandwidth.
+    """The table of a PID controller with which the loop gain is 1 at the bandwidth.
 
-    PID is the product of an integral part 1 + corner/s and a lead element with its largest lead at the bandwidth.
+    PID is the product of a gain, an integral part 1 + corner/s, and a lead element (1 + T s)/(1 + T_f s) with its
+    largest lead at the bandwidth.
 
     Args:
         response: Frequency response of the plant at the bandwidth.
@@ -76,25 +100,29 @@ def gains_with_lead(response: complex, omega: float, corner: float, lead: float)
         corner: Corner frequency of the integral part [rad/s]; 0: none.
         lead: Phase lead of the element [rad]; 0: none.
     """
-    ratio = math.sqrt((1.0 + math.sin(lead)) / (1.0 - math.sin(lead)))
-    lead_time = ratio / omega if lead else 0.0
-    filter_time = 1.0 / (ratio * omega) if lead else 0.0
+    lead_time = filter_time = 0.0  # T and T_f
+    if lead > 0.0:
+        ratio = math.sqrt((1.0 + math.sin(lead)) / (1.0 - math.sin(lead)))  # sqrt(T/T_f)
+        lead_time = ratio / omega
+        filter_time = 1.0 / (ratio * omega)
     s = 1j * omega
     gain = 1.0 / abs((1.0 + corner / s) * (1.0 + lead_time * s) / (1.0 + filter_time * s) * response)
+    # the same product as k_p + k_i/s + k_d s/(1 + T_f s)
     k_i = gain * corner
     k_p = gain * (1.0 + corner * lead_time) - k_i * filter_time
+    k_d = gain * lead_time - k_p * filter_time
     table: TomlTable = {"kind": "pid", "k_p": k_p}
-    if k_i:
+    if k_i > 0.0:
         table["k_i"] = k_i
-    if lead:
-        table |= {"k_d": gain * lead_time - k_p * filter_time, "filter": filter_time}
+    if lead > 0.0:
+        table |= {"k_d": k_d, "filter": filter_time}
     return table
 
 
 def limits(problem: DesignProblem) -> TomlTable:
-    """The limits of the command, as fields of a controller; empty if it has none.
+    """The limits of the command, as fields of a controller; empty if the design has no limit.
 
-    They are those of the design, or of an actuator without a state that saturates earlier.
+    An actuator without a state that saturates earlier narrows the limits of the design.
     """
     if problem.limit is None:
         return {}
@@ -102,27 +130,44 @@ def limits(problem: DesignProblem) -> TomlTable:
     for element, params in acting_elements(problem.study.table, problem.study.config):
         numbers = nominal_params(params)
         state = element.model.init(numbers)
-        if not jax.tree.leaves(state):
-            low, high = (command_end(element.model, numbers, state, end) for end in (low, high))
+        has_state = bool(jax.tree.leaves(state))
+        if not has_state:
+            low = saturated_end(element.model, numbers, state, low)
+            high = saturated_end(element.model, numbers, state, high)
     return {"low": low, "high": high}
 
 
-def command_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
-    """The output of an actuator without a state at an end of the commands, if it saturates there; else that end."""
-    at_end = float(model.output(params, state, end))
-    beyond = float(model.output(params, state, 2.0 * end))
-    return at_end if at_end == beyond else end
+def saturated_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
+    """Largest or smallest command that an actuator without a state passes on: its output where it saturates.
+
+    Args:
+        model: The actuator.
+        params: Its parameters, in plain numbers.
+        state: Its empty state.
+        end: Largest or smallest command of the design, which stays if the actuator does not saturate there.
+    """
+    output_at_end = float(model.output(params, state, end))
+    output_beyond = float(model.output(params, state, 2.0 * end))
+    is_saturated = output_at_end == output_beyond
+    return output_at_end if is_saturated else end
 
 
 def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
-    """Whether the plant has a gain at rest: if it has a zero there, an integral would grow without effect.
+    """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect.
 
-    The gain far below the bandwidth ``omega`` [rad/s] is compared with that at it.
+    Args:
+        plant: The sampled plant.
+        omega: The bandwidth [rad/s], with whose gain the gain far below is compared.
     """
-    return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
+    return abs(plant.response(FAR_BELOW * omega)) > VANISHING * abs(plant.response(omega))
 
 
 def falls_at_rest(plant: LinearPlant, omega: float) -> bool:
-    """Whether the plant is stable and its output falls as its command rises; ``omega`` is the bandwidth [rad/s]."""
+    """Whether the plant is stable and its output at rest falls as its command rises.
+
+    Args:
+        plant: The sampled plant.
+        omega: The bandwidth [rad/s].
+    """
     is_stable = bool(np.all(np.abs(np.linalg.eigvals(plant.a)) < 1.0))
-    return is_stable and plant.response(1e-6 * omega).real < 0.0
+    return is_stable and plant.response(FAR_BELOW * omega).real < 0.0

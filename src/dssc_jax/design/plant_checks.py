@@ -1,4 +1,4 @@
-"""Whether a plant of one's own is consistent: its y', its linear part, and the disturbances that it has to use."""
+"""Checks of a user's own plant: its y', its linear part, and whether it uses the disturbances of the study."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,9 +16,13 @@ from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.fitting import nominal_params
 
 POINTS = 4
-NEAR = 0.05  # distance of these points from the start, relative to 0.1 + |x|
-PUSH = 0.1  # size of commands and disturbances there
-SAME_RATE = 1e-3  # relative difference of y' from the derivative of y that counts as none
+"""Points near the plant's start at which it is examined."""
+NEAR = 0.05
+"""Standard deviation of the points' distance from the start, relative to 0.1 + |x|."""
+PUSH = 0.1
+"""Standard deviation of commands and disturbances at the points."""
+SAME_RATE = 1e-3
+"""Relative difference of y' from the derivative of y, or of two slopes, that counts as none."""
 
 
 class PlantFindings(NamedTuple):
@@ -27,7 +31,7 @@ class PlantFindings(NamedTuple):
     Args:
         wrong_rates: Mask of the channels whose y' is not the derivative of y at any point, shape (channels,).
         effective_commands: Mask of the commands at which a disturbance has an effect at some point, shape (channels,).
-        effective_inputs: Mask of the named inputs at which one has, shape (inputs,).
+        effective_inputs: Mask of the named inputs at which a disturbance has an effect, shape (inputs,).
         is_inconsistent: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
     """
 
@@ -38,15 +42,16 @@ class PlantFindings(NamedTuple):
 
 
 class PlantAtPoint(NamedTuple):
-    """What a plant's functions give at one state and for one set of signals.
+    """Values and derivatives of a plant's functions at one state, for one set of commands and disturbances.
 
     Args:
-        along: Derivative of y along the slopes of the states, shape (channels,).
+        along: Derivative of y in time, along the slopes of the states, shape (channels,).
         rate: The y' that the plant measures, shape (channels,).
-        effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
-            (..., channels + inputs).
-        slopes: Slopes of the states by ``derivative``, shape (states,).
-        slopes_of_parts: Slopes by ``linear`` and ``remainder``, which a run takes; without these parts, ``slopes``.
+        effects: Derivatives of slopes and measurements by the disturbances at the commands and at the named inputs,
+            shape (states + 2 channels, channels + inputs).
+        slopes: Slopes of the states, their derivatives in time, by ``derivative``, shape (states,).
+        slopes_of_parts: Slopes by ``linear`` and ``remainder``, which a run takes; ``slopes`` for a plant without these
+            parts.
     """
 
     along: jax.Array
@@ -57,18 +62,20 @@ class PlantAtPoint(NamedTuple):
 
 
 def plant_warnings(study: Study) -> list[str]:
-    """Warnings of a user's own plant that contradicts itself, or that ignores an input with a disturbance.
+    """Warnings of a user's own plant that contradicts itself, or that ignores a disturbance of the study.
 
-    It contradicts itself if its y' is not the derivative of its y, or if its linear part is not that of its slopes.
-    This follows from derivatives at some points near its start. A plant of this package, one with a state outside of
-    JAX, and one that flies in a wind are not examined.
+    A plant contradicts itself if its y' is not the derivative of its y, or if ``linear`` and ``remainder`` do not add
+    up to ``derivative``. Derivatives at some points near its start tell this. Plants of this package, plants with a
+    state outside of JAX, and plants that fly in a wind are not examined.
 
     Args:
-        study: The study; uncertain numbers have their median values.
+        study: The study; uncertain numbers have their nominal values.
     """
     loop = study.loop
-    foreign = ":" in str(study.config.plant.get("kind", ""))
-    if not foreign or loop.mimo_plant.begin is not None or kind_in(study.config, "wind") != "none":
+    is_users_plant = ":" in str(study.config.plant.get("kind", ""))
+    has_native_state = loop.mimo_plant.begin is not None
+    has_wind = kind_in(study.config, "wind") != "none"
+    if not is_users_plant or has_native_state or has_wind:
         return []
     findings = plant_findings(study)
     warnings = []
@@ -99,10 +106,13 @@ def plant_warnings(study: Study) -> list[str]:
 
 
 def plant_findings(study: Study) -> PlantFindings:
-    """Examine the plant of a study at some points near its start."""
+    """Examine the plant of a study at random points near its start.
+
+    The y' of a channel is wrong if it differs from the derivative of y at all points at which both are finite.
+    """
     channel_count = len(study.loop.channels)
     input_count = len(study.loop.input_names)
-    mismatch_counts = np.zeros(channel_count, int)
+    mismatch_counts = np.zeros(channel_count, int)  # points at which y' is wrong
     finite_counts = np.zeros(channel_count, int)
     has_effect = np.zeros(channel_count + input_count, bool)
     is_inconsistent = False
@@ -113,17 +123,18 @@ def plant_findings(study: Study) -> PlantFindings:
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channel_count + input_count)
             along, rate, effects, slopes, slopes_of_parts = map(np.asarray, examine(x, signals))
-            scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
-            is_inconsistent |= not np.allclose(slopes, slopes_of_parts, SAME_RATE, scale, equal_nan=True)
+            tolerance = SAME_RATE * np.abs(slopes).max(initial=0.0)
+            is_inconsistent |= not np.allclose(slopes, slopes_of_parts, rtol=SAME_RATE, atol=tolerance, equal_nan=True)
             is_finite = np.isfinite(along) & np.isfinite(rate)
             finite_counts += is_finite
-            mismatch_counts += is_finite & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
+            differs = np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate))
+            mismatch_counts += is_finite & differs
             has_effect |= np.any(effects != 0.0, axis=0)
     return PlantFindings(
-        (finite_counts > 0) & (mismatch_counts == finite_counts),
-        has_effect[:channel_count],
-        has_effect[channel_count:],
-        is_inconsistent,
+        wrong_rates=(finite_counts > 0) & (mismatch_counts == finite_counts),
+        effective_commands=has_effect[:channel_count],
+        effective_inputs=has_effect[channel_count:],
+        is_inconsistent=is_inconsistent,
     )
 
 
@@ -132,7 +143,8 @@ def start_and_examination(
 ) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], PlantAtPoint]]:
     """The plant's state at the start as a vector, and a compiled function that examines the plant at a point.
 
-    The function takes a state and the signals: the commands, the matched disturbances and the named inputs.
+    The function takes a state, shape (states,), and the signals: the commands, the disturbances at the commands, and
+    the disturbances at the named inputs, shape (2 channels + inputs,).
     """
     plant = study.loop.mimo_plant
     channel_count = len(study.loop.channels)
@@ -140,19 +152,23 @@ def start_and_examination(
     start, unravel = as_vector(plant.init(params))
 
     def drive_of(signals: jax.Array) -> PlantInput:
+        """The plant's input with these signals, without wind."""
         commands, matched, inputs = jnp.split(signals, [channel_count, 2 * channel_count])
-        return PlantInput(tuple(commands), tuple(matched), None, tuple(inputs))
+        return PlantInput(tuple(commands), disturbance=tuple(matched), wind=None, inputs=tuple(inputs))
 
     def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
-        return ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))[0]
+        """Slopes of the states by ``derivative``."""
+        slopes, _ = ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))
+        return slopes
 
     def measured_outputs(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The y and the y' of every channel."""
         measurements = plant.measure(params, unravel(x), drive_of(signals))
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
 
     def slope_of_parts(x: jax.Array, signals: jax.Array) -> jax.Array:
-        """The sum of ``linear`` and ``remainder``; that of ``derivative`` if the plant has no linear part."""
+        """Slopes of the states by ``linear`` and ``remainder``; by ``derivative`` if the plant has no linear part."""
         if plant.linear is None:
             return slope(x, signals)
         linear = plant.linear(params)
@@ -164,12 +180,22 @@ def start_and_examination(
 
     @jax.jit
     def examine(x: jax.Array, signals: jax.Array) -> PlantAtPoint:
-        _, along = jax.jvp(lambda state: measured_outputs(state, signals)[0], (x,), (slope(x, signals),))
-        effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured_outputs, 1)(x, signals)])
+        """Examine the plant at a state and for these signals."""
+
+        def outputs_at(state: jax.Array) -> jax.Array:
+            """The y of every channel."""
+            outputs, _ = measured_outputs(state, signals)
+            return outputs
+
+        _, along = jax.jvp(outputs_at, (x,), (slope(x, signals),))
+        _, rate = measured_outputs(x, signals)
+        slope_effects = jax.jacfwd(slope, argnums=1)(x, signals)
+        output_effects, rate_effects = jax.jacfwd(measured_outputs, argnums=1)(x, signals)
+        effects = jnp.concatenate([slope_effects, output_effects, rate_effects])
         return PlantAtPoint(
             along=along,
-            rate=measured_outputs(x, signals)[1],
-            effects=effects[:, channel_count:],
+            rate=rate,
+            effects=effects[:, channel_count:],  # without the commands
             slopes=slope(x, signals),
             slopes_of_parts=slope_of_parts(x, signals),
         )

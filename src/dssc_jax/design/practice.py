@@ -18,17 +18,17 @@ RATIO = 0.5  # share of the sampling limit that the proposed periods use
 
 
 class Practice(NamedTuple):
-    """Practical requirements of a design.
+    """The sampling period that a design needs, and the bounds that its modulation rho must dominate.
 
-    Values for the residual set are NaN if none is guaranteed. ``u_av`` and ``drift`` are also NaN if the bounds do
-    not determine them: a disturbance without ``alpha_d``, or an integral in the nominal control.
+    Values for the residual set are NaN if no residual set is guaranteed. ``u_av`` and ``drift`` are also NaN if the
+    bounds do not determine them: a disturbance without ``alpha_d``, or an integral in the nominal control.
 
     Args:
         sample_time_origin: Sampling period for half the sampling limit at sigma = e = 0 and k_p = k_max [s].
         sample_time: Sampling period for half the sampling limit over the guaranteed residual set [s].
-        proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over that set [1].
-        u_av: Bound of |u_av| over that set [m/s].
-        drift: Bound of |sigma' + sigma/tau_m| over that set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +
+        proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over the residual set [1].
+        u_av: Bound of |u_av| over the residual set [m/s].
+        drift: Bound of |sigma' + sigma/tau_m| over the residual set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +
             sigma/tau_m in sliding, so rho > u_av + drift/k_o satisfies the sliding condition.
     """
 
@@ -43,17 +43,19 @@ def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None =
     """Sampling periods from the sampling limit of the synthesised law, and the bounds that rho must dominate.
 
     Args:
-        p: The parameters.
-        bounds: The bounds.
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
         proved_guarantee: The guarantee, if it has been computed; None: it is computed here.
     """
     residual_set = finite_guarantee(guarantee(p, bounds) if proved_guarantee is None else proved_guarantee)
     gain = proportional_gain(p, residual_set.sigma, residual_set.e)
+    u_av, drift = command_bounds(p, bounds, residual_set)
     return Practice(
-        sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
-        sample_time(bounds.k_max, gain, predictor_pole(p)),
-        gain,
-        *command_bounds(p, bounds, residual_set),
+        sample_time_origin=sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
+        sample_time=sample_time(bounds.k_max, gain, predictor_pole(p)),
+        proportional_gain=gain,
+        u_av=u_av,
+        drift=drift,
     )
 
 
@@ -64,57 +66,74 @@ def finite_guarantee(guaranteed: Guarantee) -> Guarantee:
 
 
 def proportional_gain(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
-    """Bound of 1/(k_o tau_av) = kappa_1' phi_1 + kappa_1 phi_1' (28) for |sigma|, |e| up to the given ones.
+    """Bound of the proportional gain 1/(k_o tau_av) = kappa_1' phi_1 + kappa_1 phi_1' (28).
 
-    phi_1' and phi_1/sigma are largest at sigma = 0, where both are phi_a/delta + phi_b; exact there.
+    phi_1' and phi_1/sigma are largest at sigma = 0, where both are phi_a/delta + phi_b. So the bound is exact at
+    sigma = e = 0.
+
+    Args:
+        p: Parameters of Table 1.
+        sigma: Largest |sigma| [m/s].
+        e: Largest |e| [m].
     """
     kappa = p.kappa_a * sigma + p.kappa_b * e + p.kappa_c
     return (2.0 * kappa * p.kappa_a * sigma + kappa_1(p, sigma, e)) * (p.phi_a / p.delta + p.phi_b)
 
 
 def predictor_pole(p: Parameters) -> Numeric:
-    """Bound of 1/tau_m of (29) over all (sigma, e).
+    """Bound of the predictor's pole 1/tau_m of (29) over all sigma and e [1/s].
 
-    Its part of d kappa_1/d e is at most kappa_b/kappa_a, that of kappa_2 at most the largest phi_1/sigma times the
-    largest kappa_2/kappa_1. NaN if kappa_a = 0: then nothing bounds it.
+    1/tau_m has two terms. The term of d kappa_1/d e is at most kappa_b/kappa_a; NaN if kappa_a = 0, where it has no
+    bound. The term of kappa_2 is at most the largest phi_1/sigma times the largest kappa_2/kappa_1.
     """
-    largest_share = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)
-    return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_share
+    largest_ratio = 2.0 * p.eps + p.gamma / (p.kappa_c**2 + p.kappa_d)  # of kappa_2 to kappa_1
+    return ratio_where(p.kappa_a > 0.0, p.kappa_b, p.kappa_a) + (p.phi_a / p.delta + p.phi_b) * largest_ratio
 
 
 def sample_time(k_p: Numeric, gain: Numeric, pole: Numeric) -> Numeric:
-    """T_s for which (k_p T_s gain)(1 + T_s pole/2)/2 is :data:`RATIO` [s].
+    """The sampling period T_s at the share :data:`RATIO` of the sampling limit [s].
+
+    At the limit, (k_p T_s gain)(1 + T_s pole/2)/2 is 1. The result is the positive root of the quadratic equation.
 
     Args:
         k_p: High-frequency gain [1/s].
-        gain: 1/(k_o tau_av).
-        pole: 1/tau_m [1/s].
+        gain: Proportional gain 1/(k_o tau_av).
+        pole: Predictor's pole 1/tau_m [1/s].
     """
-    linear = 2.0 * RATIO / (k_p * gain)  # of a vanishing pole
-    return 2.0 * linear / (1.0 + (1.0 + 2.0 * linear * pole) ** 0.5)
+    without_pole = 2.0 * RATIO / (k_p * gain)  # T_s for a pole of 0
+    return 2.0 * without_pole / (1.0 + (1.0 + 2.0 * without_pole * pole) ** 0.5)
 
 
 def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> tuple[Numeric, Numeric]:
-    """Bounds of |u_av| and |sigma' + sigma/tau_m| in the residual set.
+    """Bounds of |u_av| [m/s] and of |sigma' + sigma/tau_m| [m/s^2] in the residual set.
 
-    sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
+    By (48) sigma' = -k_p kappa_1 phi_1 + beta_1 + z with |phi_1|, |z| <= zeta, and by (13) k_p u_av = d_sigma - sigma'.
+    Both bounds are NaN if the bounds of the loop do not determine them.
+
+    Args:
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        residual_set: The guarantee, with NaN in place of infinity.
     """
     b = bounds
     c = derive(bounds, p.l0)
     xp = namespace(residual_set.sigma)
     sigma = residual_set.sigma
     e = residual_set.e
-    slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar
-    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * residual_set.zeta + slope * sigma
-    y_dot = p.l0 * e + sigma + b.y_m_dot
-    sigma_m_dot = b.y_m_ddot + p.l0 * b.y_m_dot
-    nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m
-    zero_output = output_norm(b) * residual_set.x_eta
+    slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar  # bound of |beta_1/sigma|
+    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * residual_set.zeta + slope * sigma  # bound of |sigma'|
+    y_dot = p.l0 * e + sigma + b.y_m_dot  # bound of |y'|
+    sigma_m_dot = b.y_m_ddot + p.l0 * b.y_m_dot  # bound of |sigma_m'|, with sigma_m = y_m' + l0 y_m
+    nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m  # bound of the nominal control
+    zero_output = output_norm(b) * residual_set.x_eta  # bound of the zero dynamics' output
     d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + zero_output
     is_disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
-    is_known = ((b.alpha_d > 0.0) | ~xp.asarray(is_disturbed)) & (b.c_isigma + b.c_ie == 0.0)
+    is_disturbance_known = (b.alpha_d > 0.0) | ~xp.asarray(is_disturbed)
+    has_no_integral = b.c_isigma + b.c_ie == 0.0
+    is_known = is_disturbance_known & has_no_integral
     u_av = xp.where(is_known, (d_sigma + sigma_dot) / b.k_min, xp.nan)
-    return u_av, xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan)
+    drift = xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan)
+    return u_av, drift
 
 
 def output_norm(bounds: Bounds) -> float:
@@ -125,7 +144,7 @@ def output_norm(bounds: Bounds) -> float:
 
 
 class Modulation(NamedTuple):
-    """The modulation of a design, with which the loop reaches sliding."""
+    """Numbers of a design that determine its modulation rho (33), with which the loop reaches sliding."""
 
     k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
@@ -137,5 +156,5 @@ class Modulation(NamedTuple):
 
     @property
     def first_sliding(self) -> float:
-        """Bound of the time of the first sliding under (33) [s]: |sigma_tilde|' <= -delta_rho (44)."""
+        """Bound of the time at which the loop first slides under (33) [s], since |sigma_tilde|' <= -delta_rho (44)."""
         return self.sigma_tilde / self.delta_rho

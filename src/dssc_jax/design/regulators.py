@@ -11,9 +11,16 @@ from dssc_jax.design.linear_plant import DesignProblem, LinearPlant
 from dssc_jax.design.pid_gains import acts_at_rest, limits
 from dssc_jax.models.controllers.linear_quadratic import filter_gain, gain_at_rest, regulator_gain, sampled_system
 
-FILTER_RATIO = 4.0  # ratio of the filter's bandwidth to the regulator's
-PLACES = 9  # bisections' decades of a weight on either side
-FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
+FILTER_RATIO = 4.0
+"""Ratio of the filter's bandwidth to the regulator's."""
+PLACES = 9
+"""Decades on either side of a guess in which a weight is sought."""
+CROSSING_HALVINGS = 80
+"""Halvings of the interval of a weight's logarithm."""
+FITS = 1e-9
+"""Share of the regulator's gains that measured signals may leave out."""
+STILL = 1e-12
+"""Share of the largest signal below which a signal counts as one that does not move."""
 
 
 def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
@@ -32,19 +39,20 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
     """
     study, plant = problem.study, problem.bare_plant
     nominal = problem.plant.nominal
-    rows = nominal.signals if study.loop.measures else nominal.output[None, :]
+    rows = nominal.signals if study.loop.measures else nominal.output[None, :]  # of the signals that the filter takes
     dt = plant.sample_time
     filter_bandwidth = min(FILTER_RATIO * omega, 0.5 * math.pi / dt)
     sampled = sampled_system(nominal.a, np.column_stack([nominal.command, nominal.disturbances]), dt)
-    disturbance_column = sampled.disturbances[:, 0]
+    disturbance_column = sampled.disturbances[:, 0]  # of the disturbance at the command
     sizes = signal_sizes(problem, rows, responses(sampled.a, disturbance_column, filter_bandwidth, dt))
     scaled_rows = rows / sizes[:, None]
-    noise = np.outer(disturbance_column, disturbance_column)
+    process_noise = np.outer(disturbance_column, disturbance_column)  # of a disturbance with standard deviation 1
 
     def filter_loop_gain(deviation: float) -> float:
-        correction = filter_gain(sampled.a, scaled_rows, noise, deviation**2 * np.eye(len(rows)))
+        """Loop gain of the filter at its bandwidth, for a standard deviation of the scaled signals' noise."""
+        correction = filter_gain(sampled.a, scaled_rows, process_noise, deviation**2 * np.eye(len(rows)))
         response = responses(sampled.a, sampled.a @ correction, filter_bandwidth, dt)
-        return float(np.linalg.norm(scaled_rows @ response, 2))
+        return float(np.linalg.norm(scaled_rows @ response, ord=2))
 
     deviation = crossing(filter_loop_gain, 1.0)
     table: TomlTable = {
@@ -59,12 +67,12 @@ def lqg(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
 
 
 def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.ndarray) -> np.ndarray:
-    """The magnitudes with which the measured signals move with a disturbance at the command, (signals,).
+    """Magnitude with which a disturbance at the command moves each measured signal, shape (m,).
 
     Args:
         problem: The design problem, for the signals' names.
-        rows: Row of each signal, (signals, n).
-        state_response: Frequency response of the state, (n,).
+        rows: Row of each signal, shape (m, n).
+        state_response: Frequency response of the state to the disturbance, shape (n,).
 
     Raises:
         ConfigError: A signal does not move, so that its noise has no scale.
@@ -73,22 +81,29 @@ def signal_sizes(problem: DesignProblem, rows: np.ndarray, state_response: np.nd
     names = [signal.name for signal in study.loop.measures] or ["y"]
     sizes = np.abs(rows @ state_response)
     for name, size in zip(names, sizes, strict=True):
-        if not size > 1e-12 * np.max(sizes):
+        moves = size > STILL * np.max(sizes)
+        if not moves:
             rule = f"'{name}' does not move with a disturbance at the command, so its noise has no scale"
             raise ConfigError(f"{study.source}: sensor.measures", f"{rule}; leave it out, or state weights of your own")
     return sizes
 
 
 def stated_model(problem: DesignProblem) -> TomlTable:
-    """The entry ``model`` of LQG: the plant's linearisation; empty for a linear plant, which is known anyway."""
+    """The entry ``model`` of an LQG controller: the plant's linearisation.
+
+    Empty for a linear plant, since the controller takes the study's plant as its model.
+    """
     plant = problem.plant
     dynamics = problem.study.loop.plant
-    if dynamics.linear is not None and dynamics.remainder is None:
+    is_linear = dynamics.linear is not None and dynamics.remainder is None
+    if is_linear:
         return {}
     model: TomlTable = {"a": plant.a.tolist(), "b": plant.b.tolist(), "c": plant.c.tolist()}
     if len(plant.signals):
-        model |= {"signals": plant.signals.tolist(), "feedthrough": plant.feedthrough.tolist()}
-    return {"model": model | {"disturbances": (plant.disturbances.T + 0.0).tolist()}}
+        model["signals"] = plant.signals.tolist()
+        model["feedthrough"] = plant.feedthrough.tolist()
+    model["disturbances"] = (plant.disturbances.T + 0.0).tolist()  # + 0.0 turns -0.0 into 0.0
+    return {"model": model}
 
 
 def operating_point(problem: DesignProblem) -> TomlTable:
@@ -103,13 +118,25 @@ def operating_point(problem: DesignProblem) -> TomlTable:
     if problem.limit is not None and abs(resting.command) >= problem.limit:
         rule = f"must be above the command {resting.command:.4g} that holds the plant at its start"
         raise ConfigError("`limit`", f"{rule}, got {problem.limit:g}")
-    entries: TomlTable = {"resting_output": resting.output, "resting_command": resting.command}
-    entries |= {"resting_signals": list(resting.signals)} if any(resting.signals) else {}
-    return {name: value for name, value in entries.items() if value}
+    entries: TomlTable = {}
+    if resting.output:
+        entries["resting_output"] = resting.output
+    if resting.command:
+        entries["resting_command"] = resting.command
+    if any(resting.signals):
+        entries["resting_signals"] = list(resting.signals)
+    return entries  # an absent entry is 0
 
 
 def integral_weight(plant: LinearPlant, corner: float) -> float:
-    """The weight of the integral of y with which it acts below a corner frequency [rad/s]; 0 without a gain at rest."""
+    """Weight of the integral of y, beside the weight 1 of y, with which it acts below a corner frequency.
+
+    It is 0 for a plant without a gain at rest, on which an integral would have no effect.
+
+    Args:
+        plant: The sampled plant.
+        corner: The corner frequency [rad/s].
+    """
     return corner**2 if acts_at_rest(plant, corner) else 0.0
 
 
@@ -118,31 +145,42 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
 
     Args:
         a: A of the sampled plant, shape (n, n).
-        b: Its input, shape (n,).
+        b: Column of its input, shape (n,).
         c: Row of y, shape (n,).
         omega: The frequency [rad/s].
-        sample_time: T_s [s].
+        sample_time: Sample time T_s [s].
 
     Raises:
-        ConfigError: No weight does.
+        ConfigError: There is no such weight.
     """
-    q = np.outer(c, c)
+    output_weight = np.outer(c, c)  # of the state, for y^2
     response = responses(a, b, omega, sample_time)
 
     def regulator_loop_gain(weight: float) -> float:
-        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ response))
+        """Loop gain at the frequency, for a weight of u^2."""
+        return float(np.abs(regulator_gain(a, b[:, None], output_weight, weight) @ response))
 
     guess = float(np.abs(c @ response)) ** 2  # |G|^2, as |1 + L|^2 = 1 + |G|^2/weight in continuous time
     return crossing(regulator_loop_gain, guess)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
-    """(z - A)^-1 columns, the frequency response of the state to inputs, at an angular frequency [rad/s]."""
-    return np.linalg.solve(np.exp(1j * omega * sample_time) * np.eye(len(a)) - a, columns)
+    """Frequency response (z - A)^-1 B of a sampled state to its inputs, in the shape of the columns.
+
+    Args:
+        a: A, shape (n, n).
+        columns: Column B of one input, shape (n,), or of several inputs, shape (n, m).
+        omega: Angular frequency [rad/s].
+        sample_time: Sample time T_s [s].
+    """
+    z = np.exp(1j * omega * sample_time)
+    return np.linalg.solve(z * np.eye(len(a)) - a, columns)
 
 
 def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTable:
-    """The table of a state feedback, the regulator of LQG: of all measured states, or of y and y' (order two).
+    """The table of a state feedback with the gains of LQG's regulator.
+
+    It feeds back the measured signals, or y and y' of a plant of order two.
 
     Args:
         problem: The plant and the limit of the command.
@@ -158,16 +196,16 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
     weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, dt)
     n = len(plant.a)
     integral = integral_weight(problem.bare_plant, ratio * omega)
-    a, b, q = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
-    if integral:
+    a, b, state_weight = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
+    if integral > 0.0:  # one more state, the sum of T_s y
         a = np.block([[a, np.zeros((n, 1))], [dt * plant.c[None, :], np.ones((1, 1))]])
         b = np.append(b, [[0.0]], axis=0)
-        q = np.block([[q, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
-    gains = regulator_gain(a, b, q, weight)
+        state_weight = np.block([[state_weight, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
+    gains = regulator_gain(a, b, state_weight, weight)
     feedback = gains[:n]
     signal_gains = gains_of_signals(problem, feedback)
     forward = gain_at_rest(sampled, plant.c, feedback)
-    k_i = float(gains[n]) if integral else 0.0
+    k_i = float(gains[n]) if integral > 0.0 else 0.0
     if problem.study.loop.measures:
         proportional: TomlTable = {"signals": list(map(float, signal_gains)), "feedforward": forward}
     else:
@@ -175,33 +213,39 @@ def state_feedback(problem: DesignProblem, omega: float, ratio: float) -> TomlTa
     if k_i < 0.0:
         raise ConfigError(f"{problem.study.source}: plant", "has a negative gain at rest; turn the command's sign")
     table: TomlTable = {"kind": "state_feedback"} | proportional
-    if k_i:
+    if k_i > 0.0:
         table["k_i"] = k_i
-    if k_i and problem.limit is not None:
-        table["tracking"] = 1.0 / (ratio * omega)
+        if problem.limit is not None:
+            table["tracking"] = 1.0 / (ratio * omega)
     return table | limits(problem) | operating_point(problem)
 
 
 def gains_of_signals(problem: DesignProblem, feedback: np.ndarray) -> np.ndarray:
-    """The gains of the measured signals, or of y and y', that are equal to a feedback of the states, (signals,).
+    """Gains of the measured signals, or else of y and y', that act as a feedback of the states does, shape (m,).
 
     Args:
         problem: The plant and its signals.
-        feedback: Gain of each state, (n,).
+        feedback: Gain of each state, shape (n,).
 
     Raises:
-        ConfigError: There are none, or a signal contains the last command.
+        ConfigError: There are no such gains, or a signal contains the last command.
     """
     plant = problem.plant
     n = len(feedback)
     names = tuple(signal.name for signal in problem.study.loop.measures)
-    rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
-    through = plant.feedthrough if names else np.array([0.0, plant.rate_through])[:n]
-    signal_gains = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
-    has_feedthrough = bool(np.any(through * signal_gains[: len(through)] != 0.0))
-    if has_feedthrough or np.max(np.abs(rows.T @ signal_gains - feedback)) > FITS * np.max(np.abs(feedback)):
+    if names:
+        rows = plant.signals
+        feedthrough = plant.feedthrough
+    else:  # y and y', or y alone for a plant of order one
+        rows = np.stack([plant.c, plant.rate])[:n]
+        feedthrough = np.array([0.0, plant.rate_through])[:n]
+    signal_gains, *_ = np.linalg.lstsq(rows.T, feedback, rcond=None)
+    has_feedthrough = bool(np.any(feedthrough * signal_gains != 0.0))
+    left_out = np.max(np.abs(rows.T @ signal_gains - feedback))
+    if has_feedthrough or left_out > FITS * np.max(np.abs(feedback)):
         signal_text = ", ".join(names) if names else "y and y'"
-        signal_text += ", which contain the last command" if has_feedthrough else ""
+        if has_feedthrough:
+            signal_text += ", which contain the last command"
         rule = f"shows {signal_text}, and the regulator feeds back all {n} states"
         remedy = "add measures = \"state\" to [sensor], or ask for 'lqg', which estimates them"
         raise ConfigError(f"{problem.study.source}: sensor", f"{rule}; {remedy}")
@@ -220,7 +264,7 @@ def gains_of_output(problem: DesignProblem, signal_gains: np.ndarray, forward: f
         ConfigError: A gain is negative, which the controller does not allow.
     """
     k_1 = float(signal_gains[0])
-    k_2 = float(signal_gains[1]) if len(signal_gains) > 1 else 0.0
+    k_2 = float(signal_gains[1]) if len(signal_gains) == 2 else 0.0
     if k_1 < 0.0 or k_2 < 0.0:
         rule = f"needs the gains k_1 = {k_1:.4g} and k_2 = {k_2:.4g}, and they are at least 0"
         raise ConfigError(f"{problem.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
@@ -228,25 +272,27 @@ def gains_of_output(problem: DesignProblem, signal_gains: np.ndarray, forward: f
 
 
 def crossing(size: Callable[[float], float], guess: float) -> float:
-    """The positive number at which a falling function is 1, by bisection of its logarithm.
+    """The positive weight at which a loop gain is 1, by bisection of the weight's logarithm.
 
     Args:
-        size: The function.
-        guess: A number from which the bracket grows by decades on either side.
+        size: (weight) -> loop gain, which falls with the weight.
+        guess: A weight from which the bracket grows by decades on either side, since a Riccati equation far from it may
+            have no solution in floating point.
 
     Raises:
-        ConfigError: The function does not cross 1 within ``PLACES`` decades.
+        ConfigError: The loop gain does not cross 1 within :data:`PLACES` decades.
     """
     low = high = guess
-    # from the guess on, since a Riccati equation far from it may have no solution in floating point
     for _ in range(PLACES):
-        low = low if size(low) > 1.0 else 0.1 * low
-        high = high if size(high) < 1.0 else 10.0 * high
+        if not size(low) > 1.0:
+            low *= 0.1
+        if not size(high) < 1.0:
+            high *= 10.0
     if not size(low) > 1.0 > size(high):
         raise ConfigError(
             "`bandwidth`", "is out of reach of every weight for this plant; ask for another one, or sample faster"
         )
-    for _ in range(80):
+    for _ in range(CROSSING_HALVINGS):
         middle = math.sqrt(low * high)
         if size(middle) > 1.0:
             low = middle

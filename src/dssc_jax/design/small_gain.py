@@ -23,12 +23,14 @@ RESOLVED = 1e-9  # smallest ratio of eigenvalues of P_eta that float64 resolves 
 
 
 class ErrorDynamics(NamedTuple):
-    """Properties of the solution P_eta of A_xeta^T P_eta + P_eta A_xeta = -2 I (59).
+    """Properties of the matrix P_eta, the solution of A_xeta^T P_eta + P_eta A_xeta = -2 I (59).
+
+    P_eta measures the state x_eta = (eta, e) of zero dynamics and tracking error, which sigma and y_m' drive.
 
     Args:
-        spread: Smallest and largest eigenvalue.
-        input: |P_eta B_sigma|.
-        reference: |P_eta B_m|.
+        spread: Smallest and largest eigenvalue of P_eta.
+        input: |P_eta B_sigma|, by which sigma acts.
+        reference: |P_eta B_m|, by which y_m' acts.
     """
 
     spread: Spread
@@ -37,20 +39,24 @@ class ErrorDynamics(NamedTuple):
 
 
 def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
-    """P_eta for A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1], B_m = [B_eta; 0].
+    """Solve (59) for P_eta, with A_xeta = [[A_eta, -l0 B_eta], [0, -l0]], B_sigma = [B_eta; 1] and B_m = [B_eta; 0].
 
-    For a plant of order two it is 1/l0. If it is too ill-conditioned to compute its smaller eigenvalue, that
-    eigenvalue is NaN and nothing is certified.
+    For a plant of order two, P_eta is the number 1/l0. If P_eta is too ill-conditioned for its smallest eigenvalue to
+    be computed, that eigenvalue is NaN, and nothing is certified.
+
+    Args:
+        bounds: Bounds of the loop, with the zero dynamics.
+        l0: Error pole [1/s]; a number or an array.
     """
     if bounds.zero_dynamics is None:
-        return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), 1.0 / l0, 0.0 * l0)
+        return ErrorDynamics(Spread(1.0 / l0, 1.0 / l0), input=1.0 / l0, reference=0.0 * l0)
     xp = namespace(l0)
     l0 = xp.asarray(l0)
     a = bounds.zero_dynamics.a
     m = len(a)
     zero = xp.zeros_like(l0)
     unit = xp.ones_like(l0)
-    rows = []
+    rows = []  # of A_xeta; A_eta has companion form, and B_eta = (0, ..., 0, 1)
     for i in range(m - 1):
         row = [zero] * (m + 1)
         row[i + 1] = unit
@@ -59,19 +65,23 @@ def error_dynamics(bounds: Bounds, l0: Numeric) -> ErrorDynamics:
     rows.append([zero] * m + [-l0])
     matrix = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
     p = lyapunov(matrix)
-    eigenvalues = xp.linalg.eigvalsh(p)
+    eigenvalues = xp.linalg.eigvalsh(p)  # in rising order
     low = eigenvalues[..., 0]
     high = eigenvalues[..., -1]
-    column = p[..., :, m - 1]
+    p_b_m = p[..., :, m - 1]  # B_m selects the last column of the zero dynamics
+    p_b_sigma = p_b_m + p[..., :, m]
     return ErrorDynamics(
-        Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
-        ((column + p[..., :, m]) ** 2).sum(axis=-1) ** 0.5,
-        (column**2).sum(axis=-1) ** 0.5,
+        spread=Spread(xp.where(low > RESOLVED * high, low, xp.nan), high),
+        input=(p_b_sigma**2).sum(axis=-1) ** 0.5,
+        reference=(p_b_m**2).sum(axis=-1) ** 0.5,
     )
 
 
 def lyapunov(matrix: Numeric) -> Numeric:
-    """The symmetric P of A^T P + P A = -2 I for each matrix of a stack, shape (..., n, n), as one linear system."""
+    """The symmetric P with A^T P + P A = -2 I, for each matrix A of a stack, shape (..., n, n).
+
+    The entries of P are the unknowns of one linear system of order n^2.
+    """
     xp = namespace(matrix)
     n = matrix.shape[-1]
     identity = xp.eye(n)
@@ -86,7 +96,7 @@ def lyapunov(matrix: Numeric) -> Numeric:
 
 
 def worst_condition(p: Parameters, bounds: Bounds) -> Numeric:
-    """Largest condition number of P over the interval of k_p: at one of its ends."""
+    """Largest condition number of P over the interval of k_p, which is attained at one of its ends."""
     low, high = (eigenvalues_of_p(k_p, p.eps, p.gamma).condition for k_p in (bounds.k_min, bounds.k_max))
     return greater(low, high)
 
@@ -108,29 +118,40 @@ class SmallGain(NamedTuple):
 def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     """The smallest phi_b for which the interconnection of tracking error and sliding motion is stable.
 
-    phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. The right side does not depend
-    on phi_b, so a sufficiently large phi_b always satisfies it.
+    The condition is phi_b^2 > |P_eta B_sigma| |P B| (kappa_e + |C_eta A_eta|) cond(P) cond(P_eta)/eps. Its right side
+    does not depend on phi_b, so a sufficiently large phi_b always satisfies it.
+
+    Args:
+        p: Parameters of Table 1; phi_b is not used.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
     """
     c = derive(bounds, p.l0)
     eta = error_dynamics(bounds, p.l0)
     common = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
     derived = (common * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
-    ends = [eigenvalues_of_p(k_p, p.eps, p.gamma) for k_p in (bounds.k_min, bounds.k_max)]
-    mixed_ratio = greater(*(end.high / end.low**0.5 for end in ends))
+    at_k_min = eigenvalues_of_p(bounds.k_min, p.eps, p.gamma)
+    at_k_max = eigenvalues_of_p(bounds.k_max, p.eps, p.gamma)
+    mixed_ratio = greater(at_k_min.high / at_k_min.low**0.5, at_k_max.high / at_k_max.low**0.5)
     printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed_ratio / eta.spread.low**0.5
-    return SmallGain(derived, 2.0 * derived, printed**0.5)
+    return SmallGain(derived, theorem=2.0 * derived, printed=printed**0.5)
 
 
 def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
-    """Whether phi_b exceeds the derived bound by more than its rounding error, including that of P's determinant."""
+    """Whether phi_b exceeds the derived bound by more than the bound's rounding error.
+
+    Most of this error comes from the determinant of P, whose terms cancel.
+    """
     bound = small_gain(p, bounds).derived
-    determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
+    determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2  # of P at k_min
     cancellation_error = ratio_where(determinant > 0.0, ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2), determinant)
     return p.phi_b > bound * (1.0 + BOUNDARY_WIDTH + cancellation_error)
 
 
 class Gains(NamedTuple):
-    """Coefficients of the comparison system of W_eta and W_v, (61), (62), at one k_p; see the module's text."""
+    """Coefficients of the comparison system (61), (62) at one k_p.
+
+    W_eta' <= -k_eta1 W_eta + k_eta2 W_v + k_eta3 |y_m'| and W_v' <= -k_v1 W_v + k_v2 W_eta + k_v3 beta_m.
+    """
 
     k_eta1: Numeric
     k_eta2: Numeric
@@ -140,23 +161,23 @@ class Gains(NamedTuple):
     k_v3: Numeric
 
 
-def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, lyapunov_of: Spread) -> Gains:
-    """The coefficients, with corrected powers of the eigenvalues.
+def comparison_gains(p: Parameters, c: Constants, eta: ErrorDynamics, eigenvalues: Spread) -> Gains:
+    """The coefficients of the comparison system, with corrected powers of the eigenvalues.
 
     Args:
-        p: The parameters.
-        c: Their constants.
-        eta: P_eta.
-        lyapunov_of: Eigenvalues of P at this k_p.
+        p: Parameters of Table 1.
+        c: Constants of the inequalities.
+        eta: Properties of P_eta.
+        eigenvalues: Smallest and largest eigenvalue of P at this k_p.
     """
     pb = norm_of_pb(p.eps)
     return Gains(
         k_eta1=1.0 / eta.spread.high,
-        k_eta2=eta.input / (p.phi_b * (eta.spread.low * lyapunov_of.low) ** 0.5),
+        k_eta2=eta.input / (p.phi_b * (eta.spread.low * eigenvalues.low) ** 0.5),
         k_eta3=eta.reference / eta.spread.low**0.5,
-        k_v1=p.eps * p.phi_b / lyapunov_of.high,
-        k_v2=pb * (c.kappa_e + c.c_eta_a_eta) / (lyapunov_of.low * eta.spread.low) ** 0.5,
-        k_v3=pb / lyapunov_of.low**0.5,
+        k_v1=p.eps * p.phi_b / eigenvalues.high,
+        k_v2=pb * (c.kappa_e + c.c_eta_a_eta) / (eigenvalues.low * eta.spread.low) ** 0.5,
+        k_v3=pb / eigenvalues.low**0.5,
     )
 
 
@@ -203,32 +224,46 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
     """
     c = derive(bounds, p.l0)
     eta = error_dynamics(bounds, p.l0)
-    low, high = (guarantee_at(p, bounds, c, eta, k_p) for k_p in (bounds.k_min, bounds.k_max))
-    residual_bounds = [greater(at_k_min, at_k_max) for at_k_min, at_k_max in zip(low[1:], high[1:], strict=True)]
-    return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *residual_bounds)
+    at_k_min = guarantee_at(p, bounds, c, eta, bounds.k_min)
+    at_k_max = guarantee_at(p, bounds, c, eta, bounds.k_max)
+    return Guarantee(
+        decay_rate=-greater(-at_k_min.decay_rate, -at_k_max.decay_rate),  # the smaller rate
+        sigma=greater(at_k_min.sigma, at_k_max.sigma),
+        e=greater(at_k_min.e, at_k_max.e),
+        zeta=greater(at_k_min.zeta, at_k_max.zeta),
+        x_eta=greater(at_k_min.x_eta, at_k_max.x_eta),
+        order=greater(at_k_min.order, at_k_max.order),
+    )
 
 
 def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Numeric) -> Guarantee:
     """Decay rate and residual sets that the small-gain condition guarantees at one k_p.
 
     Where the condition does not hold, the rate is 0 and the sets are infinite.
+
+    Args:
+        p: Parameters of Table 1.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        c: The constants that follow from them.
+        eta: Properties of P_eta.
+        k_p: High-frequency gain [1/s].
     """
-    spread = eigenvalues_of_p(k_p, p.eps, p.gamma)
-    k = comparison_gains(p, c, eta, spread)
+    eigenvalues = eigenvalues_of_p(k_p, p.eps, p.gamma)
+    k = comparison_gains(p, c, eta, eigenvalues)
     margin = k.k_v1 - k.k_v2 * k.k_eta2 / k.k_eta1
-    holds = margin > 0.0
+    holds = margin > 0.0  # the small-gain condition k_v1 k_eta1 > k_v2 k_eta2
     xp = namespace(margin)
     # the residual set of the comparison system: W_v' = W_eta' = 0, where the drives of W_v equal margin W_v
     drive = k.k_v3 * c.beta_m + k.k_v2 * k.k_eta3 * bounds.y_m_dot / k.k_eta1
     w_v = xp.where(holds, drive / xp.where(holds, margin, 1.0), xp.inf)
     w_eta = (k.k_eta2 * w_v + k.k_eta3 * bounds.y_m_dot) / k.k_eta1
-    # the smaller root of (k_eta1 - r)(k_v1 - r) = k_v2 k_eta2, without cancellation
+    # the decay rate r: the smaller root of (k_eta1 - r)(k_v1 - r) = k_v2 k_eta2, without cancellation
     mean = 0.5 * (k.k_eta1 + k.k_v1)
     root = (0.25 * (k.k_eta1 - k.k_v1) ** 2 + k.k_v2 * k.k_eta2) ** 0.5
     rate = xp.where(holds, margin * k.k_eta1 / (mean + root), 0.0)
-    zeta = w_v / spread.low**0.5
-    sigma = zeta / p.phi_b
-    e = sigma / p.l0
+    zeta = w_v / eigenvalues.low**0.5
+    sigma = zeta / p.phi_b  # since |phi_1| >= phi_b |sigma|
+    e = sigma / p.l0  # since e' = -l0 e + sigma
     return Guarantee(
         decay_rate=rate,
         sigma=sigma,

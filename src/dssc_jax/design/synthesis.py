@@ -11,11 +11,11 @@ from dssc_jax.design.table1 import Parameters, over_phi_b
 
 
 class Recipe(StrEnum):
-    """Recipes for parameters from bounds.
+    """How parameters of Table 1 are made from bounds.
 
-    ``strict`` meets every inequality over the whole interval of k_p, and the small gain, with a chosen slack.
-    ``printed`` is Table 1's own column of parameters at k_min, which satisfies the inequalities of kappa_c and
-    kappa_d only with equality and does not ensure the small gain.
+    ``strict`` meets every inequality over the whole interval of k_p, and the small-gain condition, with a chosen slack.
+    ``printed`` takes the parameters that Table 1 prints, at k_min. These satisfy the inequalities of kappa_c and
+    kappa_d only with equality, and do not ensure the small-gain condition.
     """
 
     STRICT = "strict"
@@ -23,7 +23,7 @@ class Recipe(StrEnum):
 
 
 class Free(NamedTuple):
-    """The free parameters of Table 1, and the relative slack of the strict recipe."""
+    """The numbers of Table 1 that a designer chooses, and the relative slack of the strict recipe."""
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
     phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
@@ -36,14 +36,14 @@ class Free(NamedTuple):
 
 
 def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
-    """Parameters of Table 1 from bounds and free parameters.
+    """Parameters of Table 1 from bounds and free parameters, which satisfy the design inequalities.
 
     gamma is chosen so that f(k_min) = 1 + eps_1. The strict recipe uses max(1, 2 eps) for the factor m, which
     satisfies the derived and the printed inequalities. It leaves the relative slack on kappa_c and kappa_d, and
-    raises phi_b above l0/eps + eps_3 if the small gain requires it.
+    raises phi_b above l0/eps + eps_3 if the small-gain condition requires it.
 
     Args:
-        bounds: The bounds.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
         free: l0, phi_a, eps, delta, eps_1, eps_2, eps_3 > 0 and the slack.
         recipe: See :class:`Recipe`.
 
@@ -71,20 +71,26 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
 
 
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
-    """:func:`synthesise` without its checks, for arrays and traced values."""
+    """Parameters of Table 1 by the rules of :func:`synthesise`, without its checks; also for arrays and traced values.
+
+    Args:
+        bounds: Bounds of plant, disturbance, nominal control and reference.
+        free: The free parameters.
+        recipe: See :class:`Recipe`.
+    """
     is_strict = recipe is Recipe.STRICT
     k_p = bounds.k_min
     k_max = bounds.k_max
     eps = free.eps
     slack_factor = 1.0 + free.slack if is_strict else 1.0
-    factor = greater(1.0, 2.0 * eps) if is_strict else 1.0
+    factor = greater(1.0, 2.0 * eps) if is_strict else 1.0  # m of over_phi_b
     c = derive(bounds, free.l0)
     gamma = (1.0 + free.eps_1) / (4.0 * eps * k_p**2) + 4.0 * eps**2 / k_p
-    # f - 1 = eps_1 by construction: the printed form of the bounds, without the difference's rounding
-    lyapunov = (8.0 * eps**2 + 2.0 * gamma * k_p) / free.eps_1
-    drift = (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / (1.0 + free.eps_1)
+    # the bounds of kappa_c and kappa_d with f - 1 = eps_1, which holds by construction: no difference rounds
+    kappa_c_bound = (8.0 * eps**2 + 2.0 * gamma * k_p) / free.eps_1
+    kappa_d_bound = (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / (1.0 + free.eps_1)
     phi_b = free.l0 / eps + free.eps_3
-    partial = Parameters(
+    without_kappas = Parameters(  # for the small-gain condition, which does not depend on kappa_a, kappa_b and kappa_c
         l0=free.l0,
         phi_a=free.phi_a,
         phi_b=phi_b,
@@ -94,15 +100,15 @@ def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parame
         kappa_a=0.0,
         kappa_b=0.0,
         kappa_c=0.0,
-        kappa_d=slack_factor * drift,
+        kappa_d=slack_factor * kappa_d_bound,
     )
     if is_strict:
-        phi_b = greater(phi_b, slack_factor * small_gain(partial, bounds).derived)
+        phi_b = greater(phi_b, slack_factor * small_gain(without_kappas, bounds).derived)
     kappa_b = over_phi_b(c.kd1_bar, k_max * bounds.c_ie, factor, phi_b) + free.eps_2
-    kappa_a = over_phi_b(c.kd2_bar, k_max * bounds.c_isigma, factor, phi_b)
-    return partial._replace(
+    kappa_a_bound = over_phi_b(c.kd2_bar, k_max * bounds.c_isigma, factor, phi_b)
+    return without_kappas._replace(
         phi_b=phi_b,
-        kappa_a=greater(kappa_a, kappa_b / free.l0) + free.eps_2,
+        kappa_a=greater(kappa_a_bound, kappa_b / free.l0) + free.eps_2,
         kappa_b=kappa_b,
-        kappa_c=slack_factor * greater(lyapunov, over_phi_b(c.kd3_bar, c.k_sigma, factor, phi_b)),
+        kappa_c=slack_factor * greater(kappa_c_bound, over_phi_b(c.kd3_bar, c.k_sigma, factor, phi_b)),
     )

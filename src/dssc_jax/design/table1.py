@@ -16,7 +16,7 @@ ULPS = 16.0 * 2.0**-52  # a few roundings of the terms that cancel in f
 
 
 class Parameters(NamedTuple):
-    """The parameters in the inequalities of Table 1, and delta."""
+    """The parameters of a design: those in the inequalities of Table 1, and the smoothing delta."""
 
     l0: Annotated[Numeric, positive("1/s", "error pole l_0")]
     phi_a: Annotated[Numeric, positive("(m/s)^(1/2)", "square-root part phi_a")]
@@ -67,12 +67,12 @@ class Inequality(NamedTuple):
 
     @property
     def slack(self) -> Numeric:
-        """Value minus the derived bound; NaN if that has no meaning."""
+        """Value minus the derived bound; NaN if the bound has no meaning."""
         return self.value - self.bound
 
     @property
     def printed_slack(self) -> Numeric:
-        """Value minus the printed bound."""
+        """Value minus the printed bound; NaN if the bound has no meaning."""
         return self.value - self.printed_bound
 
     @property
@@ -82,13 +82,17 @@ class Inequality(NamedTuple):
 
     @property
     def satisfied(self) -> Numeric:
-        """Whether it holds strictly; False if it has no meaning. For arrays, element by element."""
+        """Whether the inequality holds strictly; False if its bound has no meaning. For arrays, element by element."""
         return self.slack > self.tolerance
 
     @property
     def state(self) -> InequalityState:
-        """Violated, boundary or satisfied, up to rounding; for plain numbers."""
-        if self.bound != self.bound:
+        """Whether the inequality is satisfied, violated, an equality up to rounding, or without meaning.
+
+        For plain numbers.
+        """
+        is_nan = self.bound != self.bound
+        if is_nan:
             return InequalityState.NOT_EVALUABLE
         if abs(self.slack) <= self.tolerance:
             return InequalityState.BOUNDARY
@@ -96,38 +100,45 @@ class Inequality(NamedTuple):
 
 
 def f(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), the first design inequality's left side."""
+    """The function f(k_p) = 4 eps k_p (gamma k_p - 4 eps^2), which the first design inequality requires to exceed 1."""
     return 4.0 * eps * k_p * (gamma * k_p - 4.0 * eps**2)
 
 
 def f_rounding(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """Absolute rounding error of f: its two terms cancel."""
+    """Bound of the absolute rounding error of f, whose two terms cancel."""
     return ULPS * 4.0 * eps * k_p * (gamma * k_p + 4.0 * eps**2)
 
 
 def kappa_c_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """(8 eps^2 + 2 gamma k_p)/(f - 1); NaN if f <= 1, where it would be negative and always satisfied."""
+    """The Lyapunov bound (8 eps^2 + 2 gamma k_p)/(f - 1) of kappa_c.
+
+    NaN if f <= 1, where it would be negative, and every kappa_c would satisfy it.
+    """
     excess = f(k_p, eps, gamma) - 1.0
     return ratio_where(excess > f_rounding(k_p, eps, gamma), 8.0 * eps**2 + 2.0 * gamma * k_p, excess)
 
 
 def kappa_d_bound(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Numeric:
-    """(8 eps^2 gamma k_p + 4 eps^2)/f; NaN if f <= 0."""
+    """The bound (8 eps^2 gamma k_p + 4 eps^2)/f of kappa_d; NaN if f <= 0."""
     value = f(k_p, eps, gamma)
     return ratio_where(value > f_rounding(k_p, eps, gamma), 8.0 * eps**2 * gamma * k_p + 4.0 * eps**2, value)
 
 
 def over_phi_b(first: Numeric, second: Numeric, factor: Numeric, phi_b: Numeric) -> Numeric:
-    """(first m phi_b + second)/phi_b^2, the form of the bounds of kappa_a, kappa_b and of kappa_c's second branch.
+    """The bound (first m phi_b + second)/phi_b^2 of kappa_a, kappa_b or kappa_c by the disturbance.
 
-    The factor m is 2 eps as derived, since rho = 2 eps rho_1 + rho_2; the article prints 1, which suffices only for
-    eps <= 1/2.
+    Args:
+        first: Coefficient in the bound rho_1 of |alpha_1|, times phi_b.
+        second: Coefficient in the bound rho_2 of |alpha_2|, times phi_b^2.
+        factor: The factor m: 2 eps as derived, since rho = 2 eps rho_1 + rho_2. The article prints 1, which suffices
+            only for eps <= 1/2.
+        phi_b: Linear part phi_b.
     """
     return (first * factor * phi_b + second) / phi_b**2
 
 
 def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
-    """The design inequalities of Table 1 at k_min, hence over the whole interval of k_p.
+    """The design inequalities of Table 1, row by row, at k_min and hence over the whole interval of k_p.
 
     Args:
         p: The parameters; numbers or arrays of shapes that broadcast.
@@ -139,16 +150,17 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     at = (k_p, p.eps, p.gamma)
     table = "Table 1"
     value = f(*at)
-    error = BOUNDARY_WIDTH + f_rounding(*at)
+    error = BOUNDARY_WIDTH + f_rounding(*at)  # absolute error of f
     lyapunov = kappa_c_bound(*at)
     drift = kappa_d_bound(*at)
 
     def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
+        """Row of a bound by the disturbance, in its derived and its printed form; see :func:`over_phi_b`."""
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         printed = over_phi_b(first, second, 1.0, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, bound=derived, printed_bound=printed)
 
-    near_one = abs(value - 1.0)
+    distance_from_one = abs(value - 1.0)  # |f - 1|, the divisor in the Lyapunov bound of kappa_c
     return (
         Inequality.as_printed(
             name="f",
@@ -168,7 +180,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
             equation=f"{table}, (77)",
             value=p.kappa_c,
             bound=lyapunov,
-            rounding=error / greater(near_one, error),
+            rounding=error / greater(distance_from_one, error),
         ),
         disturbance_row("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
         disturbance_row("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),

@@ -30,7 +30,7 @@ ABSENT_ACTUATOR: TomlTable = {"kind": "none"}
 
 
 class ActuatorTable(BaseModel):
-    """``[[actuator]]``: an element of a chain; its other fields are those of its kind in ``[unmodelled]``."""
+    """``[[actuator]]``: an element of a chain; its kind adds the same fields as in ``[unmodelled]``."""
 
     model_config = STRICT
     name: str | None = Field(

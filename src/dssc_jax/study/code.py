@@ -81,9 +81,9 @@ def imported_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | N
 def imported_files(name: str) -> dict[str, Path]:
     """Files of the user's modules that the module in ``module:object`` imports, directly or through other modules.
 
-    The search reads the text of import statements, which runs no code. It follows two kinds of modules: those of the
-    named module's package, and those whose file lies under the folder from which the named module is imported, unless
-    they are installed there.
+    The search reads the text of import statements, which runs no code. It follows modules of the named module's
+    package, and modules whose file lies under the folder from which the named module is imported, unless they are
+    installed there.
 
     Returns:
         Files by the module's name, without the named module itself.

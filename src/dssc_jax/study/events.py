@@ -178,8 +178,8 @@ def behind_first(part: Component, place: str) -> Component:
         place: Its place in the loop's parameters.
 
     Returns:
-        A chain without its first element, which the caller adds: its elements and parameters are those of ``part``,
-        and the paths of its numbers already count from index 1.
+        A chain without its first element, which the caller adds. It has the elements and parameters of ``part``, and
+        the paths of its numbers already count from index 1.
     """
     if not part.elements:  # a single actuator
         numbers = with_moved_paths(part.numbers, place, f"{place}.1")

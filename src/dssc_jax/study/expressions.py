@@ -197,7 +197,7 @@ def names_in(node: ast.expr) -> Iterator[str]:
 def evaluate(
     node: ast.expr, value_of: Callable[[str], Value], number: Callable[[float], Value], apply: "Apply[Value]"
 ) -> Value:
-    """Value of an expression, in any arithmetic that three functions define, such as that of intervals.
+    """Value of an expression, in any arithmetic that three functions define, such as interval arithmetic.
 
     Args:
         node: Tree from :func:`parse_expression`.

@@ -22,7 +22,9 @@ def is_record(model: object) -> bool:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """What a study's table may hold for one field of a parameter type, from the field's annotation.
+    """Form of one field of a parameter type in a study's table: a number, a part, a text or an option.
+
+    It follows from the field's annotation.
 
     Args:
         mark: Quantity of a number, or slot of a part with a ``kind``; None for any other field.
@@ -92,7 +94,7 @@ class FieldSpec:
 
 @cache
 def field_specs(params: type) -> dict[str, FieldSpec]:
-    """What a study's table may hold for each field of a parameter type, by the field's name."""
+    """Form of each field of a parameter type in a study's table, by the field's name."""
     specs = {}
     for name, hint in typing.get_type_hints(params, include_extras=True).items():
         annotations = getattr(hint, "__metadata__", ())

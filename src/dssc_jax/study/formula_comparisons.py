@@ -126,7 +126,7 @@ def parameter_value(name: str, signals: Mapping[str, SampledSignal], parameter: 
         parameter: (name of a parameter) -> its value; raises UnknownParameter for an unknown name.
 
     Raises:
-        ValueError: The name is neither a signal's nor that of a parameter with a plain number.
+        ValueError: There is no parameter of this name, or it has no plain number.
     """
     try:
         return parameter(name)

@@ -7,8 +7,8 @@
     unary       = ("not" | "always" [interval] | "eventually" [interval]) unary | "(" formula ")" | comparison
     interval    = "[" seconds "," seconds "]"
 
-A comparison is one of < <= > >= between two expressions of signals, parameters and numbers, whose language is that of
-:mod:`dssc_jax.study.expressions`; ``-1 < e < 1`` is two of them.
+A comparison is one of < <= > >= between two expressions of signals, parameters and numbers, in the language of
+:mod:`dssc_jax.study.expressions`. A chain such as ``-1 < e < 1`` is two comparisons, which must both hold.
 """
 
 import math

@@ -70,6 +70,6 @@ def import_failure(module_name: str, error: BaseException) -> str:
         return f"SyntaxError: {error.msg} in line {error.lineno} of {error.filename}"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
     location = ""
-    if len(frames) > 1:  # the first frame is that of `import_object`, the last one is the line that failed
+    if len(frames) > 1:  # `import_object` is the first frame, and the line that failed the last
         location = f" in line {frames[-1].lineno} of {frames[-1].filename}"
     return f"{type(error).__name__}: {error}{location}"

@@ -139,6 +139,7 @@ class Law(UncertainValue):
         return Law(self.kind, tuple(new_arguments))
 
     def __str__(self) -> str:
+        """Family and arguments, such as ``uniform(0.8, 1.2)``."""
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"
 
 
@@ -177,6 +178,7 @@ class RangedLaw(Law):
         return Law(self.kind, self.arguments)
 
     def __str__(self) -> str:
+        """Family, arguments and ranges, such as ``uniform([0.7, 0.8], 1.2)``."""
         texts = [f"{low:g}" if low == high else f"[{low:g}, {high:g}]" for low, high in self.ranges]
         return f"{self.kind}({', '.join(texts)})"
 

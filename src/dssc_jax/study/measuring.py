@@ -19,7 +19,7 @@ from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import EnvelopeTable, RequirementTable, StudyTable
 
 PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
-"""The package's metrics by kind, those of signals excepted."""
+"""The package's metrics by kind, without the metrics of any signal, such as ``rms``."""
 
 ROUNDING = 1e-9  # relative tolerance of compared times
 

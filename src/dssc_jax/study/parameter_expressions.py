@@ -51,9 +51,11 @@ class Expression(UncertainValue):
     parameters: tuple[Parameter, ...]
 
     def __repr__(self) -> str:
+        """Text of the expression in quotes."""
         return repr(self.text)
 
     def __str__(self) -> str:
+        """Text of the expression."""
         return self.text
 
     @property

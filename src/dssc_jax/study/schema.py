@@ -134,7 +134,7 @@ class MetricsTable(UsualWindow):
 
     @property
     def window(self) -> Window:
-        """Window of all metrics, except those of requirements with a window of their own."""
+        """Window of all metrics, unless a requirement states a window of its own."""
         return Window.of(self.model_dump())
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.design.linear_plant import ClosedLoop
+from dssc_jax.design.linear_loop import ClosedLoop
 from dssc_jax.engine.linearisation.response import (
     classical_margins,
     crossing_frequencies,
