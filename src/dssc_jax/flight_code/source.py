@@ -186,7 +186,7 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
 def transfer_function(code: FlightCode, controller: SampledController, traced: TracedFunction) -> FunctionText:
     """The function in C for a bumpless start: it sets the state with which the first step gives a wanted command.
 
-    It computes that step, too, and refuses the command if the step gives another one.
+    It computes that step, too, and returns the flag 4 if the step gives another command.
     """
     function = FunctionText(code, controller, traced, ["command"])
     updated_members = [f"updated.{state}" for state in controller.states]
