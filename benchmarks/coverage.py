@@ -23,7 +23,7 @@ from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.selection.race import race
 from dssc_jax.analyses.sensitivity.chaos import Chaos
 from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal_reason
-from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples, sobol_indices
 from dssc_jax.analyses.slacks import SlackFunction
 from dssc_jax.statistics import (
     CONFIDENCE,
@@ -126,7 +126,7 @@ def indices(function: Callable[[np.ndarray], np.ndarray], truth: np.ndarray, row
     factors = truth.shape[1]
 
     def trial(seed: int) -> np.ndarray | str:
-        a, b = saltelli(rows, factors, (seed,))
+        a, b = saltelli_samples(rows, factors, (seed,))
         if noisy:
             a[:, -1], b[:, -1] = np.random.default_rng(seed).random((2, rows))
         f_a, f_b = function(a), function(b)

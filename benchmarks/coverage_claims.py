@@ -7,7 +7,7 @@ from scipy import special, stats
 from dssc_jax.analyses.region.safe_region import PASSING, thresholds
 from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, trajectories
 from dssc_jax.analyses.sensitivity.shapley import chained_scores, random_orders, shapley_effects
-from dssc_jax.analyses.sensitivity.sobol import saltelli
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples
 from dssc_jax.engine.sampling import inside_cube
 from dssc_jax.statistics import CONFIDENCE, tolerance_limits
 
@@ -57,7 +57,7 @@ def shapley(rows: int, correlation: float) -> Trial:
 
     def trial(seed: int) -> np.ndarray:
         order = random_orders(rows, 3, (seed,))
-        first, second = (special.ndtri(inside_cube(points)) for points in saltelli(rows, 3, (seed,)))
+        first, second = (special.ndtri(inside_cube(points)) for points in saltelli_samples(rows, 3, (seed,)))
         values = chained_scores(matrix, first, second, order) @ WEIGHTS
         return side(shapley_effects(values, order)[:, 1:], truth)
 

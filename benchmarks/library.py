@@ -13,7 +13,8 @@ import numpy as np
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.cli.native_build import build_library
-from dssc_jax.closed_loop.sample import held_between_samples, initial_state, step
+from dssc_jax.closed_loop.first_state import initial_state
+from dssc_jax.closed_loop.sample import held_between_samples, step
 from dssc_jax.core.native.libraries import NativeLibrary
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import Engine, lanes_of, values_of_draws

@@ -59,7 +59,7 @@ ALLOWED = {
     "results/export.py": {"data.to_netcdf", "parquet.ParquetWriter", "piece.to_csv", "savemat"},  # the writer's file
     "results/lock.py": {"FileLock"},  # of a file that the writer has checked
     "flight_logs/reading/ulog.py": {"ULog"},  # from a file that the writer has opened
-    "study/recorded.py": {"pd.read_csv", "pd.read_parquet"},  # from memory
+    "study/record_files.py": {"pd.read_csv", "pd.read_parquet"},  # from memory
 }
 """Calls with such a name that stay outside of the writer, by module, each with its reason."""
 

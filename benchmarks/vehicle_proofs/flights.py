@@ -19,7 +19,7 @@ import dssc_jax as dj
 from benchmarks.vehicle_proofs.problems import Columns, random_starts, random_vehicles, study_of
 from dssc_jax.closed_loop.draw import conclude, initial_progress, is_running, sampler
 from dssc_jax.closed_loop.metrics.instants import Instant
-from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope, Window, final_value, peak
+from dssc_jax.closed_loop.metrics.streaming import Measure, Metric, Scope, Window, final_value, peak_update
 from dssc_jax.closed_loop.time_loops import until_all_ended
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import root_abs, uniforms
@@ -99,7 +99,7 @@ def plane_norm(x: Callable[[Instant], Scalar], y: Callable[[Instant], Scalar]) -
 
 def inner_measure(name: str, unit: str, of: Callable[[Instant], Scalar]) -> Measure:
     """The largest value of a signal within the vehicle that no metric of the package measures."""
-    metric = Metric(unit, name, peak(of), final_value, scope=Scope.VEHICLE)
+    metric = Metric(unit, name, peak_update(of), final_value, scope=Scope.VEHICLE)
     return Measure(name, name, Window(0.0), None, metric)
 
 

@@ -4,12 +4,16 @@ import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
+
+from dssc_jax.flight_logs.signal_warnings import WarningCode
 
 ROOT = Path(__file__).parents[2]
 LOGS = ROOT / "src" / "dssc_jax" / "flight_logs"
 PAGE = ROOT / "docs" / "log_fits.md"
 LEAST_LENGTH = 40  # characters of a message; shorter texts are parts of one
 PARTS = (
+    "with that, the study describes the flight",  # behind the words for what is wrong
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "Log the time",
@@ -41,6 +45,7 @@ PARTS = (
     "each in standard deviations of its law",
     "that grows with the square of the speed",
 )
+PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message
 
 
 def texts(path: Path) -> Iterator[str]:
@@ -61,11 +66,16 @@ def texts(path: Path) -> Iterator[str]:
             yield node.value
 
 
+def rows() -> list[tuple[list[str], str]]:
+    """The parts of messages, and the result, of each row of the page's tables of messages."""
+    section = PAGE.read_text().partition("\n## Messages")[2].partition("\n## ")[0]
+    columns = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
+    return [(re.findall(r"`([^`]+)`", first), result) for first, result, *_ in columns]
+
+
 def fragments() -> list[str]:
     """The parts of messages in the first column of the page's tables of messages."""
-    section = PAGE.read_text().partition("\n## Messages")[2].partition("\n## ")[0]
-    rows = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| `")]
-    return [fragment for row in rows for fragment in re.findall(r"`([^`]+)`", row)]
+    return [fragment for parts, _ in rows() for fragment in parts]
 
 
 def messages() -> list[str]:
@@ -85,6 +95,22 @@ def test_every_row_is_that_of_a_message():
     assert [fragment for fragment in fragments() if not any(fragment in text for text in said)] == []
     assert [part for part in PARTS if not any(part in text for text in said)] == []
     assert len(fragments()) > 60
+
+
+def test_every_warning_has_its_code_beside_its_message():
+    """A module that gives a warning its code has a part of the message, or that of a hint which it passes on."""
+    parts_by_code: dict[str, list[str]] = {}
+    for parts, result in rows():
+        codes = re.findall(r"`([a-z-]+)`", result)
+        assert len(codes) == ("warning" in result), result
+        for code in codes:
+            parts_by_code.setdefault(code, []).extend(parts)
+    assert sorted(parts_by_code) == sorted(get_args(WarningCode))
+    said = {file: list(texts(file)) for file in LOGS.rglob("*.py") if file.name != "signal_warnings.py"}
+    for code, parts in parts_by_code.items():
+        files = [file for file, words in said.items() if code in words]
+        assert files, code
+        assert any(part in text for file in files for text in said[file] for part in parts) or code in PASSED_ON, code
 
 
 def test_a_message_without_a_row_is_found():

@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 
 from dssc_jax.cli.main import guarded
-from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, signal_warnings
 from tests.cli.conftest import last_json
 from tests.flight_logs.fit.test_fit import DT, linear, output
 
@@ -30,7 +30,9 @@ def late_reference(tmp_path, monkeypatch):
 
 
 def test_a_hint_becomes_a_sentence():
-    assert signal_warnings({"y": "is late"}) == (SignalWarning("y", "y is late"),)
+    assert signal_warnings({"y": Hint("delayed-output", "is late")}) == (
+        SignalWarning("y", "delayed-output", "y is late"),
+    )
 
 
 @pytest.mark.parametrize("options", [[], ["--fit"]])
@@ -41,7 +43,8 @@ def test_comparison_and_fit_warn_in_one_list(late_reference, capsys, options):
     assert "hints" not in found
     assert found["warned"] is True
     (warning,) = [entry for entry in found["warnings"] if entry["signal"] == "y_ref"]
-    assert warning.keys() == {"signal", "text"}
+    assert warning.keys() == {"signal", "code", "text"}
+    assert warning["code"] == "shifted-reference"
     assert warning["text"].startswith("y_ref is the study's, 1 s later")
     assert guarded([*late_reference, *options, "--out", "again"]) == 0
     printed = " ".join(capsys.readouterr().out.split())

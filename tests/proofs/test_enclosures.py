@@ -15,7 +15,8 @@ import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import prove
 from dssc_jax.proofs.search.gains import GAIN_NAMES, implicit_gains
-from dssc_jax.proofs.search.sampled_loop import control_points, functions_of
+from dssc_jax.proofs.search.held_plant import control_points
+from dssc_jax.proofs.search.sampled_loop import functions_of
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.held_plant import held_generator, held_vertices
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly

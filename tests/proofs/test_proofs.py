@@ -11,10 +11,11 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.problem import middle
 from dssc_jax.proofs.prove import check_certificate, prove
 from dssc_jax.proofs.reach import proved_up_to
 from dssc_jax.proofs.search.gains import GAIN_NAMES, gain_hull
-from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, middle, step_of
+from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, step_of
 from dssc_jax.proofs.verifier import small_gain
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.verdict import verify_certificate

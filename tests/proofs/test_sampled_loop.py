@@ -6,7 +6,8 @@ from flint import arb
 
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, sensor_weights, state_layout, step_of
+from dssc_jax.proofs.search.held_plant import sensor_weights, state_layout
+from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, step_of
 from dssc_jax.proofs.verifier.enclosed_loop import sample_matrix
 from dssc_jax.proofs.verifier.held_plant import held_sample
 from tests.proofs.cases import CONSTANT, DIRECT, HIGHER, LOOP, NOMINAL, SINE, TRANSFER

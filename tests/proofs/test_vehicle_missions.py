@@ -15,7 +15,7 @@ from benchmarks.vehicle_proofs.problems import study_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
-from dssc_jax.proofs.search.vehicle.bounds import linear_channels
+from dssc_jax.proofs.search.vehicle.bounds_map import linear_channels
 from dssc_jax.proofs.search.vehicle.deviations import points_of
 from dssc_jax.proofs.search.vehicle.nominal import axis_inputs_of, steady_response
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of

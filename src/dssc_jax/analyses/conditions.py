@@ -1,12 +1,13 @@
-"""What analyses require of a study and of their settings, each with its message."""
+"""What analyses require of a study and of their settings, each rule with its message."""
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 
 
 def criterion_of(study: Study) -> tuple[str, ...]:
-    """The conditions for a draw to pass, in words: the requirements, or else that it stays finite."""
-    return tuple(requirement.text for requirement in study.requirements) or ("the draw stays finite",)
+    """The conditions for a draw to pass, in words: the requirements; without any, that it stays finite."""
+    requirements = tuple(requirement.text for requirement in study.requirements)
+    return requirements or ("the draw stays finite",)
 
 
 def require_laws(study: Study) -> None:
@@ -27,7 +28,7 @@ def require_share(name: str, value: float) -> None:
         value: The value of the setting.
 
     Raises:
-        ConfigError: It is 0, 1 or outside.
+        ConfigError: The value is 0, 1 or outside.
     """
     if not 0.0 < value < 1.0:
         raise ConfigError(name, f"must lie in (0, 1), got {value:g}")

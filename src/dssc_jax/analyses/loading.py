@@ -1,4 +1,4 @@
-"""Load any command's result."""
+"""Load a folder that any command has written: the result of a run or sweep, or an analysis of any kind."""
 
 import importlib
 from pathlib import Path
@@ -33,12 +33,12 @@ KINDS = {
     "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
-"""The class of each kind of analysis, imported when needed."""
+"""The class of each kind of analysis as ``module:class``, imported when needed."""
 
 
 def class_of(kind: str) -> type[Analysis]:
-    """The class of a kind of analysis."""
-    module, _, name = KINDS[kind].partition(":")
+    """The class of a kind of analysis, one of :data:`KINDS`."""
+    module, name = KINDS[kind].split(":")
     return getattr(importlib.import_module(module), name)
 
 
@@ -46,7 +46,7 @@ def kind_in(folder: Path) -> str | None:
     """The kind of analysis that a folder contains; None for a run or a sweep.
 
     Raises:
-        ConfigError: It contains none of these.
+        ConfigError: The folder contains neither.
     """
     if not folder.is_dir():
         raise ConfigError(str(folder), "is no folder")
@@ -56,8 +56,10 @@ def kind_in(folder: Path) -> str | None:
         if (folder / f"{kind}.json").exists():
             return kind
     names = " or ".join(f"{name}.json" for name in KINDS)
-    answers = sorted(file.name for file in folder.glob("*.json"))
-    remark = f"; what it has is plain JSON: {', '.join(answers)}" if answers else ""
+    other_files = sorted(file.name for file in folder.glob("*.json"))
+    remark = ""
+    if other_files:
+        remark = f"; what it has is plain JSON: {', '.join(other_files)}"
     raise ConfigError(str(folder), f"is not a results folder: it has no {MANIFEST} or {names}{remark}")
 
 
@@ -65,10 +67,12 @@ def description(folder: Path) -> JsonObject:
     """The description of a folder's content: the manifest of a result, or the description of an analysis.
 
     Raises:
-        ConfigError: It contains nothing that :func:`load` can read, or it is damaged.
+        ConfigError: The folder contains nothing that :func:`load` can read, or it is damaged.
     """
     kind = kind_in(folder)
-    return read_manifest(folder) if kind is None else read_description(folder, kind)
+    if kind is None:
+        return read_manifest(folder)
+    return read_description(folder, kind)
 
 
 def load(folder: str | Path, trust_code: bool = False) -> Loaded:
@@ -83,8 +87,10 @@ def load(folder: str | Path, trust_code: bool = False) -> Loaded:
         A :class:`Result` for ``run`` and ``sweep``, else an :class:`Analysis`, equal to the one saved.
 
     Raises:
-        ConfigError: It contains none of these, it is damaged, or its run did not finish.
+        ConfigError: The folder contains none of these, it is damaged, or its run did not finish.
     """
     path = Path(folder)
     kind = kind_in(path)
-    return results.load_result(path, trust_code) if kind is None else class_of(kind).load(path, trust_code)
+    if kind is None:
+        return results.load_result(path, trust_code)
+    return class_of(kind).load(path, trust_code)

@@ -28,6 +28,7 @@ class StudySlacks:
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        """Compile the study for batches of :data:`LANES` draws."""
         self.study = study
         self.progress = progress
         self.engine = Engine(study, LANES)
@@ -35,37 +36,49 @@ class StudySlacks:
 
     @property
     def noisy(self) -> bool:
-        """Whether the loop has in-loop noise."""
+        """Whether the loop has in-loop noise, so that two draws with the same numbers may differ."""
         return is_noisy(self.engine)
 
     def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Simulate one draw at each point; see :data:`SlackFunction`."""
+        """Simulate one draw at each point, and return the slack of its worst requirement, shape (n,).
+
+        Args:
+            points: Points of the unit cube, shape (n, d).
+            noise: Index of the in-loop noise of each draw, shape (n,).
+        """
         results = evaluate(self.engine, values_at(self.study, points), noise)
         self.simulations += len(points)
         if self.progress:
-            self.progress(self.simulations, None)
+            self.progress(self.simulations, None)  # the total is not known
         return worst_slack(self.study.requirements, results)
 
 
 class SlackCounter:
-    """Computes slacks and counts the evaluations; provides indices of in-loop noise that no point has used.
+    """A :data:`SlackFunction` that counts its evaluations and provides indices of in-loop noise not used before.
 
     Args:
         slack: Computes the slacks.
     """
 
     def __init__(self, slack: SlackFunction) -> None:
+        """Start both counts at 0."""
         self.slack = slack
         self.simulations = 0
-        self.indices = 0
+        self.indices = 0  # indices of in-loop noise provided so far
 
     def fresh(self, count: int) -> np.ndarray:
         """Indices of in-loop noise that no point has used, shape (count,)."""
+        first = self.indices
         self.indices += count
-        return np.arange(self.indices - count, self.indices)
+        return np.arange(first, self.indices)
 
     def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Compute slacks; see :data:`SlackFunction`. A point without a slack fails by an infinite amount."""
+        """Compute the slack of each point, shape (n,); a point without a slack fails by an infinite amount.
+
+        Args:
+            points: Points in the coordinates of a method, shape (n, d).
+            noise: Index of the in-loop noise of each point, shape (n,).
+        """
         self.simulations += len(points)
         slacks = self.slack(points, noise)
         return np.where(np.isnan(slacks), -np.inf, slacks)

@@ -14,94 +14,117 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams, signal_name
-from dssc_jax.closed_loop.sample import initial_state, measure, step
+from dssc_jax.closed_loop.sample import measure, step
 from dssc_jax.core.contracts import NoParams, Reference, Sensor
-from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar, State
+from dssc_jax.core.signals import Measurement, Params, ReferencePoint, ReferencePoints, Scalar, State
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.models.wind import NO_WIND
 
 
 class BreakPoint(StrEnum):
-    """A place at which a channel's loop is broken: the command, the measurement of y, or that of y'.
+    """A place at which a channel's loop is broken: its command, its measurement of y, or its measurement of y'.
 
-    A break at ``output`` or ``rate`` changes the measurement of y or of y' alone. A break of both at once would be the
-    same as one at ``input``, because the channel has one command.
+    A break at ``output`` opens the path of y alone, and a break at ``rate`` the path of y' alone. To open both paths at
+    once is the same as a break at ``input``, because they meet in the channel's one command.
     """
 
-    INPUT = "input"
-    OUTPUT = "output"
-    RATE = "rate"
+    INPUT = "input"  # the command
+    OUTPUT = "output"  # the measurement of y
+    RATE = "rate"  # the measurement of y'
 
 
 def place_names(channels: Sequence[str]) -> list[str]:
-    """Name of each break point in the order of the channels: ``input``, or ``x input`` where channels have names."""
+    """Name of each break point: all points of the first channel, then of the next.
+
+    Names are such as ``input`` for a loop of one channel without a name, and ``x input`` for a channel x.
+    """
     return [place_name(channel, point) for channel in channels for point in BreakPoint]
 
 
 def place_name(channel: str, point: BreakPoint) -> str:
-    """Name of a break point of a channel."""
+    """Name of a channel's break point, such as ``x input``; ``input`` alone if the channel's name is empty."""
     return f"{channel} {point}".strip()
 
 
 class AdditionParams(NamedTuple):
-    """Parameters of a sensor, and a measurement that is added to its input where the loop is broken."""
+    """Parameters of a sensor at a break point.
+
+    Args:
+        params: Parameters of the sensor itself.
+        addition: Signals that are added to the y and y' that it measures.
+    """
 
     params: Params
     addition: Measurement
 
 
 def with_addition(sensor: Sensor) -> Sensor:
-    """A sensor that reads the sum of the plant's measurement and the addition in its parameters."""
+    """A sensor that reads the plant's measurement plus the addition in its :class:`AdditionParams`.
+
+    So a break point at a measurement is an input of the sensor's parameters.
+    """
 
     def sense(
         p: AdditionParams, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, Measurement]:
+        """The sensor's next state and its reading of the sum; z: its state, m: the plant's measurement."""
         return sensor.step(p.params, z, Measurement(m.y + p.addition.y, m.y_dot + p.addition.y_dot), key, t, dt)
 
     return Sensor(AdditionParams, lambda p, m, key: sensor.init(p.params, m, key), sense)
 
 
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
-    """The loop at a constant reference, without disturbances, wind and sensor noise.
+    """The loop and its parameters at a constant reference, without disturbances, wind and sensor noise.
 
-    The reference of a plant of one channel is its constant level (``Reference.level``), or 0; that of several channels
-    is their outputs at t = 0: hover.
+    So it can rest at an equilibrium, about which it is linearised.
     """
-    channels = range(len(loop.channels))
-    origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)
-    desired: ReferencePoint | tuple[ReferencePoint, ...]
-    if len(loop.channels) > 1:
-        start = measure(loop, params, loop.plant.init(params.plant), origin)
-        desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
-    else:
-        level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
-        desired = ReferencePoint(level, 0.0, 0.0)
-    fixed = Reference(NoParams, lambda params, t: desired)
-    quiet = tuple(NO_DISTURBANCE for _ in channels)
-    inputs = tuple(NO_DISTURBANCE for _ in loop.inputs)
-    undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=quiet, inputs=inputs)
+    desired = constant_reference(loop, params)
+    undisturbed_loop = replace(
+        loop,
+        reference=Reference(NoParams, lambda params, t: desired),
+        wind=NO_WIND,
+        disturbance=(NO_DISTURBANCE,) * len(loop.channels),
+        inputs=(NO_DISTURBANCE,) * len(loop.inputs),
+    )
     undisturbed_params = params._replace(
         reference=NoParams(),
         wind=NoParams(),
         sensor=tuple(map(without_noise, params.sensor)),
-        disturbance=tuple(NoParams() for _ in channels),
-        inputs=tuple(NoParams() for _ in loop.inputs),
+        disturbance=(NoParams(),) * len(loop.channels),
+        inputs=(NoParams(),) * len(loop.inputs),
         signal_sensor=tuple(map(without_noise, params.signal_sensor)),
     )
     return undisturbed_loop, undisturbed_params
 
 
+def constant_reference(loop: Loop, params: LoopParams) -> ReferencePoint | ReferencePoints:
+    """The constant desired outputs at which a loop is linearised.
+
+    For several channels they are the outputs at t = 0, where a vehicle hovers. For one channel it is the constant level
+    of the study's reference (``Reference.level``), or 0 if the reference has none.
+    """
+    if len(loop.channels) > 1:
+        origin = (ReferencePoint(0.0, 0.0, 0.0),) * len(loop.channels)
+        outputs = measure(loop, params, loop.plant.init(params.plant), origin)
+        return tuple(ReferencePoint(output.y, 0.0, 0.0) for output in outputs)
+    level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
+    return ReferencePoint(level, 0.0, 0.0)
+
+
 def without_noise(sensor: Params) -> Params:
     """The parameters of a sensor with every standard deviation, a field that ends in ``_std``, set to 0."""
-    deviations = [name for name in getattr(sensor, "_fields", ()) if name.endswith("_std")]
+    deviations = [name for name in getattr(sensor, "_fields", ()) if name.endswith("_std")]  # () without parameters
     return sensor._replace(**dict.fromkeys(deviations, 0.0))
 
 
 def sample_map(
     loop: Loop, params: LoopParams, key: jax.Array, k: Scalar
 ) -> Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """One sample of the loop as a function of its state and of signals that are added at the break points.
+    """Return one sample of the loop as a function of its state and of signals that are added at the break points.
+
+    The Jacobian of this function is the linearised loop.
 
     Args:
         loop: The models and the clock.
@@ -110,10 +133,11 @@ def sample_map(
         k: Index of the sample.
 
     Returns:
-        ``(state, additions) -> (state after the sample, signals before the sums)``, all vectors. The state is the
-        flattened :class:`~dssc_jax.closed_loop.sample.LoopState`; break points are in the order of :func:`place_names`.
+        ``(state, additions) -> (state after the sample, signals)``, all vectors. The state is the flattened
+        :class:`~dssc_jax.closed_loop.sample.LoopState`. Additions, and the signals before these are added, have one
+        element for each break point, in the order of :func:`place_names`.
     """
-    _, unravel = ravel_pytree(initial_state(loop, params, key))
+    _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
     loop_with_inputs = replace(
         loop,
         sensor=tuple(map(with_addition, loop.sensor)),
@@ -122,17 +146,18 @@ def sample_map(
     places = measured_places(loop.channels)
 
     def sample(state: jax.Array, additions: jax.Array) -> tuple[jax.Array, jax.Array]:
-        signals = additions.reshape(len(loop.channels), len(BreakPoint))
+        """The state after the sample, and the signal at each break point."""
+        at_input, at_output, at_rate = additions.reshape(len(loop.channels), len(BreakPoint)).T
         sensors = []
         for i, sensor in enumerate(params.sensor):
-            sensors.append(AdditionParams(sensor, Measurement(signals[i, 1], signals[i, 2])))
+            sensors.append(AdditionParams(sensor, Measurement(at_output[i], at_rate[i])))
         signal_sensors = []
         for signal, sensor in zip(loop.measures, params.signal_sensor, strict=True):
             addition = additions[places[signal.name]] if signal.name in places else 0.0
             signal_sensors.append(AdditionParams(sensor, Measurement(addition, 0.0)))
         with_inputs = params._replace(sensor=tuple(sensors), signal_sensor=tuple(signal_sensors))
         next_state, recorded = step(
-            loop_with_inputs, with_inputs, key, unravel(state), k, additions=tuple(signals[:, 0])
+            loop_with_inputs, with_inputs, key, state_from_vector(state), k, additions=tuple(at_input)
         )
         break_point_signals = []
         for channel, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True):
@@ -143,7 +168,10 @@ def sample_map(
 
 
 def measured_places(channels: Sequence[str]) -> dict[str, int]:
-    """Index of the break point at y and y' of each channel, by the name of y or y' as a measured signal."""
+    """Index of the break point at each channel's y and y', by their names as measured signals, such as ``x_y``.
+
+    A controller may also read y as a measured signal, so an addition at the break point enters there, too.
+    """
     names = place_names(channels)
     places = {}
     for channel in channels:
@@ -153,5 +181,10 @@ def measured_places(channels: Sequence[str]) -> dict[str, int]:
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
-    """The state after the first sample as a vector; controllers may treat the first sample unlike all others."""
-    return ravel_pytree(step(loop, params, key, initial_state(loop, params, key), 0)[0])[0]
+    """The state after the first sample as a vector, with which a flight begins along which the loop is linearised.
+
+    It is not the state before that sample, because controllers may treat the first sample unlike all others.
+    """
+    state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
+    vector, _ = ravel_pytree(state)
+    return vector

@@ -48,7 +48,7 @@ class ControlResult(NamedTuple):
     Args:
         reading: The sensor's reading; an angle in (-pi, pi].
         sensed: The controller's measurement, after the differentiator; an angle is continuous in time.
-        reference: The controller's reference; that of an angle lies within pi of the measurement.
+        reference: The controller's reference; for an angle it lies within pi of the measurement.
         command: The command.
         info: The controller's info.
     """

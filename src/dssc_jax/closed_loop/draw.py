@@ -8,28 +8,31 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.metrics.accumulation import final_values, initial_accumulators, update_accumulators
 from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.margin_kinds import NO_MARGINS
 from dssc_jax.closed_loop.metrics.requirements import Requirement, certain_violations, judge, violated, watch
-from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure, starts, update_all, values
+from dssc_jax.closed_loop.metrics.streaming import Accumulator, Measure
 from dssc_jax.closed_loop.metrics.window import first_sample, periods_lasting
-from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Outcome, Scalar, State
 
 
 class Run(NamedTuple):
-    """The result of one draw; names are those in results.
+    """The result of one draw, by the names that result files use.
 
     Args:
         metrics: Metrics over the whole run, or until the draw settled; NaN if it ended early.
         slacks: Slack of each requirement; -inf if the draw ended early.
         outcome: An :class:`~dssc_jax.core.signals.Outcome`, or the code of the first violated requirement.
-        failed_at: Time of the step that ended the draw early [s]; NaN: it did not.
-        settled_at: Time at which the draw ended because it had settled [s]; NaN: it did not.
-        violated_at: Time of the sample at which the violation of each requirement became certain [s]; NaN: it is met.
+        failed_at: Time of the step that ended the draw early [s]; NaN if the draw did not end early.
+        settled_at: Time at which the draw ended because it had settled [s]; NaN if it did not settle.
+        violated_at: Time of the sample at which the violation of each requirement became certain [s]; NaN if the
+            requirement is met.
     """
 
     metrics: dict[str, Scalar]
@@ -41,9 +44,9 @@ class Run(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """The carry of a time loop over the samples of a draw.
+    """What a time loop over the samples of a draw carries from one sample to the next.
 
-    It contains the sample index, because an array of indices would grow with the duration.
+    It contains the sample index, because an array of all indices would grow with the duration.
 
     Args:
         k: Index of the next sample.
@@ -92,7 +95,7 @@ def initial_progress(
     return Progress(
         k=zero,
         state=state,
-        accumulators=as_arrays(starts(measures, margins)),
+        accumulators=as_arrays(initial_accumulators(measures, margins)),
         outcome=no_samples,
         steps=no_samples,
         in_band=in_band,
@@ -101,31 +104,36 @@ def initial_progress(
 
 
 def integer_type() -> type[np.integer]:
-    """The integer type with the length of the loop's numbers, so that a vector register holds as many of either."""
+    """The integer type as long as the loop's real numbers: int64 with float64, int32 with float32.
+
+    So a vector register of the processor holds as many integers as real numbers.
+    """
     return np.int64 if jnp.result_type(float) == jnp.float64 else np.int32
 
 
 def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
-    """Number of consecutive samples up to k whose errors are small enough to settle.
+    """Number of consecutive samples up to k whose errors are small enough to settle, in every channel.
 
     Args:
         loop: The models and the clock.
-        in_band: The number up to the previous sample.
+        in_band: The number up to the previous sample; () for a loop without a rule for settled draws.
         instant: The signals at sample k.
         k: Index of the sample.
     """
     if loop.settled is None:
         return in_band
-    small = k >= first_sample(loop.settled.after, loop.sample_time)
+    is_small = k >= first_sample(loop.settled.after, loop.sample_time)
     for sample in instant.channels:
-        small = small & (jnp.abs(sample.e) <= loop.settled.error)
-    return jnp.where(small, in_band + 1, 0)
+        is_small = is_small & (jnp.abs(sample.e) <= loop.settled.error)
+    return jnp.where(is_small, in_band + 1, 0)
 
 
 def is_running(loop: Loop, at: Progress) -> Scalar:
-    """Whether a draw has neither ended early nor settled."""
-    ok = at.outcome == Outcome.OK
-    return ok if loop.settled is None else ok & (at.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
+    """Whether a draw has neither ended early nor settled, so that the next sample still counts."""
+    is_ok = at.outcome == Outcome.OK
+    if loop.settled is None:
+        return is_ok
+    return is_ok & (at.in_band < periods_lasting(loop.settled.hold, loop.sample_time))
 
 
 def sampler(
@@ -136,7 +144,9 @@ def sampler(
     requirements: tuple[Requirement, ...],
     freeze: bool,
 ) -> Callable[[Progress], tuple[Progress, Recorded]]:
-    """The function that advances a draw by one sample; a draw that has ended keeps its outcome and number of samples.
+    """Return the function that advances a draw by one sample.
+
+    A draw that has ended keeps its outcome and its number of completed samples.
 
     Args:
         loop: The models and the clock.
@@ -147,13 +157,12 @@ def sampler(
         freeze: Whether a draw that has ended also keeps its last state and accumulators, so that later values are
             finite.
     """
-
     advance = held_between_samples(loop, params)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         """The carry after one sample, and the signals of that sample."""
         state, recorded = step(loop, params, key, at.state, at.k, advance)
-        accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
+        accumulators = update_accumulators(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         outcome_now, is_ended = outcome_at_sample(recorded)
         is_active = is_running(loop, at)
         outcome = jnp.where(is_active, outcome_now, at.outcome)
@@ -181,7 +190,10 @@ def sampler(
 
 
 def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
-    """The outcome code of a draw that has run up to a sample, and whether the plant ends it there."""
+    """The outcome code of a draw after a sample, and whether the plant's model ends the draw there.
+
+    The model ends it at a singular attitude or on the ground. A state that is not finite comes before both.
+    """
     integer = integer_type()
     outcome = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
     is_ended = recorded.broken
@@ -192,9 +204,9 @@ def outcome_at_sample(recorded: Recorded) -> tuple[Scalar, Scalar]:
 
 
 def select_number(is_completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
-    """The new number of an accumulator if the sample is completed, else the old one.
+    """The new number of an accumulator if the sample is completed, else the old number.
 
-    An array, the delay lines of a formula, is always the new one: no final value reads it.
+    An array is always replaced by the new one: it holds the delay lines of a formula, which no final value reads.
     """
     return new if jnp.ndim(new) else jnp.where(is_completed, new, old)
 
@@ -212,9 +224,10 @@ def simulate_draw(
     """Simulate one draw without recording it; memory does not grow with the duration.
 
     A draw ends early at the sample whose state is not finite or at which the plant's model is no longer valid. Its
-    metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its
-    metrics. The state of a draw that has ended is frozen (see :func:`sampler`) if derivatives may be taken
-    (``axis_name`` is None) or if draws may settle.
+    metrics are NaN and its slacks -inf, regardless of later values in the time loop. A settled draw keeps its metrics.
+
+    The state of a draw that has ended is frozen (see :func:`sampler`) in two cases. If derivatives may be taken
+    (``axis_name`` is None), later values must be finite. If draws may settle, their metrics must stay.
 
     Args:
         loop: The models and the clock.
@@ -232,7 +245,9 @@ def simulate_draw(
     begin = initial_progress(loop, params, key, measures, requirements, margins)
 
     def advance(at: Progress) -> Progress:
-        return sample(at)[0]
+        """The carry after one sample, without a record of its signals."""
+        next_progress, _ = sample(at)
+        return next_progress
 
     if axis_name is None:
         end = scan_segments(advance, begin, loop.steps, segment)
@@ -258,7 +273,7 @@ def simulate_recorded(
         key: The draw's random key.
         measures: The metrics to compute.
         requirements: Bounds on some of the metrics.
-        stride: Distance of two recorded samples.
+        stride: Number of samples from one recorded sample to the next.
         margins: Value of each margin of the linearised loop among the measures, by the measure's name.
 
     Returns:
@@ -267,6 +282,7 @@ def simulate_recorded(
     advance = sampler(loop, params, key, measures, requirements, freeze=True)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
+        """The carry after one sample, and the signals of a trajectory."""
         next_progress, recorded = advance(at)
         return next_progress, recorded._replace(controlled=(), grounded=())  # no trajectory needs them
 
@@ -276,17 +292,25 @@ def simulate_recorded(
 
 
 def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requirement, ...], end: Progress) -> Run:
-    """The result of a draw from the carry at its end."""
+    """The result of a draw from the carry at its end.
+
+    Args:
+        loop: The models and the clock.
+        measures: The metrics to compute.
+        requirements: Bounds on some of the metrics.
+        end: The carry after the last sample of the time loop.
+    """
     ok = end.outcome == Outcome.OK
-    completed = loop.steps if loop.settled is None else end.steps
-    metrics = values(measures, end.accumulators, completed, loop.sample_time)
+    completed = loop.steps if loop.settled is None else end.steps  # a plain number unless draws may settle
+    metrics = final_values(measures, end.accumulators, completed, loop.sample_time)
     outcome, slacks = judge(requirements, metrics, end.outcome)
     certain = certain_violations(requirements, measures, end.accumulators, end.violations, completed, loop.sample_time)
     failed_at = jnp.where(ok, jnp.nan, (end.steps + 1) * loop.sample_time)
     violated_at = {}
     for requirement in requirements:
-        samples = certain[requirement.label]
-        time = jnp.where(ok | (samples <= end.steps), (samples - 1) * loop.sample_time, failed_at)
+        samples = certain[requirement.label]  # completed when the violation became certain
+        is_before_end = ok | (samples <= end.steps)
+        time = jnp.where(is_before_end, (samples - 1) * loop.sample_time, failed_at)
         is_violated = violated(slacks[requirement.name])
         violated_at[requirement.violation_name] = jax.lax.stop_gradient(jnp.where(is_violated, time, jnp.nan))
     return Run(

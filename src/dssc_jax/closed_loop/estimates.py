@@ -10,19 +10,22 @@ from dssc_jax.core.signals import Measurements, PlantInput, ReferencePoints, Sca
 
 
 def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
-    """The plant's estimation if its parameters select an estimator; None: the controllers see the true state."""
+    """The plant's sensors and estimator on board if its parameters select them.
+
+    None: there are none, so the controllers see the true state.
+    """
     estimation = loop.mimo_plant.estimation
     return estimation if estimation is not None and estimation.is_enabled(params.plant) else None
 
 
 def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
-    """The plant's state with the error of the first estimate, and the estimator's memory, () without an estimator.
+    """The plant's state with the error of the first estimate, and the estimator's memory at t = 0.
 
-    Sampled software on board then starts again, from the estimate.
+    Sampled software on board, which has started from the true state, starts again from the estimate.
     """
     estimation = estimation_of(loop, params)
     if estimation is None:
-        return plant, ()
+        return plant, ()  # no memory
     plant, memory = estimation.start(params.plant, plant, loop.key_at(key, "estimator", "", 0))
     software = loop.mimo_plant.software
     if software is not None and software.period(params.plant) is not None:
@@ -34,7 +37,10 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
 def next_estimate(
     loop: Loop, params: LoopParams, key: jax.Array, plant: State, memory: State, k: Scalar
 ) -> tuple[State, State]:
-    """The plant's state with the error of the estimate at sample k, and the estimator's memory."""
+    """The plant's state with the error of the estimate at sample k, and the estimator's memory then.
+
+    Without an estimator, state and memory are returned as they are.
+    """
     estimation = estimation_of(loop, params)
     if estimation is None:
         return plant, memory

@@ -1,4 +1,4 @@
-"""The loop before tracing: a model in each named slot, their parameters, and the clock."""
+"""The closed loop as data, before JAX traces it: a model in each slot, such as the plant, and the clock."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,15 +18,15 @@ from dssc_jax.core.wind import Wind
 
 
 def signal_name(channel: str, signal: str) -> str:
-    """Name of a channel's signal, such as ``x_e``; without the channel where it has no name."""
+    """Name of a channel's signal in results, such as ``x_e``; ``e`` alone if the channel's name is empty."""
     return f"{channel}_{signal}" if channel else signal
 
 
 class LoopParams(NamedTuple):
-    """Parameters of every part of a :class:`Loop`, by the loop's field names; any number may be traced.
+    """Parameters of every part of a :class:`Loop`, in fields with the same names; any number may be traced.
 
-    Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
-    channel.
+    Controllers, sensors, differentiators, unmodelled dynamics and disturbances have one element for each channel;
+    ``inputs``, ``signal_sensor`` and ``events`` have one for each model of that field.
     """
 
     plant: Params
@@ -128,14 +128,27 @@ class Loop:
         return condition_at(self.events, params.events, t, self.sample_time, self.rotors)
 
     def zero_input(self, params: Params) -> PlantInput[Signals]:
-        """The input of the plant with these parameters where commands and disturbances are 0 and the air is still."""
+        """The input of a plant with these parameters if all commands and disturbances are 0, without wind."""
         zeros = (0.0,) * len(self.channels)
-        return PlantInput(zeros, zeros, None, quiet_inputs(self.plant, params))
+        return PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(self.plant, params))
 
     def key(self, draw: jax.Array, slot: str, name: str = "") -> jax.Array:
-        """The random key of a part, from the draw's key, its slot, and the name of its channel, input or signal."""
+        """The random key of one part in one draw, the same whatever other parts a study has.
+
+        Args:
+            draw: The draw's key.
+            slot: The kind of part, such as ``sensor``.
+            name: Name of its channel, input or signal; empty for a part without one.
+        """
         return jax.random.fold_in(draw, stream(f"{slot}.{name}" if name else slot))
 
     def key_at(self, draw: jax.Array, slot: str, name: str, call: Scalar) -> jax.Array:
-        """The random key of a part for one call: number 0 is that of ``init``, and k + 1 that of sample k."""
+        """The random key of a part for one of its calls.
+
+        Args:
+            draw: The draw's key.
+            slot: The kind of part, as for :meth:`key`.
+            name: Name of its channel, input or signal, or empty.
+            call: Number of the call: 0 for ``init``, and k + 1 for sample k.
+        """
         return jax.random.fold_in(self.key(draw, slot, name), call)

@@ -8,15 +8,27 @@ from dssc_jax.core.signals import PlantInput, Scalar, Signals, State, tracking_e
 
 
 def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], commands: Signals) -> Signals:
-    """The commands that reach the plant through the unmodelled dynamics in their present states."""
-    parts = zip(loop.unmodelled, params.unmodelled, unmodelled, commands, strict=True)
-    return tuple(model.output(p, z, u) for model, p, z, u in parts)
+    """The commands that reach the plant: outputs of each channel's unmodelled dynamics in their present states.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        unmodelled: States of the unmodelled dynamics.
+        commands: Commands of the controllers.
+    """
+    reaching = []
+    for i, model in enumerate(loop.unmodelled):
+        reaching.append(model.output(params.unmodelled[i], unmodelled[i], commands[i]))
+    return tuple(reaching)
 
 
 def receive_command(
     loop: Loop, params: LoopParams, key: jax.Array, unmodelled: State, i: int, command: Scalar, k: Scalar
 ) -> State:
-    """The state of the unmodelled dynamics of channel i once they have received the command of sample k."""
+    """The state of channel i's unmodelled dynamics once they have received the command of sample k.
+
+    Dynamics that act once a sample, such as a computer's delay or quantiser, change their state here.
+    """
     sample_key = loop.key_at(key, "unmodelled", loop.channels[i], k + 1)
     return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, sample_key, loop.sample_time)
 
@@ -41,7 +53,7 @@ def plant_input(
         plant: State of the plant at the stage.
         actuation: The commands that reach the plant.
         t: Time of the stage [s].
-        condition: The vehicle's condition after events; None without events.
+        condition: The vehicle's condition after events; None: no event has happened.
     """
     references = loop.mimo_reference.at(params.reference, t)
     measurements = measure(loop, params, plant, references)
@@ -49,8 +61,10 @@ def plant_input(
     for i, model in enumerate(loop.disturbance):
         sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
         disturbances.append(model.value(params.disturbance[i], input_states[i], measurements[i], sigma, t))
+    # disturbances at named inputs belong to no channel: they get the signals of the first
     first_sigma = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
     inputs = []
     for model, p, state in zip(loop.inputs, params.inputs, input_states[len(loop.disturbance) :], strict=True):
         inputs.append(model.value(p, state, measurements[0], first_sigma, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs), condition)
+    wind_velocity = loop.wind.value(params.wind, wind, t)
+    return PlantInput(actuation, tuple(disturbances), wind_velocity, tuple(inputs), condition)

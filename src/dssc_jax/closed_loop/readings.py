@@ -12,18 +12,21 @@ STATE = "x"
 
 
 def has_measured_angle(loop: Loop, i: int) -> bool:
-    """Whether the output of channel i is an angle that is also a measured signal."""
+    """Whether the output y of channel i is an angle, and the study also declares it as a measured signal."""
     output = signal_name(loop.channels[i], "y")
     return is_angle(loop, i) and output in [signal.name for signal in loop.measures]
 
 
 def continuous_outputs(loop: Loop, measurements: Measurements, previous: Signals | tuple[State, ...]) -> Measurements:
-    """The plant's outputs as measured signals show them: an angle lies within pi of its previous value.
+    """The plant's outputs, with each measured angle within pi of its previous value.
+
+    So the sensor of an angle sees no jump by a whole turn.
 
     Args:
         loop: The models and the clock.
         measurements: The plant's outputs.
-        previous: The previous angle of each channel with a measured angle [rad]; other elements are not read.
+        previous: For each channel with a measured angle, the angle at the previous sample [rad]; the elements of other
+            channels are not read.
     """
     outputs = []
     for i, measurement in enumerate(measurements):
@@ -49,7 +52,8 @@ def signal_values(
     for channel, measurement in zip(loop.channels, measurements, strict=True):
         values[signal_name(channel, "y")] = measurement.y
         values[signal_name(channel, "y_dot")] = measurement.y_dot
-    values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(plant), start=1)}
+    for number, leaf in enumerate(jax.tree.leaves(plant), start=1):
+        values[f"{STATE}{number}"] = leaf
     values |= signals_in(loop.mimo_plant.monitor(params.plant, plant, drive))
     return tuple(values[signal.name] for signal in loop.measures)
 
@@ -57,12 +61,21 @@ def signal_values(
 def first_readings(
     loop: Loop, params: LoopParams, key: jax.Array, values: Signals
 ) -> tuple[tuple[State, ...], Signals]:
-    """States of the signals' sensors before the first sample, and their readings of the true values at it."""
+    """States of the signals' sensors before the first sample, and their readings at it.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        values: True values of the signals at t = 0.
+    """
     states = []
     for i, signal in enumerate(loop.measures):
         first_key = loop.key_at(key, "signal", signal.name, 0)
-        states.append(loop.signal_sensor[i].init(params.signal_sensor[i], Measurement(values[i], 0.0), first_key))
-    return tuple(states), read_signals(loop, params, key, tuple(states), values, 0)[1]
+        exact = Measurement(values[i], y_dot=0.0)  # the sensor of a signal reads one value: no y'
+        states.append(loop.signal_sensor[i].init(params.signal_sensor[i], exact, first_key))
+    _, readings = read_signals(loop, params, key, tuple(states), values, k=0)
+    return tuple(states), readings
 
 
 def read_signals(
@@ -83,7 +96,7 @@ def read_signals(
     readings = []
     for i, signal in enumerate(loop.measures):
         sample_key = loop.key_at(key, "signal", signal.name, k + 1)
-        exact = Measurement(values[i], 0.0)
+        exact = Measurement(values[i], y_dot=0.0)
         state, reading = loop.signal_sensor[i].step(params.signal_sensor[i], states[i], exact, sample_key, k * dt, dt)
         next_states.append(state)
         readings.append(reading.y)

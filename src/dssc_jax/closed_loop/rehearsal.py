@@ -12,18 +12,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input
 from dssc_jax.closed_loop.repeatability import first_difference
-from dssc_jax.closed_loop.sample import LoopState, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, step
 from dssc_jax.core.contracts import Sensor
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Command, Measurement, Measurements, Params, ReferencePoints, State
 
 NEW_LINE = "\n"
-PACKAGE = __name__.partition(".")[0]
-RESULTS_OF_STEP = 3  # state, command, info
+PACKAGE = __name__.partition(".")[0]  # dssc_jax
+RESULTS_OF_STEP = 3  # of a controller: state, command, info
 RESULTS_OF_SENSOR = 2  # state, reading
 SLOTS_OF_CHANNELS = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 KEPT_VALUES = "a part keeps nothing between calls: what it has to remember is in the state that it returns"
@@ -34,14 +35,21 @@ TRACED_VALUES = (
 
 
 class PartFunction(NamedTuple):
-    """A function that a user wrote: the part of the study, such as ``controller.x``, and the field of its contract."""
+    """The role that a function of a user's own plays in a study.
+
+    Args:
+        part: The part of the study that it belongs to, such as ``controller.x``.
+        field: Its name among the functions of such a part, such as ``step``.
+    """
 
     part: str
     field: str
 
 
 def rehearse(loop: Loop, params: LoopParams) -> None:
-    """Trace the first sample of a loop that contains user-defined parts; other loops pass at once.
+    """Trace the first sample of a loop once, so that a fault in a user's part is found before any simulation.
+
+    A loop without parts of the user's own passes at once.
 
     Args:
         loop: The models and the clock.
@@ -73,27 +81,35 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
 
 
 def require_repeatable(loop: Loop, params: LoopParams) -> None:
-    """Require that every trace of the first sample gives the same program.
+    """Require that every trace of the first sample gives the same program, as it does if all parts are pure functions.
 
     Raises:
         ConfigError: Two traces differ: a user's function draws random numbers of its own, reads a clock, or counts.
     """
 
     def program() -> Callable[[], tuple[LoopState, State, LoopState]]:
+        """A new function object at each call, because JAX remembers the trace of an old one."""
+
         def first_sample() -> tuple[LoopState, State, LoopState]:
+            """The state before the first sample, the plant's derivative there, and the state after the sample."""
             key = jax.random.key(0)
             state = initial_state(loop, params, key)
-            return state, initial_derivative(loop, params, state), step(loop, params, key, state, 0)[0]
+            next_state, _ = step(loop, params, key, state, 0)
+            return state, initial_derivative(loop, params, state), next_state
 
         return first_sample
 
     codes = first_difference(program)
-    if codes is None:
+    if codes is None:  # both traces are the same
         return
     functions = user_functions(loop)
-    impure_functions = [functions[code] for code in codes if code in functions]
-    part = impure_functions[-1].part if impure_functions else part_names(functions)
-    subject = f"`{impure_functions[-1].field}` gives" if impure_functions else "gives"
+    calls = [functions[code] for code in codes if code in functions]  # outermost first
+    if calls:
+        part = calls[-1].part
+        subject = f"`{calls[-1].field}` gives"
+    else:
+        part = part_names(functions)
+        subject = "gives"
     raise ConfigError(
         part,
         f"{subject} other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
@@ -102,7 +118,9 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
 
 
 def check_starts(loop: Loop, params: LoopParams) -> None:
-    """Require that the user's parts start at finite numbers; those that follow from traced ones are not known.
+    """Require that the user's parts start at finite numbers.
+
+    A number that follows from traced parameters has no value yet, and passes.
 
     Raises:
         ConfigError: A number of an initial state is infinite or NaN.
@@ -111,6 +129,7 @@ def check_starts(loop: Loop, params: LoopParams) -> None:
     user_parts = {function.part for function in user_functions(loop).values()}
 
     def check(part: str, init: Callable[..., State], *arguments: object) -> None:
+        """Require finite numbers of ``init(*arguments)`` if the part is the user's own."""
         if part in user_parts:
             with jax.ensure_compile_time_eval():  # a constant array of the part has its value here
                 require_finite_start(part, init(*arguments))
@@ -133,7 +152,7 @@ def check_starts(loop: Loop, params: LoopParams) -> None:
 
 
 def require_finite_start(part: str, state: State) -> None:
-    """Require that the numbers of an initial state are finite; traced ones have no value yet, and are passed over.
+    """Require that the numbers of an initial state are finite; a traced number has no value yet, and passes.
 
     Args:
         part: Path of the part in the study.
@@ -164,7 +183,7 @@ def is_finite_or_traced(leaf: object) -> bool:
 
 
 def signals_at_start(loop: Loop, params: LoopParams) -> tuple[Measurements, ReferencePoints]:
-    """Measurement and reference of each channel at t = 0, without inputs."""
+    """Measurement and reference of each channel at t = 0, with commands and disturbances of 0."""
     plant = as_arrays(loop.plant.init(params.plant))
     measurements = loop.mimo_plant.measure(params.plant, plant, loop.zero_input(params.plant))
     return measurements, loop.mimo_reference.at(params.reference, 0.0)
@@ -188,7 +207,8 @@ def check_results(loop: Loop, params: LoopParams) -> None:
         place = place_of("controller", name)
         if not isinstance(result, tuple) or len(result) != RESULTS_OF_STEP:
             raise ConfigError(place, f"`step` must return (state, command, info), got {form(result)}")
-        require_form(place, "step", "the command", Command(0.0, 0.0), result[1])
+        _, command, _ = result
+        require_form(place, "step", "the command", Command(0.0, 0.0), command)
     for signal, model, model_params in zip(loop.measures, loop.signal_sensor, params.signal_sensor, strict=True):
         place = place_of("sensor", signal.name)
         check_reading(model, model_params, Measurement(0.0, 0.0), place, loop.sample_time)
@@ -211,7 +231,8 @@ def check_reading(model: Sensor, params: Params, measurement: Measurement, place
     result = model.step(params, model.init(params, measurement, key), measurement, key, 0.0, dt)
     if not isinstance(result, tuple) or len(result) != RESULTS_OF_SENSOR:
         raise ConfigError(place, f"`step` must return (state, reading), got {form(result)}")
-    require_form(place, "step", "the reading", Measurement(0.0, 0.0), result[1])
+    _, reading = result
+    require_form(place, "step", "the reading", Measurement(0.0, 0.0), reading)
 
 
 def place_of(slot: str, channel: str) -> str:
@@ -230,7 +251,10 @@ def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> Stat
 
 
 def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
-    """The functions of a loop's parts that are defined outside of this package, by their code objects."""
+    """The functions of a loop's parts that users wrote, by their code objects, which tracebacks contain.
+
+    A function is the user's own if its module does not belong to this package.
+    """
     places = [("plant", loop.plant), ("reference", loop.reference), ("wind", loop.wind)]
     for slot in SLOTS_OF_CHANNELS:
         for name, model in zip(loop.channels, getattr(loop, slot), strict=True):
@@ -249,7 +273,7 @@ def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
 
 
 def part_names(functions: dict[CodeType, PartFunction]) -> str:
-    """The parts that some functions belong to, as a list in words."""
+    """The parts that some functions belong to, in words: ``controller.x and plant``."""
     return " and ".join(sorted({function.part for function in functions.values()}))
 
 
@@ -257,7 +281,7 @@ def part_names(functions: dict[CodeType, PartFunction]) -> str:
 def faults_by_part(loop: Loop) -> Iterator[None]:
     """A context in which an exception becomes an error that names the user's part, function and line.
 
-    A loop without user-defined parts raises the exception itself.
+    The exceptions of a loop without parts of the user's own pass unchanged.
 
     Raises:
         ConfigError: In place of the exception.
@@ -274,8 +298,17 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
 
 
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
-    """The error for an exception that a user's function raised, or that followed from a value which it returned."""
-    message = f"{type(error).__name__}: {str(error).partition(NEW_LINE)[0].rstrip('.')}"
+    """The error that tells a user which function of theirs failed, and in which line.
+
+    The function is the innermost of the user's own on the exception's traceback; the line is the innermost in a file of
+    that function's folder. Without such a function, the exception has followed from a value that one returned.
+
+    Args:
+        error: The exception.
+        functions: The user's functions by their code objects.
+    """
+    first_line = str(error).partition(NEW_LINE)[0].rstrip(".")
+    message = f"{type(error).__name__}: {first_line}"
     fault = None
     folder = None
     line = ""

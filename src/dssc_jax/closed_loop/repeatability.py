@@ -1,4 +1,8 @@
-"""Comparison of two traces of the same function, which differ if the function is not pure."""
+"""Comparison of two traces of one function: their programs differ if the function is not pure.
+
+JAX traces a function to a program, a list of equations. A function that reads a clock, a counter or random numbers of
+its own leaves other constants in the program each time.
+"""
 
 import re
 from collections.abc import Callable, Iterator
@@ -14,16 +18,17 @@ ADDRESS = re.compile(r"0x[0-9a-f]+")
 
 
 def first_difference(program: Callable[[], Callable[[], Any]]) -> list[CodeType] | None:
-    """Trace a function twice, and find where the two programs first differ.
+    """Trace a function twice, and find the source code at which the two programs first differ.
 
     Args:
         program: Returns the function as a new object at each call, because JAX remembers the trace of an old one.
 
     Returns:
-        The code objects on the stack where the programs first differ, outermost call first; empty if no single equation
-        differs. None: the programs are the same.
+        The code objects of the calls that lead to the first different equation, outermost call first; empty if the
+        programs differ, but no equation does. None: the programs are the same.
     """
-    first, second = (jax.make_jaxpr(program())() for _ in range(2))
+    first = jax.make_jaxpr(program())()
+    second = jax.make_jaxpr(program())()
     equation = different_equation(first, second)
     if equation is not None:
         return codes_of(equation)
@@ -32,9 +37,10 @@ def first_difference(program: Callable[[], Callable[[], Any]]) -> list[CodeType]
 
 
 def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | None:
-    """The first equation of a program that differs from that of the second program; None if none does.
+    """The first equation of a program that differs from its counterpart in the second; None if all are equal.
 
-    An equation also differs if it reads a constant that has another value in the second program.
+    An equation also differs if it reads a constant that has another value in the second program. Programs within an
+    equation, such as the body of a loop, are searched first.
     """
     different_constants = set()
     for variable, value, second_value in zip(first.jaxpr.constvars, first.consts, second.consts, strict=False):
@@ -53,7 +59,7 @@ def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | No
 
 
 def literals_of(equation: JaxprEqn) -> list[Any]:
-    """Values of the operands that are written into an equation."""
+    """The operands of an equation that are numbers, written into the equation itself."""
     return [operand.val for operand in equation.invars if isinstance(operand, Literal)]
 
 
@@ -67,12 +73,12 @@ def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
 
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
-    """Whether two lists of constants are equal to the bit; values of an enclosing trace count as equal."""
+    """Whether two lists of constants are equal to the bit; traced values, which have no bits yet, count as equal."""
     return [bits_of(value) for value in first] == [bits_of(value) for value in second]
 
 
 def bits_of(value: Any) -> bytes | None:
-    """The bits of a constant; None for a value of an enclosing trace, such as a parameter."""
+    """The bits of a constant; None for a traced value, such as a parameter, which has none yet."""
     if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         value = jax.random.key_data(value)
     try:
@@ -87,6 +93,9 @@ def text_of(program: ClosedJaxpr | JaxprEqn) -> str:
 
 
 def codes_of(equation: JaxprEqn) -> list[CodeType]:
-    """The code objects on the stack where an equation was traced, outermost call first."""
-    trace = getattr(equation.source_info, "traceback", None)
-    return [] if trace is None else list(reversed(trace.raw_frames()[0]))
+    """The code objects of the calls that led to an equation, outermost call first; empty if JAX kept no traceback."""
+    traceback = getattr(equation.source_info, "traceback", None)
+    if traceback is None:
+        return []
+    codes, _ = traceback.raw_frames()  # and the place in each code; innermost call first
+    return list(reversed(codes))

@@ -6,26 +6,23 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.beginning import begin_controller, begin_plant
 from dssc_jax.closed_loop.between_samples.held_parts import Advance, HeldParts
 from dssc_jax.closed_loop.between_samples.hold import between_samples
 from dssc_jax.closed_loop.control import (
     ControlResult,
     ControlState,
     control,
-    initial_control,
     is_angle,
     measure,
     principal_value,
     unwrap,
 )
-from dssc_jax.closed_loop.estimates import measurements_for_sensors, next_estimate, start_estimate
+from dssc_jax.closed_loop.estimates import measurements_for_sensors, next_estimate
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics.instants import Instant, Sample
 from dssc_jax.closed_loop.plant_inputs import actuate, plant_input, receive_command
 from dssc_jax.closed_loop.readings import (
     continuous_outputs,
-    first_readings,
     has_measured_angle,
     read_signals,
     signal_values,
@@ -44,7 +41,11 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 
-FAR_BELOW = 1e-4  # size of a diverged state over the root of the largest number: large numbers may cancel in a sum
+FAR_BELOW = 1e-4
+"""A state has diverged if its sum exceeds the root of the largest number times this factor.
+
+The factor leaves room for large numbers that cancel in the sum.
+"""
 
 
 class ChannelState(NamedTuple):
@@ -101,8 +102,9 @@ class LoopState(NamedTuple):
 
     @property
     def disturbances(self) -> tuple[State, ...]:
-        """States of the disturbances: that of each channel, then that of each named input."""
-        return (*(channel.disturbance for channel in self.channels), *self.inputs)
+        """States of all disturbances: one of each channel, then one of each named input."""
+        of_channels = tuple(channel.disturbance for channel in self.channels)
+        return (*of_channels, *self.inputs)
 
 
 class Recorded(NamedTuple):
@@ -127,61 +129,8 @@ class Recorded(NamedTuple):
     controlled: tuple[ControlResult, ...]
 
 
-def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
-    """The loop's state before the first sample; unmodelled dynamics are at rest, with a command of 0 before t = 0."""
-    plant = begin_plant(loop, params, key)
-    references = loop.mimo_reference.at(params.reference, 0.0)
-    at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
-    reaching = actuate(loop, params, at_rest, (0.0,) * len(loop.channels))
-    wind = loop.wind.init(params.wind, loop.key_at(key, "wind", "", 0))
-    disturbances = []
-    for model, p, name in zip(loop.disturbance, params.disturbance, loop.channels, strict=True):
-        disturbances.append(model.init(p, loop.key_at(key, "disturbance", name, 0)))
-    inputs = []
-    for model, p, name in zip(loop.inputs, params.inputs, loop.input_names, strict=True):
-        inputs.append(model.init(p, loop.key_at(key, "input", name, 0)))
-    condition = loop.condition(params, 0.0)
-    drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0, condition)
-    exact = measure(loop, params, plant, references, drive)
-    true_plant = plant
-    plant, estimate = start_estimate(loop, params, key, plant)
-    measurements = measurements_for_sensors(loop, params, plant, references, drive, exact)
-    sensors = []
-    first_channel_readings = []
-    for i, name in enumerate(loop.channels):
-        sensor = loop.sensor[i].init(params.sensor[i], measurements[i], loop.key_at(key, "sensor", name, 0))
-        # the controller starts from its measurement at the first sample, not from the plant's output
-        first_key = loop.key_at(key, "sensor", name, 1)
-        _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first_key, 0.0, loop.sample_time)
-        sensors.append(sensor)
-        first_channel_readings.append(principal_value(loop, i, reading))
-    # a measured angle begins in the turn of its channel's reading, so that a controller of both sees one angle
-    outputs = continuous_outputs(loop, exact, tuple(reading.y for reading in first_channel_readings))
-    values = signal_values(loop, params, true_plant, outputs, drive)
-    signal_sensors, signals = first_readings(loop, params, key, values)
-    channels = []
-    for i in range(len(loop.channels)):
-        wrapped_reading = first_channel_readings[i]._replace(signals=signals)
-        control = initial_control(loop, params, i, wrapped_reading, references[i])
-        channels.append(
-            ChannelState(
-                controller=begin_controller(loop, params, key, i, control.controller),
-                sensor=sensors[i],
-                differentiator=control.differentiator,
-                unmodelled=at_rest[i],
-                disturbance=disturbances[i],
-                u=0.0,
-                reaching=reaching[i],
-                angle=measurements[i].y if is_angle(loop, i) else (),
-                reading=control.reading,
-                signal=outputs[i].y if has_measured_angle(loop, i) else (),
-            )
-        )
-    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
-
-
 def held_parts(loop: Loop) -> HeldParts:
-    """The parts of a loop that move between two samples."""
+    """The parts of a loop that move between two samples, while the commands are held."""
     return HeldParts(
         plant=loop.mimo_plant,
         unmodelled=loop.unmodelled,
@@ -193,19 +142,23 @@ def held_parts(loop: Loop) -> HeldParts:
 
 
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
-    """The function that advances plant and unmodelled dynamics by a sample; call it before the time loop."""
+    """Return the function that advances plant and unmodelled dynamics by a sample.
+
+    Call this before the time loop, so that matrices of exact solutions are computed once for a draw.
+    """
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 
 def all_finite(state: LoopState) -> Scalar:
-    """Whether the sum of the state is finite, and so small that metrics can add the squares of signals.
+    """Whether the loop's state has not diverged: its numbers add up to so little that squares of signals are finite.
 
-    The commands that reach the plant follow from other states, and are left out. A state that is an array adds the sum
-    of its numbers.
+    One sum costs less than a test of each number, and a number that is infinite or NaN makes it so. The commands that
+    reach the plant are left out, because they follow from other states.
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
-    numbers = [jnp.sum(leaf) if jnp.ndim(leaf) else leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
+    real_leaves = [leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
+    numbers = [jnp.sum(leaf) if jnp.ndim(leaf) else leaf for leaf in real_leaves]
     return jnp.abs(sum(numbers)) < FAR_BELOW * math.sqrt(largest)
 
 
@@ -221,6 +174,8 @@ def control_channel(
     k: Scalar,
 ) -> tuple[ChannelState, ControlResult]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
+
+    The result is the channel's next state, without the unmodelled dynamics, and what its flight computer read and sent.
 
     Args:
         loop: The models and the clock.
@@ -273,7 +228,7 @@ def metric_sample(
         error: The true tracking error.
         reference: The desired output.
         controlled: Inputs and outputs of the channel's flight computer.
-        u_previous: The robust command of the previous sample.
+        u_previous: The robust command of the previous sample; not read at sample 0.
         input_gain: The plant's input gain k_p in this channel.
         l0: Error pole l_0 of the controller [1/s].
     """
@@ -290,7 +245,7 @@ def metric_sample(
         k_p=input_gain,
         info=controlled.info,
         reference=reference,
-        e_dot=error.sigma - l0 * error.e,
+        e_dot=error.sigma - l0 * error.e,  # sigma = e' + l_0 e (10)
         y_measured=controlled.sensed.y,
         y_dot_measured=controlled.sensed.y_dot,
     )
@@ -314,7 +269,8 @@ def step(
         state: The state at the sample.
         k: Index of the sample.
         advance: Result of :func:`held_between_samples`, from before the time loop; None: computed here.
-        additions: Signals added to the commands of the channels, before the unmodelled dynamics; None: none.
+        additions: Signals that are added to the commands of the channels, before the unmodelled dynamics; None: nothing
+            is added.
 
     Returns:
         The state at the next sample, and the signals of this one.
@@ -353,11 +309,13 @@ def step(
     held_commands = as_arrays(tuple(commands))
     unmodelled_states = tuple(channel.unmodelled for channel in channels)
     inputs = []
-    for model, p, previous, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
-        inputs.append(model.step(p, previous, loop.key_at(key, "input", name, k + 1), t, dt))
+    for i, name in enumerate(loop.input_names):
+        input_key = loop.key_at(key, "input", name, k + 1)
+        inputs.append(loop.inputs[i].step(params.inputs[i], state.inputs[i], input_key, t, dt))
     disturbances = (*(channel.disturbance for channel in channels), *inputs)
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
+        """The plant's input at a time [s] within the sample, with the commands that reach the plant then."""
         return plant_input(loop, params, disturbances, wind, plant, actuation, time, condition)
 
     plant, next_unmodelled = advance(drive_at, state.plant, unmodelled_states, held_commands, t)

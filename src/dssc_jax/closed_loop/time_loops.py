@@ -1,5 +1,6 @@
 """Time loops over the samples of a draw: with early ends, with checkpoints for derivatives, or with a recording."""
 
+import math
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
@@ -12,7 +13,7 @@ CHECK_INTERVAL = 64  # samples between two checks whether any draw is still runn
 
 
 class Carry(Protocol):
-    """The state of a time loop between samples."""
+    """The state of a time loop between samples, of any type that counts its samples in ``k``."""
 
     @property
     def k(self) -> Scalar:
@@ -27,9 +28,10 @@ R = TypeVar("R")
 def until_all_ended(
     sample: Callable[[C], C], is_active: Callable[[C], Scalar], first_carry: C, steps: int, axis_name: str
 ) -> C:
-    """Advance sample by sample until ``steps`` are done, or until no draw of a mapped axis is running.
+    """Advance sample by sample until ``steps`` are done, or until no draw is running; returns the last carry.
 
-    All draws of the axis share the loop, so the time and values that depend only on it stay scalars.
+    All draws of a mapped axis share the loop, so k and all that depends on k alone stay scalars. The loop asks only
+    once in :data:`CHECK_INTERVAL` samples whether a draw is running.
 
     Args:
         sample: Advances the carry by one sample.
@@ -40,38 +42,46 @@ def until_all_ended(
     """
 
     def any_running(at: C) -> Scalar:
+        """1 if a draw of the axis is running, else 0; the same number for all draws."""
         return jax.lax.pmax(jnp.where(is_active(at), 1, 0), axis_name)
 
-    def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
-        end = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
-        next_carry = jax.lax.while_loop(lambda at: at.k < end, sample, carry[0])
-        return next_carry, any_running(next_carry)
+    def advance_block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
+        """The carry after the samples up to the next check, and the result of this check."""
+        at, _ = carry
+        end = jnp.minimum(at.k + CHECK_INTERVAL, steps)
+        next_at = jax.lax.while_loop(lambda at: at.k < end, sample, at)
+        return next_at, any_running(next_at)
 
     def goes_on(carry: tuple[C, Scalar]) -> Scalar:
-        return (carry[0].k < steps) & (carry[1] > 0)
+        """Whether samples are left, and a draw was running at the last check."""
+        at, is_any_running = carry
+        return (at.k < steps) & (is_any_running > 0)
 
-    return jax.lax.while_loop(goes_on, block, (first_carry, any_running(first_carry)))[0]
+    last_carry, _ = jax.lax.while_loop(goes_on, advance_block, (first_carry, any_running(first_carry)))
+    return last_carry
 
 
 def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment: int | None) -> C:
-    """Advance sample by sample through all ``steps``, in a form that can be differentiated.
+    """Advance sample by sample through all ``steps``, in a form that can be differentiated; returns the last carry.
 
     Args:
         sample: Advances the carry by one sample.
         first_carry: The carry at the start.
         steps: Total number of samples.
-        segment: Number of samples between checkpoints. Reverse mode stores the carry at each checkpoint and recomputes
-            those between. None: reverse mode stores every carry.
+        segment: Number of samples between checkpoints. Reverse-mode differentiation stores the carry at each checkpoint
+            only, and computes the carries between two checkpoints again. None: it stores every carry.
     """
 
-    def advance(at: C, count: int) -> C:
-        return jax.lax.scan(lambda at, _: (sample(at), None), at, length=count)[0]
+    def repeat(advance: Callable[[C], C], at: C, count: int) -> C:
+        """The carry after ``count`` calls; a scan that records nothing (None)."""
+        end, _ = jax.lax.scan(lambda at, _: (advance(at), None), at, length=count)
+        return end
 
     if segment is None:
-        return advance(first_carry, steps)
-    checkpointed = jax.checkpoint(lambda at: advance(at, segment))
-    at = jax.lax.scan(lambda at, _: (checkpointed(at), None), first_carry, length=steps // segment)[0]
-    return advance(at, steps % segment)
+        return repeat(sample, first_carry, steps)
+    advance_segment = jax.checkpoint(lambda at: repeat(sample, at, segment))
+    last_checkpoint = repeat(advance_segment, first_carry, steps // segment)
+    return repeat(sample, last_checkpoint, steps % segment)
 
 
 def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stride: int) -> tuple[C, R]:
@@ -81,17 +91,19 @@ def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stri
         sample: Advances the carry by one sample, and returns the record of that sample.
         begin: The carry at the start.
         steps: Total number of samples.
-        stride: Distance of two recorded samples.
+        stride: Number of samples from one recorded sample to the next.
 
     Returns:
         The carry at the end, and the records with leaves of shape (ceil(steps/stride),).
     """
 
-    def recorded_then_skipped(at: C, _: None) -> tuple[C, R]:
+    def record_then_skip(at: C, _: None) -> tuple[C, R]:
+        """Record one sample, and advance to the next sample that is recorded."""
         end = jnp.minimum(at.k + stride, steps)
         at, record = sample(at)
         return jax.lax.while_loop(lambda at: at.k < end, lambda at: sample(at)[0], at), record
 
     if stride == 1:
         return jax.lax.scan(lambda at, _: sample(at), begin, length=steps)
-    return jax.lax.scan(recorded_then_skipped, begin, length=-(-steps // stride))
+    records = math.ceil(steps / stride)
+    return jax.lax.scan(record_then_skip, begin, length=records)

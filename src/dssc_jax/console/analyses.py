@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from dssc_jax.analyses.comparison import Comparison
-from dssc_jax.analyses.comparison.compare import ComparisonAnswer, ContestAnswer
+from dssc_jax.analyses.comparison.compare import ComparisonAnswer
+from dssc_jax.analyses.comparison.contest import ContestAnswer
 from dssc_jax.analyses.probability import FailureProbability
 from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity

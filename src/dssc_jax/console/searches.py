@@ -5,7 +5,8 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
+from dssc_jax.analyses.falsification.answer import LikelihoodAnswer
+from dssc_jax.analyses.falsification.falsify import Falsified
 from dssc_jax.analyses.selection import Selection
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
 from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity, tuned_table

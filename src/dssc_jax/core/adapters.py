@@ -1,4 +1,4 @@
-"""Contracts built from others: of several channels, of sums, and of linear systems."""
+"""Models built from other models: for several channels, as sums, and from linear systems."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -28,9 +28,13 @@ from dssc_jax.core.wind import Wind, WindBounds
 def linear_derivative(
     linear: Callable[[Params], LinearDynamics],
 ) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
-    """The ``derivative`` of a linear plant with one channel: A x + b u_p + e d + the effect of its named inputs."""
+    """Return the ``derivative`` of a linear plant with one channel, from its linear dynamics.
+
+    It is A x + b u_p + e d + the sum of each named input times its column.
+    """
 
     def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
+        """The derivative of the state; a linear plant does not change with time."""
         del t
         dynamics = linear(params)
         (command,) = dynamics.command
@@ -38,14 +42,17 @@ def linear_derivative(
         x, structure = jax.tree.flatten(state)
         signals = (*x, drive.command, drive.disturbance, *drive.inputs)
         columns = (command, disturbance, *dynamics.inputs[: len(drive.inputs)])
-        rows = zip(dynamics.a, *columns, strict=True)
-        return structure.unflatten([dot((*row, *entries), signals) for row, *entries in rows])
+        slopes = []
+        for i, row in enumerate(dynamics.a):
+            entries = (column[i] for column in columns)
+            slopes.append(dot((*row, *entries), signals))
+        return structure.unflatten(slopes)
 
     return derivative
 
 
 def quiet_inputs(plant: Plant, params: Params) -> Signals:
-    """``PlantInput.inputs`` without disturbances: a zero for each disturbance input that the plant names."""
+    """A zero for each disturbance input that the plant names: ``PlantInput.inputs`` where nothing acts on them."""
     return (0.0,) * len(plant.inputs(params)) if plant.inputs else ()
 
 
@@ -53,11 +60,12 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
 
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
+        """The input with plain values in place of tuples, as the plant itself takes it."""
         (command,) = drive.command
         (disturbance,) = drive.disturbance
         return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
-    remainder = plant.remainder
+    remainder = plant.remainder  # None where the plant has none, as `advance` and `software`
     advance = plant.advance
     software = plant.software
     if software is not None:
@@ -85,6 +93,7 @@ def with_channel_count(reference: Reference[ReferencePoints], count: int) -> Ref
     """A reference of several channels, cut to ``count`` channels or extended by channels that stay at zero."""
 
     def at(params: Params, t: Scalar) -> ReferencePoints:
+        """The desired points of ``count`` channels at t [s]."""
         points = tuple(reference.at(params, t))[:count]
         return points + (ReferencePoint(0.0, 0.0, 0.0),) * (count - len(points))
 
@@ -114,6 +123,7 @@ def replace_channels(
     """
 
     def at(params: ReplacedParams, t: Scalar) -> ReferencePoints:
+        """The desired points of all channels at t [s]."""
         points = list(joint.at(params.joint, t))
         for (index, reference), channel_params in zip(replacements.items(), params.replacements, strict=True):
             points[index] = reference.at(channel_params, t)
@@ -123,9 +133,13 @@ def replace_channels(
 
 
 def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params, ...], jax.Array], tuple[State, ...]]:
-    """The ``init`` of several parts: a tuple of their states, each from random numbers of its own."""
+    """Return the ``init`` of several parts together: it gives a tuple of their states.
+
+    Each part gets random numbers of its own, by its index.
+    """
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
+        """The state of each part before the first sample."""
         states = []
         for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
             states.append(part.init(part_params, jax.random.fold_in(key, index)))
@@ -137,11 +151,15 @@ def separate_init(parts: Sequence[Wind | Disturbance]) -> Callable[[tuple[Params
 def separate_step(
     parts: Sequence[Wind | Disturbance],
 ) -> Callable[[tuple[Params, ...], tuple[State, ...], jax.Array, Scalar, Scalar], tuple[State, ...]]:
-    """The ``step`` of several parts: a tuple of their states, each from random numbers of its own."""
+    """Return the ``step`` of several parts together: it gives a tuple of their states.
+
+    Each part gets random numbers of its own, by its index.
+    """
 
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
+        """The state of each part over the sample [t, t + dt)."""
         states = []
         for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
             states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
@@ -151,23 +169,27 @@ def separate_step(
 
 
 def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
-    """The sum of several winds; its parameters are a tuple of theirs."""
+    """The sum of several winds; its parameters and its state are tuples with an element for each part."""
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
+        """The sum of the parts' velocities at t [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params, wind_state in zip(parts, params, state, strict=True):
             total = total + wind.value(wind_params, wind_state, t)
         return total
 
     def bounds(params: tuple[Params, ...]) -> WindBounds:
-        pairs = zip(parts, params, strict=True)
-        limits = [wind.bounds(wind_params) for wind, wind_params in pairs if wind.bounds is not None]
+        """The sums of the parts' bounds; the sum of winds may jump if a part may jump."""
+        parts_with_params = zip(parts, params, strict=True)
+        limits = [wind.bounds(wind_params) for wind, wind_params in parts_with_params if wind.bounds is not None]
         rates = [limit.rate for limit in limits if limit.rate is not None]
+        may_jump = len(rates) < len(parts)
         speed = sum(limit.speed for limit in limits)
         vertical = sum(limit.vertical for limit in limits)
-        return WindBounds(speed, vertical, sum(rates) if len(rates) == len(parts) else None)
+        return WindBounds(speed, vertical, rate=None if may_jump else sum(rates))
 
     def mean(params: tuple[Params, ...], dt: Scalar) -> Vec3:
+        """The sum of the parts' expected velocities over the first sample [m/s]."""
         total = Vec3(0.0, 0.0, 0.0)
         for wind, wind_params in zip(parts, params, strict=True):
             total = total + wind.at_start(wind_params, dt)
@@ -180,9 +202,10 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place; its parameters are a tuple of theirs.
+    """The sum of several disturbances at one place.
 
-    A single disturbance is returned as it is, with its own parameters.
+    Its parameters and its state are tuples with an element for each part. A single disturbance is returned as it is,
+    with its own parameters.
     """
     if len(parts) == 1:
         return parts[0]
@@ -196,8 +219,8 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
             total = total + part.value(part_params, part_state, measurement, sigma, t)
         return total
 
-    order = list(Variation).index
-    variation = max((part.variation for part in parts), key=order)
+    by_dependence = list(Variation).index  # the members are in rising order of dependence
+    variation = max((part.variation for part in parts), key=by_dependence)
     smooth = SMOOTH if all(part.smooth == SMOOTH for part in parts) else None
     init = separate_init(parts)
     step = separate_step(parts)
@@ -217,9 +240,9 @@ def static_unmodelled(
     Args:
         params: NamedTuple type of the parameters.
         output: ``(params, command) -> command`` received by the plant.
-        smooth: As in :class:`Plant`.
-        continuous: As in :class:`Unmodelled`.
-        prepare: As in :class:`Plant`.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: not declared.
+        continuous: Whether the output is the same for a model in continuous time.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
     """
     return Unmodelled(
         params,
@@ -234,7 +257,7 @@ def static_unmodelled(
 
 
 def unit_gain(params: type) -> Substitution:
-    """The substitution of a static element by a gain of 1.
+    """Return the :data:`Substitution` of a static element by a gain of 1, for linearisations.
 
     Args:
         params: NamedTuple type of the element's parameters, which the gain keeps.
@@ -250,23 +273,25 @@ def linear_unmodelled(
     prepare: Callable[[Params], Params] = unchanged_params,
     time_constant: str = "",
 ) -> Unmodelled:
-    """Unmodelled dynamics from a linear system, with its exact solution over a step.
+    """Unmodelled dynamics from a linear system, which advances by its exact solution over a step.
 
     Args:
         params: NamedTuple type of the parameters.
         init: ``(params) -> state``, at rest; its leaves are the states of the system.
         linear: ``(params) -> LinearSystem`` from the command to the output.
-        prepare: As in :class:`Plant`.
-        time_constant: As in :class:`Unmodelled`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        time_constant: Name of the parameter that scales all their times, such as mu of a lag; empty: there is none.
     """
 
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
+        """The state after dt with the command held."""
         system = linear(values)
         x, structure = jax.tree.flatten(state)
         held_system = hold(system.a, (Forcing(system.b, terms=1),), dt)
         return structure.unflatten(held_system.full.apply(x, ((command,),)))
 
     def output(values: Params, state: State, command: Scalar) -> Scalar:
+        """The output y = c x + d u that reaches the plant."""
         system = linear(values)
         return dot((*system.c, system.d), (*jax.tree.leaves(state), command))
 

@@ -14,7 +14,8 @@ def bisect(
     """Halve intervals, all at once, so that each encloses a point where its condition ceases to hold.
 
     Args:
-        holds: (middles of the intervals) -> whether the condition holds at each of them; the same shape.
+        holds: Tells whether the condition holds at the middle of each interval; argument and result have the shape of
+            ``inside``.
         inside: The end of each interval at which the condition holds; a number, or shape (n,).
         outside: The other end of each interval, of the same shape; it may lie above or below ``inside``.
         halvings: Number of halvings.
@@ -27,11 +28,11 @@ def bisect(
         >>> float(inside) < 2.0**0.5 <= float(outside) < float(inside) + 1e-6
         True
     """
-    passed_at = np.asarray(inside)
+    held_at = np.asarray(inside)
     failed_at = np.asarray(outside)
     for _ in range(halvings):
-        middle = 0.5 * (passed_at + failed_at)
-        is_passed = holds(middle)
-        passed_at = np.where(is_passed, middle, passed_at)
-        failed_at = np.where(is_passed, failed_at, middle)
-    return passed_at, failed_at
+        middle = 0.5 * (held_at + failed_at)
+        is_held = holds(middle)
+        held_at = np.where(is_held, middle, held_at)
+        failed_at = np.where(is_held, failed_at, middle)
+    return held_at, failed_at

@@ -34,7 +34,7 @@ from dssc_jax.core.smoothness import (
     piecewise,
 )
 
-HALF_DISTANCE = math.sqrt(3.0) / 6.0
+HALF_DISTANCE = math.sqrt(3.0) / 6.0  # of the two Gauss nodes, in units of the step
 NODES = (0.0, 0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
 """The start of a step, its Gauss nodes, and its end, in units of the step."""
 ORDER = 2
@@ -42,7 +42,12 @@ ORDER = 2
 
 
 class Element(NamedTuple):
-    """An element of a chain: its kind in the registry, for messages, and its model."""
+    """One actuator of a chain.
+
+    Args:
+        kind: Its kind in the registry, for messages.
+        model: Its model.
+    """
 
     kind: str
     model: Unmodelled
@@ -83,52 +88,58 @@ class Arrangement(NamedTuple):
 
     @property
     def head(self) -> tuple[int, ...]:
-        """All elements before those of ``linear``."""
+        """All elements that act before the linear elements at the end."""
         return self.sampled + self.integrated
 
 
 def arrange(elements: Sequence[Element]) -> Arrangement:
-    """Sort the elements of a chain into the groups of an :class:`Arrangement`.
+    """Sort the elements of a chain by how they act: at the samples, between them, or as linear elements at the end.
 
     Raises:
-        ConfigError: An element that acts on the sampled command stands behind one that moves between the samples, or an
-            element both acts at the samples and moves between them.
+        ConfigError: An element that acts on the sampled command stands behind an element that moves between the
+            samples, or an element does both.
     """
     sampled = []
     moving = []
     for index, (kind, model) in enumerate(elements):
-        static = model.sample is ignore_sample
-        if model.advance is not None or not (static or model.held):
+        acts_at_samples = model.sample is not ignore_sample
+        if model.advance is not None or (acts_at_samples and not model.held):
             raise ConfigError(f"{index}.kind", f"'{kind}' acts at the samples and between them; it stands alone")
-        if model.held and (not moving or (not static and model.timing == Timing.INVARIANT)):
+        commutes = acts_at_samples and model.timing == Timing.INVARIANT
+        if model.held and (not moving or commutes):
             sampled.append(index)
-        elif model.held and not static and model.timing == Timing.SAMPLED:
+        elif model.held and acts_at_samples and model.timing == Timing.SAMPLED:
             first = elements[moving[0]].kind
             rule = f"'{kind}' acts on the sampled command; place it before '{first}', which moves between the samples"
             raise ConfigError(f"{index}.kind", rule)
         else:
             moving.append(index)
-    count = len(moving)
-    while count and elements[moving[count - 1]].model.linear is not None:
-        count -= 1
-    return Arrangement(tuple(sampled), tuple(moving[:count]), tuple(moving[count:]))
+    integrated = list(moving)
+    while integrated and elements[integrated[-1]].model.linear is not None:
+        integrated.pop()
+    linear = moving[len(integrated) :]
+    return Arrangement(tuple(sampled), tuple(integrated), tuple(linear))
 
 
 @lru_cache(maxsize=256)
 def chain(elements: tuple[Element, ...]) -> Unmodelled:
-    """Actuators in series as one; its parameters and its state are tuples of theirs, in the order of the elements.
+    """Several actuators in series as one model of unmodelled dynamics.
+
+    Its parameters and its state are tuples of the parameters and states of the elements, in their order.
 
     Raises:
         ConfigError: As for :func:`arrange`.
     """
     arrangement = arrange(elements)
     models = tuple(element.model for element in elements)
-    moving = bool(arrangement.integrated)
+    is_moving = bool(arrangement.integrated)
 
     def init(params: Values) -> States:
+        """The states of all elements at rest."""
         return tuple(model.init(p) for model, p in zip(models, params, strict=True))
 
     def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
+        """The states once the elements that act at the samples have received the command in turn."""
         next_states = list(states)
         value = command
         for index in arrangement.sampled:
@@ -138,29 +149,33 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         return tuple(next_states)
 
     def output_of(indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
+        """The command after some elements in turn, in their present states."""
         value = command
         for index in indices:
             value = models[index].output(params[index], states[index], value)
         return value
 
     def output(params: Values, states: States, command: Scalar) -> Scalar:
+        """The command after all elements."""
         return output_of(arrangement.head + arrangement.linear, params, states, command)
 
-    def linear(params: Values) -> LinearSystem:
-        return in_series(models, arrangement.linear, params)
-
     def linear_among_all(params: Values) -> LinearSystem:
-        leaves = [len(jax.tree.leaves(state)) for state in init(params)]
-        starts = [sum(leaves[:index]) for index in range(len(leaves))]
-        linear_leaves = [starts[index] + i for index in arrangement.linear for i in range(leaves[index])]
-        return spread(linear(params), linear_leaves, sum(leaves))
+        """The linear elements at the end as one system, in the states of all elements."""
+        sizes = [len(jax.tree.leaves(state)) for state in init(params)]
+        places = []  # index of each state of a linear element among all states
+        for index in arrangement.linear:
+            start = sum(sizes[:index])
+            places += range(start, start + sizes[index])
+        return spread(in_series(models, arrangement.linear, params), places, sum(sizes))
 
     def advance(params: Values, dt: Scalar) -> Mover:
+        """Return the function that advances the elements before the linear ones by a step."""
         stages = stages_of(models, arrangement.integrated, params, dt)
 
         def move(states: States, command: Scalar) -> tuple[States, Moments]:
+            """The states after the step, and the line that enters the linear elements or the plant."""
             value = output_of(arrangement.sampled, params, states, command)
-            course = Course((value,) * len(NODES), Moments(value, 0.0))
+            course = Course((value,) * len(NODES), Moments(value, rise=0.0))
             next_states = dict(enumerate(states))
             for stage in stages:
                 stage_states, course = stage(states, course)
@@ -170,10 +185,11 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         return move
 
     def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
+        """The states of all elements after a step with the command held."""
         next_states, line = advance(params, dt)(states, command)
         if not arrangement.linear:
             return next_states
-        stage = linear_stage(models, arrangement.linear, params, dt, constant=not moving)
+        stage = linear_stage(models, arrangement.linear, params, dt, constant=not is_moving)
         linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
         return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
 
@@ -184,12 +200,12 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         output,
         sample=sample,
         linear=linear_among_all if arrangement.linear else None,
-        held=not moving and bool(arrangement.sampled),
+        held=not is_moving and bool(arrangement.sampled),
         smooth=lambda params: smoothness_of(elements, params),
         continuous=all(model.continuous for model in models),
         time_constant=time_constant_path(models),
-        advance=advance if moving or (arrangement.sampled and arrangement.linear) else None,
-        order=ORDER if moving else None,
+        advance=advance if is_moving or (arrangement.sampled and arrangement.linear) else None,
+        order=ORDER if is_moving else None,
         averages=lambda params: any(model.averages(part) for model, part in zip(models, params, strict=True)),
     )
 
@@ -214,7 +230,7 @@ def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 
 
 def time_constant_path(models: Sequence[Unmodelled]) -> str:
-    """Dotted path of the ``time_constant`` of the only element that declares one; else empty."""
+    """Dotted path of the ``time_constant`` if exactly one element declares it, such as ``1.mu``; else empty."""
     names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
     return names[0] if len(names) == 1 else ""
 
@@ -255,6 +271,7 @@ def linear_stage(
     transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
+        """The elements' states after the step, and their output, for the straight line of the input."""
         leaves, structure = jax.tree.flatten([states[index] for index in indices])
         line = source.line
         solutions = [tuple(leaves)]
@@ -282,9 +299,10 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
     follow = model.follow or follow_mean(model)
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
+        """The element's state after the step, and its output, for an input that is straight between the nodes."""
         begin = states[index]
         start = source.nodes[0]
-        state = model.step(params, begin, start, 0.0)
+        state = model.step(params, begin, start, 0.0)  # after a time of 0: an element may react at once
         nodes = [model.output(params, state, start)]
         for i, value in enumerate(source.nodes[1:]):
             if constant:
@@ -302,12 +320,12 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
 
 
 def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
-    """The ``follow`` of a model that declares none: its step with the mean of the command, of order 2."""
+    """Return the ``follow`` of a model that declares none: its step with the mean of the command, of order 2."""
     return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
 
 
 def line_through(nodes: Sequence[Scalar]) -> Moments:
-    """The moments of a signal from its values at :data:`NODES`, exact for polynomials of degree 2."""
+    """Mean and rise of a signal over a step from its values at :data:`NODES`, exact for polynomials of degree 2."""
     _, first, second, _ = nodes
     return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))
 
@@ -345,7 +363,7 @@ def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
 def substitution(
     elements: tuple[Element, ...], smoothness: Sequence[Smoothness], indices: Sequence[int]
 ) -> Substitution:
-    """The substitution of a chain by one in which the substitutes of some elements replace them.
+    """Return the :data:`Substitution` of a chain by a chain in which the substitutes of some elements replace them.
 
     Args:
         elements: The elements of the chain.
@@ -354,6 +372,7 @@ def substitution(
     """
 
     def substitute(params: Values) -> tuple[Unmodelled, Values]:
+        """The chain with substitutes, and its parameters."""
         substitutes = list(elements)
         values = list(params)
         for index in indices:

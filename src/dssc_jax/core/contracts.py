@@ -58,7 +58,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
     A plant with several channels (MIMO, such as the UAV) lists their names; its measurement, input gain and input are
-    tuples in that order. Those of a plant with one channel (SISO) are plain values.
+    tuples in that order. For a plant with one channel (SISO) they are plain values.
 
     Args:
         params: NamedTuple type of the parameters.
@@ -90,19 +90,19 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             loop refuse it.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
-        outputs: ``(params) -> signals`` that ``monitor`` reports, for a plant whose table names them; None: those of
-            ``info``.
-        inputs: ``(params) -> signals``: the disturbance inputs beside those of the channels. Every call gets one value
-            for each of them in ``input.inputs``, in this order, 0 where nothing acts. None: there are none.
+        outputs: ``(params) -> signals`` that ``monitor`` reports, for a plant whose table names them; None: the fields
+            of ``info`` declare them.
+        inputs: ``(params) -> signals``: further disturbance inputs beside the one of each channel. Every call gets a
+            value for each of them in ``input.inputs``, in this order, 0 where nothing acts. None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
         advance: ``(params, state, input, t, h) -> state`` after a step of length h [s] with constant input, for a plant
             with a solver of its own; None: the loop integrates ``derivative``.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the plant keeps no state outside of JAX.
-        native: As in :class:`Controller`.
-        settle: ``(params, state, wind) -> state`` at t = 0 in the mean wind at the start [m/s], if the parameters ask
-            for an equilibrium with it, from the state of ``init``; None: the wind does not count. Not called without a
-            wind.
+        native: File of the native code that it calls, which has no derivative; empty: all of it is JAX.
+        settle: ``(params, state, wind) -> state`` at t = 0, from the state of ``init``: in equilibrium with the mean
+            wind at the start [m/s] if the parameters ask for it. Not called without a wind. None: the plant starts in
+            the state of ``init`` in any wind.
         flies: Whether the plant is a vehicle that reads ``input.wind``; with several channels, these are x, y, z and
             psi. A plant that does not fly has neither a wind nor the vehicle's references.
     """
@@ -137,9 +137,15 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     flies: bool = False
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
-        """The signals that ``monitor`` reports with these parameters; those without unit and meaning are left out."""
-        outputs = self.outputs(params) if self.outputs else ()
-        return outputs or tuple(NamedSignal.of(name, quantity) for name, quantity in quantities_of(self.info).items())
+        """The declared signals that ``monitor`` reports with these parameters.
+
+        The table of the plant declares them, or else the fields of ``info``. A signal without unit and meaning is not
+        declared, and left out.
+        """
+        declared_in_table = self.outputs(params) if self.outputs else ()
+        if declared_in_table:
+            return declared_in_table
+        return tuple(NamedSignal.of(name, quantity) for name, quantity in quantities_of(self.info).items())
 
 
 class Preset(NamedTuple):
@@ -148,7 +154,7 @@ class Preset(NamedTuple):
     Args:
         params: NamedTuple type of the parameters.
         defaults: The instance.
-        prepare: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
     """
 
     params: type
@@ -164,16 +170,18 @@ class Controller(NamedTuple):
         init: ``(gains, measurement, reference) -> state`` from the first sample.
         step: ``(gains, state, measurement, reference, dt) -> (state, command, info)``. ``info`` is a NamedTuple of
             scalars for metrics and plots, and is never fed back.
-        prepare: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         transfer: ``(gains, measurement, reference, command, dt) -> state`` for a bumpless start: the first step from
-            this state gives ``command``. None: no state of the controller does.
-        smooth: As in :class:`Plant`.
+            this state gives ``command``. None: the controller has no such state.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
+            refuse it.
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
         takes: ``(gains) -> n``: number of measured signals that it takes from ``measurement.signals``; 0: it takes y
             and y' alone.
-        signals: The measured signals that it takes by name, in its order; (): those of the study, in the study's order.
+        signals: The measured signals that it takes by name, in its order; (): all signals of the study, in the study's
+            order.
         fit: ``(gains, LoopSetting) -> gains`` when the study is built: computes gains from the nominal plant and the
             sample time, or checks them; raises ConfigError. None: the gains need neither.
         tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function from
@@ -181,7 +189,8 @@ class Controller(NamedTuple):
         from_dssc: ``(gains of DSSC) -> table`` of this controller that corresponds to them; None: a comparison needs
             ``[compare.NAME]``.
         limit: Name of the gain that bounds the command; empty: there is none.
-        info: NamedTuple type of the info, as in :class:`Plant`.
+        info: NamedTuple type of the info. Fields annotated with a ``Quantity`` have its unit and meaning in
+            trajectories; the others have none.
         native: File of the native code that it calls, which has no derivative; empty: all of it is JAX.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the controller keeps no state outside of JAX.
         takes_rate: Whether its command depends on y'; None: the package finds out by trial steps.
@@ -209,7 +218,7 @@ class Controller(NamedTuple):
     without_effect: tuple[str, ...] = ()
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
-        """Names of the usual gains, dotted within the controller's table."""
+        """Names of the gains that a comparison tunes, dotted within the controller's table."""
         return self.tunable(gains) if callable(self.tunable) else self.tunable
 
     @property
@@ -224,9 +233,9 @@ class Reference(NamedTuple, Generic[Desired]):
     Args:
         params: NamedTuple type of the parameters.
         at: ``(params, t) -> ReferencePoint``; for several channels, a tuple with a point for each.
-        prepare: As in :class:`Plant`.
-        defaults: Instance of the parameters with the values of the fields that a table leaves out; None: those of the
-            type.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        defaults: Instance of the parameters with the values of the fields that a table leaves out; None: the type's
+            own defaults hold.
         level: ``(params) -> y`` of a reference of one channel: the constant about which it moves or at which it ends;
             None: 0.
         of_angle: The reference for an output that is an angle, such as one that takes the shorter way from value to
@@ -247,7 +256,7 @@ class Variation(StrEnum):
     The members are in rising order of dependence.
     """
 
-    HELD = "held"  # none: the disturbance is constant from one sample to the next
+    HELD = "held"  # none: the disturbance is constant from sample to sample
     TIME = "time"  # time alone
     STATE = "state"  # time and the plant's state
 
@@ -260,9 +269,10 @@ class Disturbance(NamedTuple):
         init: ``(params, key) -> state``.
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, measurement, sigma, t) -> d``, evaluated in every stage of the integrator.
-        prepare: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         variation: Variables on which ``value`` depends within a sample.
-        smooth: As in :class:`Plant`.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
+            refuse it.
     """
 
     params: type
@@ -281,8 +291,9 @@ class Sensor(NamedTuple):
         params: NamedTuple type of the parameters.
         init: ``(params, measurement, key) -> state`` from the first true measurement.
         step: ``(params, state, measurement, key, t, dt) -> (state, measurement)`` at each sample.
-        prepare: As in :class:`Plant`.
-        smooth: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
+            refuse it.
         transparent: ``(params) -> bool``: whether it passes y and y' on at once, but for noise, constant errors and
             rounding. The continuous-time analysis leaves a sensor out, and says so of one that is not transparent.
     """
@@ -302,9 +313,11 @@ class Differentiator(NamedTuple):
         params: NamedTuple type of the parameters.
         init: ``(params, measurement) -> state`` from the first measurement; of it only y may be used.
         step: ``(params, state, measurement, dt) -> (state, measurement)`` at each sample.
-        prepare: As in :class:`Plant`.
-        smooth: As in :class:`Plant`.
-        transparent: As in :class:`Sensor`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
+            refuse it.
+        transparent: ``(params) -> bool``: whether it passes y and y' on at once. The continuous-time analysis leaves a
+            differentiator out, and says so of one that is not transparent.
     """
 
     params: type
@@ -339,16 +352,17 @@ class Unmodelled(NamedTuple):
         init: ``(params) -> state``, at rest.
         step: ``(params, state, command, dt) -> state`` with the command held over dt.
         output: ``(params, state, command) -> command`` received by the plant.
-        prepare: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         sample: ``(params, state, command, key, dt) -> state`` once per sample of length dt, at the time of its
-            command. The random key is that of the channel and the sample.
+            command. The random key differs from channel to channel and from sample to sample.
         linear: ``(params) -> LinearSystem`` from the command to the output; its state lists the leaves of ``state``.
         held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt; None: by Simpson's rule.
-        smooth: As in :class:`Plant`.
-        continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
+        smooth: Where it has a derivative (:mod:`dssc_jax.core.smoothness`); None: analyses that linearise the loop
+            refuse it.
+        continuous: Whether the slope of ``step`` at dt = 0 is the derivative of a model in continuous time.
         time_constant: Name of the parameter that scales all their times, such as mu of a lag; the theory predicts
-            oscillations as a function of it. Empty: there is none.
+            oscillations as a function of it. Empty: no parameter does so.
         timing: When they act, if their output is held and they have a state.
         advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. If ``linear``
             is declared, too, ``advance`` moves only the elements before the linear part, leaves the states of the
@@ -356,7 +370,8 @@ class Unmodelled(NamedTuple):
             one sample to the next.
         follow: ``(params, state, start, end, dt) -> state`` for a command that goes in a straight line from start to
             end over dt; None: a step with its mean.
-        order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
+        order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: the order of the loop's
+            method of integration holds.
         superposes: Whether ``sample`` and ``output`` are linear in state and command; ``linear`` implies it.
         averages: ``(params) -> bool``: whether the output may change within a sample, and then acts through its mean.
     """

@@ -10,7 +10,7 @@ LIBRARIES = ("site-packages", "dist-packages", "dssc_jax/", "dssc_jax\\", "<froz
 
 
 class ConfigError(ValueError):
-    """Bad input: its location, the rule it violates and the value found.
+    """The error for bad input: where it is, which rule it violates, and the value found.
 
     Args:
         location: File and dotted path of the field, e.g. ``study.toml: plant.k_p``.
@@ -18,11 +18,13 @@ class ConfigError(ValueError):
     """
 
     def __init__(self, location: str, rule: str) -> None:
+        """Make the message of location and rule."""
         self.where = location
         self.rule = rule
         super().__init__(f"{location}: {rule}" if location else rule)
 
-    def __reduce__(self) -> tuple[type, tuple[str, str]]:  # it travels between a cluster's processes
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        """Tell pickle how to make the error again: it travels between a cluster's processes."""
         return ConfigError, (self.where, self.rule)
 
     def within(self, place: str) -> "ConfigError":
@@ -78,7 +80,7 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
     except Exception as error:
         text = str(error).strip().partition("\n")[0]
         frames = traceback.extract_tb(error.__traceback__)
-        user_frames = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
+        user_frames = [frame for frame in frames if not is_of_library(frame.filename)]  # outermost first
         code = getattr(function, "__code__", None)
         location = ""
         if user_frames:
@@ -88,15 +90,20 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
         raise ConfigError(subject, f"{type(error).__name__}: {text}{location}") from error
 
 
+def is_of_library(file: str) -> bool:
+    """Whether a file of source code belongs to a library, and not to the user."""
+    return any(part in file for part in LIBRARIES)
+
+
 def folded(name: str) -> str:
     """A name in small letters without underscores and hyphens, so that misspelt names compare equal."""
     return name.lower().replace("_", "").replace("-", "")
 
 
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
-    """The valid name nearest to a misspelt one, in a list of length 1; an empty list if none is near.
+    """The valid name nearest to a misspelt name, in a list of length 1; an empty list if no name is near.
 
-    A name that is equal after :func:`folded` comes first, then the most similar one.
+    A name that is equal after :func:`folded` is nearest; without one, the most similar name is.
     """
     names = sorted(map(str, valid))
     equal_names = [valid_name for valid_name in names if folded(valid_name) == folded(name)]
@@ -104,12 +111,19 @@ def close_names(name: str, valid: Iterable[str]) -> list[str]:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
+    """Return the end of a message about an unknown name: ``did you mean 'x_e'?``, or all valid names.
+
+    Args:
+        name: The unknown name.
+        valid: The valid names.
+    """
     names = sorted(map(str, valid))
     words = sorted(name.split("_"))
     reordered = [full for full in names if sorted(full.split("_")) == words]  # e_x for x_e
     closest = reordered or close_names(name, names)
     if not closest:  # people remember the last part of a dotted path
-        tail = name.rpartition(".")[2]
-        closest = [full for full in names if full.rpartition(".")[2] == tail][:1]
-    return f"did you mean '{closest[0]}'?" if closest else f"valid names are {', '.join(names) or 'none'}"
+        _, _, tail = name.rpartition(".")
+        closest = [full for full in names if full.rpartition(".")[2] == tail]
+    if closest:
+        return f"did you mean '{closest[0]}'?"
+    return f"valid names are {', '.join(names) or 'none'}"

@@ -20,7 +20,9 @@ UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0, ends
 
 
 class Load(NamedTuple):
-    """Moments of the point masses that events have added to the vehicle, about its centre of mass, in body axes.
+    """Moments of the point masses that events have added to the vehicle: each a mass m at a place r.
+
+    Places are in body axes, from the vehicle's centre of mass without events.
 
     Args:
         mass: sum m [kg]; negative if the vehicle has lost mass.
@@ -89,8 +91,8 @@ class SensorEvent(NamedTuple):
     Args:
         params: NamedTuple type of the parameters.
         wrap: ``(sensor) -> sensor`` with the event, whose parameters are :class:`Wrapped`.
-        changes: As in :class:`VehicleEvent`.
-        prepare: As in :class:`VehicleEvent`.
+        changes: Name, in words, of the number of the loop that the event changes.
+        prepare: ``(params) -> params`` before tracing; raises ConfigError.
     """
 
     params: type
@@ -104,9 +106,9 @@ class CommandEvent(NamedTuple):
 
     Args:
         params: NamedTuple type of the parameters.
-        model: Unmodelled dynamics with the event, in series with those of the study.
-        changes: As in :class:`VehicleEvent`.
-        prepare: As in :class:`VehicleEvent`.
+        model: Unmodelled dynamics with the event, in series with the study's own.
+        changes: Name, in words, of the number of the loop that the event changes.
+        prepare: ``(params) -> params`` before tracing; raises ConfigError.
     """
 
     params: type
@@ -136,9 +138,11 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
     until = getattr(params, "until", None)
 
     def within_sample(time: Scalar) -> Scalar:
+        """The place of a time in the sample, from 0 at t to 1 at t + dt; clipped to the sample."""
         return jnp.clip((time - t) / dt, 0.0, 1.0)
 
     def risen(place: Scalar) -> Scalar:
+        """The share of the event that has happened at a place in the sample, during its rise."""
         return jnp.clip((t - params.at + place * dt) / rise, 0.0, 1.0)
 
     begin = within_sample(params.at)
@@ -147,6 +151,7 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
         return jnp.maximum(end - begin, 0.0)
     complete = within_sample(params.at + rise)
     end_of_rise = jnp.minimum(complete, end)
+    # the mean of the straight line from begin to end_of_rise, then 1 up to end
     rising = 0.5 * (risen(begin) + risen(end_of_rise)) * jnp.maximum(end_of_rise - begin, 0.0)
     return rising + jnp.maximum(end - complete, 0.0)
 

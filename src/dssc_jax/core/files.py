@@ -27,6 +27,7 @@ LARGE_BUFFER = 2**20
 REPEATED_NAME = 100
 """Characters of a file's name that the name of its partial file repeats; systems allow 255 bytes."""
 
+# flags of os.open; some systems lack a few of them, and 0 stands for these
 CREATION = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 DIRECTORY = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
@@ -52,7 +53,7 @@ def file_type(mode: int) -> str:
 
 
 def mode_of(path: Path) -> int | None:
-    """``st_mode`` of a path, of a symbolic link itself; None if nothing is there."""
+    """``st_mode`` of what a path leads to, where a symbolic link is not followed; None if nothing is there."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -73,7 +74,7 @@ def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
     require_readable(Path(path), os.stat(path).st_mode)
     descriptor = os.open(path, READING)
     with os.fdopen(descriptor, "rb", LARGE_BUFFER) as file:
-        require_readable(Path(path), os.fstat(descriptor).st_mode)  # of what was opened
+        require_readable(Path(path), os.fstat(descriptor).st_mode)  # the file may have been replaced since
         yield file
 
 
@@ -82,7 +83,7 @@ def read_bytes(path: str | Path, size: int = -1) -> bytes:
 
     Args:
         path: The file.
-        size: Maximum number of bytes to read; -1: all.
+        size: Most bytes to read; -1: all.
     """
     with open_regular_file(path) as file:
         return file.read(size)
@@ -200,12 +201,17 @@ def replacing(path: Path, within: Path | None = None, durable: bool = True) -> I
 
 
 def create_file(path: Path) -> BinaryIO:
-    """A new file, open for writing; raises FileExistsError if the path exists, be it a symbolic link."""
-    return os.fdopen(os.open(path, CREATION, 0o666), "wb")
+    """Create a file and open it for writing.
+
+    Raises:
+        FileExistsError: The path exists, be it as a symbolic link.
+    """
+    for_all_users = 0o666  # less what the user's umask forbids
+    return os.fdopen(os.open(path, CREATION, for_all_users), "wb")
 
 
 def partial_path(path: Path) -> Path:
-    """A name beside a file that no other writer uses."""
+    """The path of the temporary file that is written in place of a file, beside it; no other writer uses its name."""
     return path.with_name(f".{path.name[:REPEATED_NAME]}.{uuid4().hex}{PARTIAL}")
 
 
@@ -216,22 +222,25 @@ def flush(file: BinaryIO) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Flush a folder's list of files to disk, where the system can."""
+    """Flush a folder's list of files to disk, so that a power cut loses no name; where the system can do so."""
     if not POSIX:
         return
     descriptor = os.open(folder, DIRECTORY)
     try:
-        with suppress(OSError):  # some network file systems cannot
+        with suppress(OSError):  # some network file systems cannot flush a folder
             os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
 
 def require_replaceable(path: Path) -> int | None:
-    """Require that a path is absent or a regular file; raises UnsafeFileError.
+    """Require that nothing but a regular file would be replaced at a path.
 
     Returns:
-        ``st_mode`` of the file; None if it is absent.
+        ``st_mode`` of the file; None if the path is absent.
+
+    Raises:
+        UnsafeFileError: The path is a symbolic link, a folder, a pipe or a device.
     """
     mode = mode_of(path)
     if mode is not None and not stat.S_ISREG(mode):
@@ -240,14 +249,20 @@ def require_replaceable(path: Path) -> int | None:
 
 
 def require_inside(path: Path, within: Path | None) -> None:
-    """Require that no folder of a path below ``within`` is a symbolic link or a file; raises UnsafeFileError.
+    """Require that no folder on the way from ``within`` to a path is a symbolic link or a file.
 
-    Folders that do not exist yet, and ``within`` None, are accepted.
+    Args:
+        path: The path; folders that do not exist yet are accepted.
+        within: The folder from which on folders are checked; None: none are.
+
+    Raises:
+        UnsafeFileError: A folder is a symbolic link or a file.
     """
     if within is None:
         return
     folder = within
-    for part in path.relative_to(within).parts[:-1]:
+    *folder_names, _ = path.relative_to(within).parts
+    for part in folder_names:
         folder = folder / part
         mode = mode_of(folder)
         if mode is not None and not stat.S_ISDIR(mode):
@@ -255,7 +270,11 @@ def require_inside(path: Path, within: Path | None) -> None:
 
 
 def require_plain_tree(folder: Path) -> None:
-    """Require that a folder contains regular files and folders only, before anything is written; raises ConfigError."""
+    """Require that a folder contains regular files and folders only, before anything is written.
+
+    Raises:
+        ConfigError: It contains something else, such as a symbolic link.
+    """
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             path = Path(place) / name
@@ -279,7 +298,7 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
     if within is None:
         folder.mkdir(parents=True, exist_ok=True)
         return
-    require_inside(folder / PARTIAL, within)
+    require_inside(folder / PARTIAL, within)  # the name of a file in the folder, so that the folder itself is checked
     parent = within
     for part in folder.relative_to(within).parts:
         parent = parent / part
@@ -288,6 +307,10 @@ def make_folder(folder: Path, within: Path | None = None) -> None:
 
 def delete(path: Path, within: Path | None = None) -> None:
     """Delete a file if it exists; a symbolic link is itself deleted.
+
+    Args:
+        path: The file.
+        within: The folder below which no folder of the path may be a symbolic link; None: links are followed.
 
     Raises:
         UnsafeFileError: A folder of the path below ``within`` is a symbolic link or a file.
@@ -298,6 +321,10 @@ def delete(path: Path, within: Path | None = None) -> None:
 
 def delete_tree(folder: Path, within: Path | None) -> None:
     """Delete a folder with its content if it exists; symbolic links in it are deleted, not followed.
+
+    Args:
+        folder: The folder.
+        within: The folder below which no part of the path may be a symbolic link; None: links are followed.
 
     Raises:
         UnsafeFileError: It is a symbolic link or a file, or a folder above it and below ``within`` is.
@@ -332,21 +359,27 @@ class HeldFolder:
     """
 
     def __init__(self, path: Path) -> None:
+        """Open the folder, and note its device and inode."""
         self.path = path.absolute()
-        self._shown = path
+        self._shown = path  # as the user wrote it, for messages
         self._descriptor = os.open(path, DIRECTORY) if POSIX else None
         self._identity = device_and_inode(path)
 
     def require_in_place(self) -> None:
-        """Require that the path still leads to the folder; raises ConfigError."""
+        """Require that the path still leads to the folder.
+
+        Raises:
+            ConfigError: It leads to another folder, or to none.
+        """
         try:
             present = device_and_inode(self.path)
         except OSError:
-            present = None
+            present = None  # nothing is there
         if present != self._identity:
             raise ConfigError(str(self._shown), self._loss())
 
     def _loss(self) -> str:
+        """What became of the folder, in words: it was deleted, or moved to a place that Linux may tell."""
         location = ""
         if self._descriptor is not None:
             with suppress(OSError):

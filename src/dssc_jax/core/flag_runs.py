@@ -4,7 +4,7 @@ import numpy as np
 
 
 def flag_runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the runs of true flags.
+    """Find where each run of consecutive true flags begins and ends.
 
     Args:
         flags: Shape (n,).
@@ -16,7 +16,7 @@ def flag_runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         >>> [ends.tolist() for ends in flag_runs(np.array([True, False, True, True]))]
         [[0, 2], [1, 4]]
     """
-    steps = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
+    steps = np.diff(np.concatenate([[0], flags.astype(int), [0]]))  # 1 where a run begins, -1 after its end
     return np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)
 
 

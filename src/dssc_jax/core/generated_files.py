@@ -19,31 +19,41 @@ def require_replaceable(folder: Path, names: Iterable[str]) -> None:
         names: Names of the files to write.
 
     Raises:
-        ConfigError: A file has not the digest that :func:`write_sums` stored; it may be somebody's work.
+        ConfigError: A file's digest differs from what :func:`write_sums` stored, so it may be somebody's work.
     """
     sums = stored_sums(folder)
     for name in names:
         path = folder / name
-        if path.is_file() and not path.is_symlink() and sums.get(name) != digest(path):
-            rule = "is in the place of a generated file" if name not in sums else "was changed after it was generated"
+        is_own_file = path.is_file() and not path.is_symlink()
+        if is_own_file and sums.get(name) != digest(path):
+            rule = "was changed after it was generated" if name in sums else "is in the place of a generated file"
             raise ConfigError(str(path), f"{rule}, and would be replaced; move it away, or choose another folder")
 
 
 def write_sums(folder: Path, names: Iterable[str]) -> None:
-    """Write the digests of generated files to :data:`SUMS`; raises OSError."""
+    """Write the digest of each generated file to :data:`SUMS` in their folder, in the form of ``sha256sum``.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     lines = [f"{digest(folder / name)}  {name}\n" for name in names]
     files.write_text(folder / SUMS, lines)
 
 
 def stored_sums(folder: Path) -> dict[str, str]:
-    """The digests that :func:`write_sums` stored, by name; empty where it stored none."""
+    """The digest of each generated file that :func:`write_sums` stored, by the file's name; empty if it stored none."""
     path = folder / SUMS
     if not path.is_file():
         return {}
-    pairs = [line.split(maxsplit=1) for line in files.read_text(path, errors="replace").splitlines()]
-    return {pair[1]: pair[0] for pair in pairs if len(pair) == 2}
+    digests = {}
+    for line in files.read_text(path, errors="replace").splitlines():
+        words = line.split(maxsplit=1)
+        if len(words) == 2:  # digest and name; other lines are not of `write_sums`
+            file_digest, name = words
+            digests[name] = file_digest
+    return digests
 
 
 def digest(path: Path) -> str:
-    """SHA-256 digest of a file."""
+    """SHA-256 digest of a file's content, in hexadecimal."""
     return hashlib.sha256(files.read_bytes(path)).hexdigest()

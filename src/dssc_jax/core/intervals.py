@@ -16,9 +16,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 ROUNDS = 60  # rounds of subdivision
-MOST_BOXES = 4096
-MOST_CORNERS = 8  # of a box's sides, whose corners are all tried
-TOLERANCE = 1e-4  # share of the range's width
+MOST_BOXES = 4096  # parts of a box that are enclosed at once
+MOST_CORNERS = 8  # most sides of a box whose corners are all tried
+TOLERANCE = 1e-4  # by which an enclosure may exceed the values found, as a share of the range's width
 LARGEST = float(np.finfo(float).max)
 SMALLEST = math.ulp(0.0)
 TURN = 2.0 * math.pi
@@ -46,7 +46,7 @@ class Interval(NamedTuple):
 
 
 Function: TypeAlias = Callable[..., Interval]
-"""(Interval of each argument) -> interval of the values."""
+"""A function by its range: ``(interval of each argument) -> interval of the values``."""
 
 
 def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarray | bool = True) -> Interval:
@@ -63,6 +63,11 @@ def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarra
     for argument in arguments:
         defined = defined & argument.defined
     return Interval(low, high, np.broadcast_to(defined, low.shape))
+
+
+def end_pairs(a: Interval, b: Interval) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The four pairs of an end of a and an end of b, at which a monotonic operation has its extremes."""
+    return list(itertools.product((a.low, a.high), (b.low, b.high)))
 
 
 def add(a: Interval, b: Interval) -> Interval:
@@ -82,27 +87,29 @@ def negative(a: Interval) -> Interval:
 
 def multiply(a: Interval, b: Interval) -> Interval:
     """a b."""
-    return hull([x * y for x, y in itertools.product(a[:2], b[:2])], a, b)
+    return hull([x * y for x, y in end_pairs(a, b)], a, b)
 
 
 def divide(a: Interval, b: Interval) -> Interval:
     """a/b, undefined where b may vanish."""
-    return hull([x / y for x, y in itertools.product(a[:2], b[:2])], a, b, defined=~contains(b, 0.0))
+    return hull([x / y for x, y in end_pairs(a, b)], a, b, defined=~contains(b, 0.0))
 
 
 def contains(a: Interval, value: float) -> np.ndarray:
-    """Whether a value lies in an interval."""
+    """Whether a value lies in each interval, an array of the intervals' shape."""
     return (a.low <= value) & (value <= a.high)
 
 
 def power(a: Interval, b: Interval) -> Interval:
-    """a^b, undefined where a may be negative and b is not a fixed whole number, or a vanishes and b is not positive."""
-    corners = [np.power(x, y) for x, y in itertools.product(a[:2], b[:2])]
-    integer = (b.low == b.high) & (b.low == np.round(b.low))
+    """a^b, undefined where a may be negative and b is not one whole number, or a may vanish and b may be negative."""
+    corners = [np.power(x, y) for x, y in end_pairs(a, b)]
+    is_integer = (b.low == b.high) & (b.low == np.round(b.low))  # b is one whole number
     has_zero = contains(a, 0.0)
-    defined = np.where(has_zero, (b.low > 0.0) | (integer & (b.low == 0.0)), True) & ((a.low >= 0.0) | integer)
-    even = integer & (np.mod(b.low, 2.0) == 0.0)
-    corners.append(np.where(even & has_zero & (b.low > 0.0), 0.0, corners[0]))
+    zero_is_allowed = (b.low > 0.0) | (is_integer & (b.low == 0.0))
+    defined = np.where(has_zero, zero_is_allowed, True) & ((a.low >= 0.0) | is_integer)
+    is_even = is_integer & (np.mod(b.low, 2.0) == 0.0)
+    has_minimum_inside = is_even & has_zero & (b.low > 0.0)  # a^b is 0 at a = 0, and not less at the ends
+    corners.append(np.where(has_minimum_inside, 0.0, corners[0]))
     return hull(corners, a, b, defined=defined)
 
 
@@ -190,59 +197,78 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
         sides: Lower and upper end of each argument.
     """
     with np.errstate(all="ignore"):
-        box = Interval.of(*np.array(sides, float).reshape(-1, 2).T[:, None, :])
-        lowest, greatest = values_at(function, corner_points(box))
-        low = math.inf
+        lower_ends, upper_ends = np.array(sides, float).reshape(-1, 2).T
+        box = Interval.of(lower_ends[None], upper_ends[None])  # one box, shape (1, sides)
+        lowest, greatest = values_at(function, corner_points(box))  # of the values found so far
+        low = math.inf  # bounds over the parts that are decided
         high = -math.inf
-        lows = box.low
+        lows = box.low  # the undecided parts, shape (parts, sides)
         highs = box.high
         for remaining in reversed(range(ROUNDS)):
             enclosures = function(*intervals(lows, highs))
             shape = (len(lows),)
             outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in enclosures)
-            inner = values_at(function, 0.5 * lows + 0.5 * highs)
-            lowest = min(lowest, inner[0])
-            greatest = max(greatest, inner[1])
+            least_at_centres, greatest_at_centres = values_at(function, 0.5 * lows + 0.5 * highs)
+            lowest = min(lowest, least_at_centres)
+            greatest = max(greatest, greatest_at_centres)
             tolerance = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
             is_undecided = ~defined | (outer_low < lowest - tolerance) | (outer_high > greatest + tolerance)
-            if not remaining or 2 * np.count_nonzero(is_undecided) > MOST_BOXES:
+            is_last_round = not remaining or 2 * np.count_nonzero(is_undecided) > MOST_BOXES
+            if is_last_round:
                 is_undecided = np.zeros(shape, bool)
             is_decided = ~is_undecided
-            if np.any(is_decided & ~defined):
-                centre = 0.5 * lows[is_decided & ~defined][0] + 0.5 * highs[is_decided & ~defined][0]
-                return Range(-math.inf, math.inf, tuple(centre.tolist()))
+            undefined_parts = np.flatnonzero(is_decided & ~defined)
+            if len(undefined_parts):
+                part = undefined_parts[0]
+                centre = 0.5 * lows[part] + 0.5 * highs[part]
+                return Range(-math.inf, math.inf, undefined=tuple(centre.tolist()))
             low = min(low, outer_low[is_decided].min(initial=math.inf))
             high = max(high, outer_high[is_decided].max(initial=-math.inf))
             if not is_undecided.any():
                 break
             lows, highs = halve(lows[is_undecided], highs[is_undecided], (box.high - box.low)[0])
-    return Range(float(low), float(high), None)
+    return Range(float(low), float(high), undefined=None)
 
 
 def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:
-    """Boxes as intervals: one for each side, of shape (boxes,); the arguments have shape (boxes, sides)."""
+    """Boxes as intervals, one for each side, of shape (boxes,).
+
+    Args:
+        lows: Lower ends, shape (boxes, sides).
+        highs: Upper ends, the same shape.
+    """
     return [Interval.of(low, high) for low, high in zip(lows.T, highs.T, strict=True)]
 
 
 def corner_points(box: Interval) -> np.ndarray:
     """The corners of one box, shape (corners, sides).
 
-    A box with more than :data:`MOST_CORNERS` sides has too many; of these, only the two extreme ones are taken.
+    A box with more than :data:`MOST_CORNERS` sides has too many corners. Only two of them are taken then: the corner of
+    all lower ends and the corner of all upper ends.
     """
-    ends = list(zip(box.low[0], box.high[0], strict=True))
-    points = list(itertools.product(*ends)) if len(ends) <= MOST_CORNERS else [*zip(*ends, strict=True)]
-    return np.array(points).reshape(len(points), len(ends))
+    (lower_ends,) = box.low
+    (upper_ends,) = box.high
+    sides = len(lower_ends)
+    if sides > MOST_CORNERS:
+        return np.array([lower_ends, upper_ends])
+    points = list(itertools.product(*zip(lower_ends, upper_ends, strict=True)))
+    return np.array(points).reshape(len(points), sides)
 
 
 def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
-    """The least and the greatest value of a function at points of shape (n, sides).
+    """The least and the greatest value of a function at some points.
 
-    Points where the function has no value are ignored; without any other, the result is (inf, -inf).
+    Points where the function has no value do not count; if it has none anywhere, the result is (inf, -inf).
+
+    Args:
+        function: The function.
+        points: Shape (n, sides).
     """
-    values = function(*intervals(points, points))
-    has_value = np.broadcast_to(values.defined, (len(points),))
-    low, high = (np.broadcast_to(end, (len(points),))[has_value] for end in values[:2])
-    return float(low.min(initial=math.inf)), float(high.max(initial=-math.inf))
+    shape = (len(points),)
+    low, high, has_value = (np.broadcast_to(part, shape) for part in function(*intervals(points, points)))
+    least = low[has_value].min(initial=math.inf)
+    greatest = high[has_value].max(initial=-math.inf)
+    return float(least), float(greatest)
 
 
 def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

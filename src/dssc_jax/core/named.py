@@ -41,17 +41,17 @@ class NamedSignal(NamedTuple):
 
     @classmethod
     def of(cls, name: str, quantity: Quantity) -> "NamedSignal":
-        """The signal ``name`` with the unit and meaning of a quantity."""
+        """The signal with this name, and with the unit and meaning of a quantity."""
         return cls(name, quantity.unit, quantity.meaning, quantity.periodic)
 
     @property
     def quantity(self) -> Quantity:
-        """Unit and meaning of the signal; a signal without a meaning has its name for it."""
+        """Unit and meaning of the signal; its name stands for a meaning that is not declared."""
         return Quantity(self.unit, self.meaning or self.name, periodic=self.periodic)
 
 
-COMPONENTS = (*Vec3._fields, *Quaternion._fields)
-REPORT = "Report"
+COMPONENTS = (*Vec3._fields, *Quaternion._fields)  # ends of the names of a vector's or quaternion's components
+REPORT = "Report"  # beginning of the name of a report's type
 SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 SEPARATOR = "__"
 """Separator of the fields' names in the name of a report's type; no signal's name contains it."""
@@ -67,20 +67,20 @@ def require_signal_name(name: str) -> None:
 
 @cache
 def report_type(names: tuple[str, ...]) -> type:
-    """The NamedTuple type of a plant's report with these fields.
+    """The NamedTuple type of what a plant reports, with a field for each signal.
 
-    Its name contains the fields, so that :func:`__getattr__` can make the type again in another process.
+    The type's name contains the fields, so that :func:`__getattr__` can make the type again in another process.
     """
     return namedtuple(SEPARATOR.join((REPORT, *names)), names, module=__name__)  # type: ignore[return-value]
 
 
 def __getattr__(name: str) -> type:
-    """The type of :func:`report_type` by its name, so that reports of other processes can be unpickled.
+    """Make the type of :func:`report_type` from its name, so that pickle can read reports of other processes.
 
     Raises:
-        AttributeError: The name is not that of a report's type.
+        AttributeError: No report's type has this name.
     """
-    first, *names = name.split(SEPARATOR)
+    first, *names = name.split(SEPARATOR)  # Report__speed__current
     if first != REPORT or not all(names):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return report_type(tuple(names))
@@ -102,7 +102,12 @@ def signals_in(info: Info) -> dict[str, Any]:
 
 
 def components_of(name: str, value: Any) -> dict[str, Any]:
-    """A scalar under its name, or the elements of a tuple under ``name_x`` or ``name_1`` and so on."""
+    """The numbers of a signal by name: a scalar, the components ``wind_x``, ... of a vector, or numbered elements.
+
+    Args:
+        name: Name of the signal.
+        value: A scalar, a NamedTuple such as ``Vec3``, or a tuple; tuples may be nested.
+    """
     if not isinstance(value, tuple):
         return {name: value}
     ends = getattr(value, "_fields", range(1, len(value) + 1))
@@ -113,16 +118,22 @@ def components_of(name: str, value: Any) -> dict[str, Any]:
 
 
 def quantity_of(name: str, quantities: Mapping[str, Quantity]) -> Quantity | None:
-    """The quantity that is declared for a signal, or for the vector of which it is a component; None if neither is."""
+    """The declared quantity of a signal, or of the vector of which it is a component; None if neither is declared.
+
+    Args:
+        name: Name of the signal, such as ``wind_x``.
+        quantities: Declared quantities by name.
+    """
     if name in quantities:
         return quantities[name]
     vector, _, component = name.rpartition("_")
-    if vector not in quantities or not (component in COMPONENTS or component.isdecimal()):
+    is_component = component in COMPONENTS or component.isdecimal()
+    if vector not in quantities or not is_component:
         return None
     quantity = quantities[vector]
     return Quantity(quantity.unit, f"{quantity.meaning} {component}", periodic=quantity.periodic)
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:
-    """Items sorted by name, which is JAX's order of a mapping's leaves; empty for None."""
+    """Pairs of name and item, sorted by name, which is JAX's order of a mapping's leaves; empty for None."""
     return sorted((items or {}).items())

@@ -29,7 +29,7 @@ class RealisedSystem(NamedTuple):
 
 
 class NormalForm(NamedTuple):
-    """The form (5)-(8) of a linear plant, as far as it has one.
+    """The form (5)-(8) of a linear plant, as far as the plant has it.
 
     Args:
         relative_degree: Order of the first derivative of the output that depends on the command.
@@ -61,18 +61,22 @@ class NormalForm(NamedTuple):
             return f"the plant has relative degree {self.relative_degree}, not two as (5)-(8)"
         if not self.minimum_phase:
             worst = max(self.zeros, key=lambda zero: zero.real)
-            place = f"{worst.real:.4g}" + (f" +- {abs(worst.imag):.4g}j" if worst.imag else "")
+            imaginary_part = f" +- {abs(worst.imag):.4g}j" if worst.imag else ""
+            place = f"{worst.real:.4g}{imaginary_part}"
             return f"the plant is not minimum phase, as (5)-(8) are: a zero at {place} rad/s"
-        return "" if self.gain > 0.0 else f"the plant's high-frequency gain is {self.gain:.4g}, and k_p > 0 in (5)-(8)"
+        if self.gain > 0.0:
+            return ""
+        return f"the plant's high-frequency gain is {self.gain:.4g}, and k_p > 0 in (5)-(8)"
 
 
 def relative_degree(system: RealisedSystem) -> int | None:
-    """The smallest r with c A^(r-1) b not zero; None if the command does not reach the output.
+    """The order of the first derivative of the output that depends on the command.
 
-    A product counts as zero if it is as small as the rounding errors of its terms.
+    It is the smallest r with c A^(r-1) b not zero, where a product counts as zero if it is as small as the rounding
+    errors of its terms. None: the command does not reach the output.
     """
     a = np.array(system.a)
-    row = np.array(system.c)
+    row = np.array(system.c)  # c A^(r-1)
     b = np.array(system.b)
     for degree in range(1, len(b) + 1):
         if abs(row @ b) > VANISHING * (np.abs(row) @ np.abs(b)):
@@ -82,10 +86,11 @@ def relative_degree(system: RealisedSystem) -> int | None:
 
 
 def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
-    """Numerator and monic denominator, highest power first; the numerator without leading zeros.
+    """Numerator and monic denominator of a linear system, coefficients from the highest power down.
 
-    The numerator is the convolution of the characteristic polynomial chi of A with the Markov parameters c A^k b. It is
-    more exact than the difference of two determinants, whose leading digits cancel.
+    The denominator is the characteristic polynomial chi of A. The numerator, without leading zeros, is the convolution
+    of chi with the Markov parameters c A^k b. It is more exact than the difference of two determinants, whose leading
+    digits cancel.
 
     Raises:
         ValueError: The command does not reach the output.
@@ -97,7 +102,7 @@ def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
     row = np.array(system.c, float)
     b = np.array(system.b, float)
     chi = np.real(np.poly(a))
-    markov = []
+    markov = []  # c A^k b for k = 0, 1, ...: exact zeros below the relative degree
     for k in range(len(b)):
         markov.append(float(row @ b) if k + 1 >= degree else 0.0)
         row = row @ a
@@ -105,7 +110,7 @@ def transfer_function(system: RealisedSystem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
-    """The normal form of a strictly proper transfer function.
+    """The normal form of a strictly proper transfer function, by the division of the module's first lines.
 
     Args:
         numerator: Coefficients, highest power first, shape (m + 1,), the first not zero.
@@ -114,7 +119,7 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
     numerator = np.asarray(numerator, float)
     denominator = np.asarray(denominator, float)
     gain = float(numerator[0] / denominator[0])
-    n = numerator / numerator[0]
+    n = numerator / numerator[0]  # N and D, monic, from the highest power down
     d = denominator / denominator[0]
     degree = len(d) - len(n)
     zeros = tuple(complex(zero) for zero in np.roots(n))
@@ -123,18 +128,24 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
     )
     if degree != 2:
         return partial
-    quotient, remainder = np.polydiv(d, n)
-    order = len(n) - 1
+    quotient, remainder = np.polydiv(d, n)  # D = (s^2 + q_1 s + q_0) N + R
+    order = len(n) - 1  # m, the number of zeros
     if not order:
         return partial._replace(damping=float(d[1]), stiffness=float(d[2]))
-    remainder = np.pad(remainder, (order - len(remainder), 0))  # degree below m
+    remainder = np.pad(remainder, (order - len(remainder), 0))  # R with m coefficients, its degree is below m
+    zero_a = rising_powers(n[1:])
     if n[-1] == 0.0:  # a zero at the origin: not minimum phase, and no static gain
-        return partial._replace(damping=float(quotient[1]), zero_a=tuple(map(float, n[:0:-1])))
-    static = remainder[-1] / n[-1]
-    driving_numerator = np.concatenate([[0.0], remainder]) - static * n  # divisible by s
+        return partial._replace(damping=float(quotient[1]), zero_a=zero_a)
+    static_gain = remainder[-1] / n[-1]  # R(0)/N(0)
+    driven_by_rate = np.concatenate([[0.0], remainder]) - static_gain * n  # s P = R - R(0)/N(0) N
     return partial._replace(
         damping=float(quotient[1]),
-        stiffness=float(quotient[2] + static),
-        zero_a=tuple(map(float, n[:0:-1])),
-        zero_c=tuple(map(float, driving_numerator[-2::-1])),
+        stiffness=float(quotient[2] + static_gain),
+        zero_a=zero_a,
+        zero_c=rising_powers(driven_by_rate[:-1]),
     )
+
+
+def rising_powers(coefficients: np.ndarray) -> tuple[float, ...]:
+    """Coefficients in rising powers, from coefficients that begin with the highest power."""
+    return tuple(float(coefficient) for coefficient in reversed(coefficients))

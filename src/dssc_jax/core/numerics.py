@@ -41,7 +41,10 @@ def namespace(*values: object) -> ModuleType:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def root_abs(x: Scalar, floor: float = 0.0) -> Scalar:
-    """r = max(|x|, floor^2)^(1/2), with gradient 0 at x = 0, where the slope of the root is infinite."""
+    """The root r = |x|^(1/2), or ``floor`` if that is larger, with gradient 0 at x = 0.
+
+    There the slope of the root is infinite, and would make derivatives NaN.
+    """
     magnitude = jnp.abs(x)
     return jnp.sqrt(jnp.maximum(magnitude, floor**2) if floor else magnitude)
 
@@ -57,12 +60,13 @@ def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> t
 
 
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
-    """k and 2^-k such that 2^-k x is in [2^(-1/2), 2^(1/2)), for x >= 1.
+    """The whole number k with 2^-k x in [2^(-1/2), 2^(1/2)), and 2^-k, for x >= 1.
 
-    They are read from the bits of x, because that vectorises.
+    Both are read from the bits of x, because this vectorises.
     """
     x = jax.lax.stop_gradient(jnp.asarray(x))
     is_double = x.dtype == jnp.float64
+    # an integer as long as x, the number of digits of the fraction, and the bias of the exponent
     integer, digits, bias = (jnp.int64, 52, 1023) if is_double else (jnp.int32, 23, 127)
     root = 0x3FE6A09E667F3BCD if is_double else 0x3F3504F3  # 2^(-1/2)
     bits = jax.lax.bitcast_convert_type(x, integer)
@@ -144,17 +148,17 @@ def is_known(value: Scalar) -> bool:
 
 
 def times(left: Scalar, right: Scalar) -> Scalar:
-    """The product; a plain 0.0 if a factor is a constant 0."""
+    """The product of two numbers; a plain 0.0 if a factor is a constant 0, so that the program has no operation."""
     return 0.0 if is_zero(left) or is_zero(right) else left * right
 
 
 def difference(minuend: Scalar, subtrahend: Scalar) -> Scalar:
-    """The difference; the minuend itself if the subtrahend is a constant 0."""
+    """The difference of two numbers; the minuend itself if the subtrahend is a constant 0."""
     return minuend if is_zero(subtrahend) else minuend - subtrahend
 
 
 def at_least(x: Scalar, low: float) -> Scalar:
-    """The larger of x and low; a Python float if x is one, so that constants stay constants."""
+    """The larger of x and low; a Python float if x is a Python float, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)
 
 
@@ -183,6 +187,7 @@ def newton(
     """
 
     def newton_step(_: int, x: Scalar) -> Scalar:
+        """The zero of the tangent of f(x) - value at x."""
         f, slope = tangent(parameters, x)
         return x + (value - f) / slope
 
@@ -204,10 +209,10 @@ def wrap_angle(angle: Scalar) -> Scalar:
 
 @jax.custom_jvp
 def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
-    """Share in [0, 1] of the sample [t, t + dt) that lies after ``at`` [s].
+    """Share in [0, 1] of the sample [t, t + dt) that lies after the time ``at`` [s].
 
-    A held signal that begins within the sample acts with its mean, which is its value times this share. Where ``at`` is
-    the beginning of a sample, the derivative is that of a later one.
+    A held signal that begins within the sample acts with its mean, which is its value times this share. At the start of
+    a sample the derivative is one-sided: that for a later ``at``.
     """
     return jnp.clip((t + dt - at) / dt, 0.0, 1.0)
 
@@ -216,9 +221,10 @@ def elapsed_share(at: Scalar, t: Scalar, dt: Scalar) -> Scalar:
 def elapsed_share_slope(
     point: tuple[Scalar, Scalar, Scalar], tangents: tuple[Scalar, Scalar, Scalar]
 ) -> tuple[Scalar, Scalar]:
-    """The JVP of :func:`elapsed_share`: the slope is 0 at a share of 0, and that of the quotient at a share of 1.
+    """The JVP of :func:`elapsed_share`: the slope of the quotient where the share is in (0, 1], else 0.
 
-    Both up to the rounding of the times, so that exactly one of two consecutive samples has a slope.
+    The ends 0 and 1 are told up to the rounding of the times, so that exactly one of two consecutive samples has a
+    slope.
     """
     at, t, dt = point
     share, slope = jax.jvp(lambda at, t, dt: (t + dt - at) / dt, point, tangents)
@@ -228,27 +234,28 @@ def elapsed_share_slope(
 
 
 def delay_weights(samples: Scalar, count: int) -> list[Scalar]:
-    """Weights of the last signals in the mean of a delayed signal over a sample.
+    """Weights of the last signals in the mean of a delayed signal over a sample, the present signal first.
 
-    With a delay of n + f samples they are 1 - f for the signal n samples ago, f for the one before, and 0 for others.
-    The derivative at a whole number of samples is that of a longer delay; at the longest, that of a shorter one.
+    With a delay of n + f samples, 0 <= f < 1, the signal n samples ago has 1 - f, the signal before it has f, and all
+    others have 0. At a whole number of samples the derivative is one-sided: that for a longer delay, and at the longest
+    delay that for a shorter one.
 
     Args:
         samples: The delay in samples, from 0 to count - 1.
         count: Number of signals in memory, the present one first; at least 2.
     """
-    whole = jnp.minimum(jnp.floor(samples), count - 2.0)
+    whole = jnp.minimum(jnp.floor(samples), count - 2.0)  # n
     weights = []
     for age in range(count):
-        newer = jnp.where(whole == age, 1.0 - (samples - age), 0.0)
+        newer = jnp.where(whole == age, 1.0 - (samples - age), 0.0)  # 1 - f
         weights.append(jnp.where(whole == age - 1, 1.0 - (age - samples), newer))
     return weights
 
 
 def stream(name: str) -> int:
-    """The index of the random stream of an uncertain number, from its name.
+    """The index of a random stream, from the name of the number or part that draws from it.
 
-    So the draws of a number do not change when others are added.
+    So the draws of a number do not change when other numbers are added.
     """
     return zlib.crc32(name.encode())
 
@@ -256,7 +263,7 @@ def stream(name: str) -> int:
 def dot(left: Sequence[Scalar], right: Sequence[Scalar]) -> Scalar:
     """The scalar product of two tuples, term by term, because scalars compile to scalar arithmetic.
 
-    A term whose left factor is a constant 0 is omitted; one whose left factor is a constant 1 is the right factor.
+    A term whose left factor is a constant 0 is omitted, and a constant 1 as left factor is not multiplied.
     """
     total: Scalar = 0.0
     for a, b in zip(left, right, strict=True):
@@ -287,15 +294,20 @@ def cubic_spline(coefficients: Sequence[Scalar], x: Scalar) -> Scalar:
 def uniforms(key: jax.Array, count: int) -> tuple[Scalar, ...]:
     """Independent random numbers, uniform in [0, 1).
 
-    Those in float32 have the leading bits of those in float64, so the precision of a study does not change its draws,
-    as it would with ``jax.random.uniform``.
+    In float32 they have the leading bits of the numbers in float64. So the precision of a study does not change its
+    draws, as it would with ``jax.random.uniform``.
 
     The numbers are scalars, each from the key folded with its index. So a batch is vectorised along its lanes; an array
     of all numbers would be vectorised along its short last axis.
+
+    Args:
+        key: Random key.
+        count: Number of random numbers.
     """
     real = jnp.result_type(float)
 
     def uniform(i: int) -> Scalar:
+        """Random number i: random bits as the fraction of a number in [1, 2), less 1."""
         high, low = jax.random.key_data(jax.random.fold_in(key, i))
         if real == jnp.float64:
             fraction = (high.astype(jnp.uint64) << 32 | low) >> 12 | np.uint64(0x3FF << 52)
@@ -310,11 +322,16 @@ def standard_normals(key: jax.Array, count: int) -> tuple[Scalar, ...]:
     """Independent standard normal random numbers, from :func:`uniforms`.
 
     In float64 they equal ``jax.random.normal(key, (count,))``; in float32 they are the same numbers up to rounding.
+
+    Args:
+        key: Random key.
+        count: Number of random numbers.
     """
     real = jnp.result_type(float)
-    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))
+    lowest = np.nextafter(np.array(-1.0, real), np.array(0.0, real))  # the smallest number above -1
 
     def standard_normal(uniform: Scalar) -> Scalar:
+        """sqrt 2 erf^-1(v) for v uniform in (-1, 1)."""
         return np.sqrt(2.0).astype(real) * jax.lax.erf_inv(jnp.maximum(lowest, uniform * (1.0 - lowest) + lowest))
 
     return tuple(map(standard_normal, uniforms(key, count)))

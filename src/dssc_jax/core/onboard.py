@@ -13,7 +13,7 @@ WHOLE = 1e-9
 
 
 def no_strings(params: Params) -> tuple[str, ...]:
-    """No sentences or names, whatever the parameters."""
+    """The default of fields that list sentences or names: none, whatever the parameters."""
     return ()
 
 
@@ -60,7 +60,16 @@ class Onboard(NamedTuple):
     taken_over: Callable[[Params, State, tuple[Scalar, ...], float], tuple[State, Scalar]] | None = None
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
-        """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""
+        """Require that a sample has a whole number of ticks, and each tick a whole number of substeps.
+
+        Args:
+            params: The plant's parameters.
+            sample_time: T_s [s].
+            substeps: Integrator steps in a sample.
+
+        Raises:
+            ConfigError: One of the two does not hold.
+        """
         period = self.period(params)
         if period is None:
             return

@@ -6,7 +6,7 @@ from typing import Any, get_type_hints
 
 @dataclass(frozen=True)
 class Quantity:
-    """Unit, meaning and admissible interval of one number of a model.
+    """Unit, meaning and admissible interval of one number of a model, by which a study checks and describes it.
 
     Args:
         unit: SI unit, in which ``y`` and ``u`` stand for the units of the plant's output and command
@@ -67,12 +67,16 @@ class Quantity:
 
 
 def unit_and_meaning(unit: str, meaning: str) -> dict[str, str]:
-    """The attributes by which a variable of a dataset states its unit and its meaning, following the CF conventions."""
+    """Unit and meaning as attributes of a variable of a dataset, by the names of the CF conventions."""
     return {"units": unit, "long_name": meaning}
 
 
 def quantities_of(kind: type | None) -> dict[str, Quantity]:
-    """The quantities of a NamedTuple type by field, of the fields that declare one; empty for None."""
+    """The quantities that the fields of a NamedTuple type declare, by field.
+
+    Args:
+        kind: The type, whose fields are annotated with a :class:`Quantity`; None: no type, so no quantities.
+    """
     if kind is None:
         return {}
     quantities = {}
@@ -84,11 +88,11 @@ def quantities_of(kind: type | None) -> dict[str, Quantity]:
 
 
 def extent(value: Any) -> tuple[float, float]:
-    """Lowest and highest value of a parameter: those of its law, or twice the number itself."""
+    """Lowest and highest value of a parameter, a law or a number; for a number both are the number itself."""
     support = getattr(value, "support", None)
     return support if support is not None else (float(value), float(value))
 
 
 def nominal(value: Any) -> float:
-    """Nominal value of a parameter: that of its law, or the number itself."""
+    """Nominal value of a parameter: the law's nominal value, or the number itself."""
     return float(getattr(value, "nominal", value))

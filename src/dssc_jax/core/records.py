@@ -19,12 +19,12 @@ Values = tuple[Scalar, ...]
 
 
 class Pieces(NamedTuple):
-    """A piecewise cubic function.
+    """A piecewise cubic function of time.
 
     Args:
         begins: Time at which each piece begins [s], shape (n,).
-        coefficients: Shape (n + 1, 4), in ascending powers of the time since the piece began; the first row holds
-            before the first time.
+        coefficients: Coefficients of each piece in rising powers of the time since it began, shape (n + 1, 4); the
+            first row holds before the first time.
     """
 
     begins: jax.Array | np.ndarray
@@ -52,64 +52,97 @@ class Interpolation(StrEnum):
 
 
 def held_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of a value that is held until the next time, shape (n - 1, 4); arguments have shape (n,)."""
-    return np.pad(value[:-1, None], ((0, 0), (0, 3)))
+    """Coefficients of values that are held until the next time, rising powers, shape (n - 1, 4).
+
+    Args:
+        time: Times [s], shape (n,).
+        value: Values, shape (n,).
+    """
+    constants = value[:-1, None]
+    return np.pad(constants, ((0, 0), (0, 3)))
 
 
 def line_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of straight lines through the values, shape (n - 1, 4); arguments have shape (n,)."""
+    """Coefficients of straight lines through the values, rising powers, shape (n - 1, 4); as :func:`held_pieces`."""
     slope = np.diff(value) / np.diff(time)
     return np.pad(np.column_stack([value[:-1], slope]), ((0, 0), (0, 2)))
 
 
 def spline_pieces(time: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Coefficients of the natural cubic spline, shape (n - 1, 4), whose first two derivatives are continuous."""
-    return CubicSpline(time, value, bc_type="natural").c[::-1].T
+    """Coefficients of the natural cubic spline, rising powers, shape (n - 1, 4); as :func:`held_pieces`.
+
+    Its first two derivatives are continuous.
+    """
+    falling_powers = CubicSpline(time, value, bc_type="natural").c  # shape (4, n - 1)
+    return falling_powers[::-1].T
 
 
 RULES = {Interpolation.HOLD: held_pieces, Interpolation.LINEAR: line_pieces, Interpolation.CUBIC: spline_pieces}
 
 
 def check_record(time: Values, value: Values) -> None:
-    """Require at least two values, one for each time, at rising times; raises ConfigError."""
+    """Require at least two values, one for each time, at rising times.
+
+    Raises:
+        ConfigError: There are too few or too many, or a time is not above the time before it.
+    """
     count = len(time)
     if len(value) != count:
         raise ConfigError("value", f"must hold as many numbers as time, {count}, got {len(value)}")
     if not 2 <= count <= MOST_VALUES:
         raise ConfigError("time", f"must hold 2 to {MOST_VALUES} numbers, got {count}")
-    fall = np.diff(np.asarray(time, float)) <= 0.0
-    if fall.any():
-        index = int(fall.argmax()) + 1
+    is_falling = np.diff(np.asarray(time, float)) <= 0.0
+    if is_falling.any():
+        index = int(is_falling.argmax()) + 1  # of the first time that is not above the time before it
         rule = f"must be above the time before it, {time[index - 1]:g} s, got {time[index]:g} s"
         raise ConfigError(f"time.{index}", rule)
 
 
 def cubic_pieces(time: Values, value: Values, rule: Interpolation) -> Pieces:
-    """The piecewise cubic through a record; raises ConfigError."""
+    """The piecewise cubic through a record; before and after the record it keeps the first and the last value.
+
+    Args:
+        time: Times [s].
+        value: Values at these times.
+        rule: How values between two times are found.
+
+    Raises:
+        ConfigError: As for :func:`check_record`.
+    """
     check_record(time, value)
     times = np.asarray(time, float)
     values = np.asarray(value, float)
-    ends = np.pad(values[[0, -1], None], ((0, 0), (0, 3)))
-    return Pieces(times, np.concatenate([ends[:1], RULES[rule](times, values), ends[1:]]))
+    before, after = np.pad(values[[0, -1], None], ((0, 0), (0, 3)))  # constants
+    return Pieces(times, np.concatenate([before[None], RULES[rule](times, values), after[None]]))
 
 
 def columns_as_pieces(time: Values, columns: dict[str, Values], rule: Interpolation) -> tuple[Pieces, ...]:
-    """The piecewise cubic through each of several columns with the same times; raises ConfigError."""
+    """The piecewise cubic through each of several columns with the same times.
+
+    Args:
+        time: Times [s].
+        columns: Values at these times, by the column's name.
+        rule: How values between two times are found.
+
+    Raises:
+        ConfigError: As for :func:`check_record`; a column of another length is named.
+    """
     parts = []
     for name, values in columns.items():
-        with errors_under("" if len(values) == len(time) else name):
+        is_fault_of_column = len(values) != len(time)
+        with errors_under(name if is_fault_of_column else ""):
             parts.append(cubic_pieces(time, values, rule))
     return tuple(parts)
 
 
 def held_record(pieces: Pieces) -> HeldRecord:
-    """The record of pieces of degree 0, with its integrals."""
+    """A record whose values are held, from its pieces of degree 0, with the integrals up to each time."""
     areas = np.asarray(pieces.coefficients)[1:-1, 0] * np.diff(np.asarray(pieces.begins))
     return HeldRecord(pieces, np.concatenate([np.zeros(1), np.cumsum(areas)]))
 
 
 def held_mean(record: HeldRecord, t: Scalar, dt: Scalar) -> Scalar:
-    """The mean of a held record over [t, t + dt); where no value begins within it, the value itself.
+    """The mean of a held record over [t, t + dt); the value itself if no other value begins within that time.
 
     A value that begins at t or at t + dt up to the rounding error of these times begins within no interval.
     """

@@ -31,14 +31,14 @@ class Entry(NamedTuple):
 
     Args:
         members: The model for each value of the option; a single model has the key ``None``.
-        option: Name of the option's field, e.g. ``discretisation``.
-        default: The option's value if the table does not give one.
         summary: Description in one line, for ``dssc-jax info``.
+        option: Name of the option's field, e.g. ``discretisation``; None: there is no option.
+        default: The option's value if the table does not give it.
         base: A table that the study's table overrides.
-        default_of: ``(table) -> value`` of the option if the default depends on a part in the table; None: it is
+        default_of: ``(table) -> value`` of the option if the default depends on a part in the table; None: the value is
             ``default``.
         example: A small table of the kind, without ``kind``; tests take their cases from it.
-        loaded: ``(table) -> model`` if a file that the table names defines the model; None: ``members`` has it.
+        loaded: ``(table) -> model`` if a file that the table names defines the model; None: ``members`` has the model.
         keys: Names in the table that ``loaded`` reads, with their meanings.
         native: Whether the file is native code: bound to the study by its digest, and loaded only on request.
     """

@@ -34,7 +34,10 @@ Entries = dict[tuple[int, int], Scalar]
 """The entries of a matrix that may differ from zero, by row and column."""
 
 Column = tuple[Scalar, ...]
+"""A row or column of a matrix."""
+
 Rows = tuple[Column, ...]
+"""A matrix, row by row."""
 
 
 class LinearDynamics(NamedTuple):
@@ -94,7 +97,7 @@ def scale_column(column: Column, factor: Scalar) -> Column:
 def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
     """Two systems in series: the output of the first is the input of the second.
 
-    The state is that of the first system followed by that of the second.
+    The state is the state of the first system followed by the state of the second.
     """
     rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
     for entry, row in zip(second.b, second.a, strict=True):
@@ -115,6 +118,7 @@ def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSyst
     index = {place: i for i, place in enumerate(places)}
 
     def wide(row: Column) -> Column:
+        """A row or column of the system among all states."""
         return tuple(row[index[place]] if place in index else 0.0 for place in range(size))
 
     rows = tuple(wide(system.a[index[place]]) if place in index else (0.0,) * size for place in range(size))
@@ -210,7 +214,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
         chains: Column of the next term of a polynomial, by the column of a term.
     """
     pattern = nonzero_places(rates, size, chains)
-    shortest = 2.0**-DOUBLINGS
+    shortest = 2.0**-DOUBLINGS  # the first time, in units of the step
     first = {place: number * shortest for place, number in rates.items()}
     second = product(first, first, size)
     for (row, column), number in first.items():
@@ -221,6 +225,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
         start[place] = first.get(place, 0.0) + 0.5 * second.get(place, 0.0)
 
     def double(values: tuple[Scalar, ...], t: Scalar) -> tuple[Scalar, ...]:
+        """X(2 t) = 2 X(t) + X(t)^2, from the entries of X(t) in the places of ``pattern``; t in units of the step."""
         x = dict(zip(pattern, values, strict=True))
         square = product(x, x, size)
         for (row, column), number in x.items():
@@ -240,6 +245,7 @@ def exponentials(size: int, rates: Entries, chains: dict[int, int]) -> tuple[Ent
         real = jnp.result_type(float)
 
         def doubling(_: Scalar, carry: tuple[tuple[Scalar, ...], Scalar]) -> tuple[tuple[Scalar, ...], Scalar]:
+            """The entries at twice the time, and that time."""
             values, t = carry
             return double(values, t), 2.0 * t
 
@@ -270,7 +276,13 @@ def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
 def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
     """The places, by row and column, where the exponential may differ from the identity; sorted.
 
-    They are those that paths along the nonzero entries of the augmented matrix connect.
+    A place (i, j) is among them if nonzero entries of the augmented matrix lead from row i to column j in any number of
+    steps.
+
+    Args:
+        rates: Entries of A h and g h.
+        size: Number of states n.
+        chains: Column of the next term of a polynomial, by the column of a term.
     """
     places = set(rates)
     while True:

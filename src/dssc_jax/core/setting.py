@@ -11,7 +11,7 @@ class NominalPlant(NamedTuple):
     Args:
         a: A, shape (n, n).
         command: b, shape (n,).
-        disturbances: E: the column of the disturbance at the command, then that of each named input, shape (n, q).
+        disturbances: E: the column of the disturbance at the command, then a column for each named input, shape (n, q).
         output: Row of y, shape (n,).
         signals: Row of each measured signal, shape (m, n).
         feedthrough: Feedthrough of the command to each measured signal, shape (m,).

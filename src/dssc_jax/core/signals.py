@@ -91,10 +91,10 @@ class Outcome(IntEnum):
     ``REQUIREMENT + i``: the draw completed, and requirement i (from 0) is the first violated one in the study's order.
     """
 
-    OK = 0
-    NON_FINITE = 1
-    SINGULAR_ATTITUDE = 2
-    INTO_GROUND = 3
+    OK = 0  # it completed, and meets all requirements
+    NON_FINITE = 1  # its state became infinite or NaN
+    SINGULAR_ATTITUDE = 2  # the model of the plant was no longer valid
+    INTO_GROUND = 3  # the vehicle flew into the ground
     REQUIREMENT = 10
 
 

@@ -1,7 +1,7 @@
 """Where a part of the loop has a derivative: declared on the part, and read before anything is linearised.
 
-A derivative that is taken where there is none is a wrong number without a word: that of a clip at its corner is 1/2
-under JAX, and that of a quantiser is 0. A part without a declaration is therefore refused.
+A derivative that is taken where there is none is a wrong number without a word: under JAX the derivative of a clip at
+its corner is 1/2, and the derivative of a quantiser is 0. A part without a declaration is therefore refused.
 """
 
 from collections.abc import Callable
@@ -46,6 +46,7 @@ class Smoothness(NamedTuple):
 Declaration: TypeAlias = Smoothness | Callable[[Params], Smoothness] | None
 """The field ``smooth`` of a part: plainly, or from its parameters; None: not declared."""
 
+# meanings of a Smoothness that several parts share
 MEAN_GAIN = (
     "its mean gain 1, with an error of at most half a step; the describing function reaches 4/pi, so that a gain "
     "margin below 1.27 does not exclude a limit cycle of about one step"
@@ -60,12 +61,22 @@ SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)
 
 
 def piecewise(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """The declaration of a part with a derivative except on boundaries; arguments as for :class:`Smoothness`."""
+    """The declaration of a part that has a derivative except on boundaries, such as a saturation.
+
+    Args:
+        meaning: The boundaries, in words that follow the part's name.
+        substitute: Gives the part on the inner side of the boundaries; None: none is declared.
+    """
     return Smoothness(SmoothExtent.PIECEWISE, meaning, substitute)
 
 
 def not_smooth(meaning: str, substitute: Substitution | None = None) -> Smoothness:
-    """The declaration of a part without a useful derivative; arguments as for :class:`Smoothness`."""
+    """The declaration of a part without a useful derivative, such as a quantiser.
+
+    Args:
+        meaning: The reason, in words that follow the part's name; with a substitute, a description of that.
+        substitute: Gives the smooth part that is differentiated instead; None: an analysis refuses the part.
+    """
     return Smoothness(SmoothExtent.NOWHERE, meaning, substitute)
 
 
@@ -77,7 +88,7 @@ def declared_smoothness(part: object, params: Params) -> Smoothness:
         params: Parameters of the part, in which laws may stand for numbers.
 
     Raises:
-        ConfigError: The part declares none, or something that is not a :class:`Smoothness`.
+        ConfigError: The part declares nothing, or something that is not a :class:`Smoothness`.
     """
     declaration = getattr(part, "smooth", None)
     smoothness = declaration(params) if callable(declaration) else declaration

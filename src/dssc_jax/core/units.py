@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 OUTPUT = "y"
 COMMAND = "u"
-POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"
+POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"  # ^2, ^-1 or ^(1/2)
 TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<mark>[/()]))\s*")
 CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
 
@@ -57,7 +57,11 @@ class ChannelUnits(NamedTuple):
     command_meaning: str = "command"
 
     def of(self, unit: str) -> str:
-        """The unit with this channel's units in place of ``y`` and ``u``; ``unit`` may be a list with commas."""
+        """The unit with this channel's units in place of the symbols ``y`` and ``u``.
+
+        Args:
+            unit: A unit such as ``y/s^2``, or several with commas between them.
+        """
         return ", ".join(substitute_units(part, self.output, self.command) for part in unit.split(", "))
 
     def named(self, meaning: str) -> str:
@@ -78,7 +82,13 @@ ANGLE = ChannelUnits("rad", "rad/s")
 
 @cache
 def substitute_units(unit: str, output: str, command: str) -> str:
-    """A unit with ``y`` and ``u`` replaced by two units, reduced; a unit without these symbols is returned as it is."""
+    """A unit with the symbols ``y`` and ``u`` replaced by two units, and reduced.
+
+    Args:
+        unit: The unit; without these symbols it is returned as it is.
+        output: Unit in place of ``y``.
+        command: Unit in place of ``u``.
+    """
     if not re.search(rf"\b({OUTPUT}|{COMMAND})\b", unit):
         return unit
     replacements = {OUTPUT: parse_unit(output), COMMAND: parse_unit(command)}
@@ -89,7 +99,7 @@ def substitute_units(unit: str, output: str, command: str) -> str:
 
 
 def multiply(total: Powers, factor: Powers, power: Fraction) -> None:
-    """Multiply a unit by another one to a power: adds ``power`` times the exponents of ``factor`` to ``total``."""
+    """Multiply a unit, in place, by a factor to a power: add ``power`` times the factor's exponents to ``total``."""
     for symbol, exponent in factor.items():
         total[symbol] = total.get(symbol, Fraction(0)) + power * exponent
 
@@ -102,7 +112,7 @@ def parse_unit(text: str) -> Powers:
     Raises:
         ValueError: The text is not a product of powers.
     """
-    with_powers = re.sub(r"(?<=[^\W\d_])(?=\d)", "^", text)
+    with_powers = re.sub(r"(?<=[^\W\d_])(?=\d)", "^", text)  # m^2 for m2
     hint = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
     message = f"must be a product of powers such as rad/s, N m or kg m^2, got {text!r}{hint}"
     try:
@@ -115,7 +125,7 @@ def parse_unit(text: str) -> Powers:
 
 
 def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
-    """The symbols of a unit that are no SI units without prefix: the factor and the SI unit of each.
+    """The symbols in a unit that stand for a multiple of an SI unit, each with that factor and the SI unit.
 
     Example:
         >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
@@ -142,7 +152,7 @@ def product(text: str, position: int) -> tuple[Powers, int]:
         StopIteration: A factor or a parenthesis is missing.
     """
     total: Powers = {}
-    sign = 1
+    sign = 1  # -1: the next factor stands behind a slash
     while True:
         token = TOKEN.match(text, position)
         if token is None or token["mark"] in ("/", ")"):
@@ -176,7 +186,7 @@ def unit_text_of(powers: Powers) -> str:
     """
     powers = {symbol: power for symbol, power in powers.items() if power}
     roots = [symbol for symbol, power in powers.items() if power.denominator == 2 and symbol != "s"]
-    group = ""
+    group = ""  # the root of a rate
     if len(roots) == 1 and powers.get("s", Fraction(0)).denominator == 2:
         (root,) = roots
         half = Fraction(1, 2) if powers[root] > 0 else Fraction(-1, 2)
@@ -200,7 +210,8 @@ def unit_text_of(powers: Powers) -> str:
     numerator = " ".join(numerators) or "1"
     if not denominators:
         return numerator
-    return f"{numerator}/{denominators[0] if len(denominators) == 1 else '(' + ' '.join(denominators) + ')'}"
+    denominator = " ".join(denominators)
+    return f"{numerator}/{denominator}" if len(denominators) == 1 else f"{numerator}/({denominator})"
 
 
 def power_text(symbol: str, power: Fraction) -> str:

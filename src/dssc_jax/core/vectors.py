@@ -20,20 +20,25 @@ class Vec3(NamedTuple):
     z: Scalar
 
     def __add__(self, vector: "Vec3") -> "Vec3":  # type: ignore[override]
+        """Add a vector; a NamedTuple by itself would append it."""
         return Vec3(self.x + vector.x, self.y + vector.y, self.z + vector.z)
 
     def __sub__(self, vector: "Vec3") -> "Vec3":
+        """Subtract a vector."""
         return Vec3(self.x - vector.x, self.y - vector.y, self.z - vector.z)
 
     def __mul__(self, factor: Scalar) -> "Vec3":  # type: ignore[override]
+        """Multiply by a scalar; products with a component that is known to be 0 before tracing stay 0."""
         return Vec3(times(self.x, factor), times(self.y, factor), times(self.z, factor))
 
     __rmul__ = __mul__  # type: ignore[assignment]
 
     def __truediv__(self, divisor: Scalar) -> "Vec3":
+        """Divide by a scalar, by one division and three products."""
         return self * (1.0 / divisor)
 
     def __neg__(self) -> "Vec3":
+        """Turn the vector to the opposite direction."""
         return Vec3(-self.x, -self.y, -self.z)
 
     def dot(self, vector: "Vec3") -> Scalar:
@@ -81,6 +86,7 @@ class Mat3(NamedTuple):
         )
 
     def __matmul__(self, v: Vec3) -> Vec3:
+        """Multiply the matrix by a vector."""
         return Vec3(self.a.dot(v), self.b.dot(v), self.c.dot(v))
 
 

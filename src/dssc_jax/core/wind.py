@@ -33,7 +33,7 @@ class Wind(NamedTuple):
         init: ``(params, key) -> state``.
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
-        prepare: As in :class:`Plant`.
+        prepare: ``(params) -> params`` before tracing: checks that span several fields; raises ConfigError.
         bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
         mean: ``(params, dt) -> Vec3``: the expected wind over the first sample, of length dt; None: the wind has no
             random numbers, so its value is its mean.

@@ -24,7 +24,11 @@ class ZeroDynamics(NamedTuple):
 
 
 def companion(a: tuple[float, ...]) -> np.ndarray:
-    """A_eta, shape (m, m), from its characteristic coefficients in ascending powers."""
+    """The matrix A_eta in controllable canonical form, shape (m, m), from its characteristic coefficients.
+
+    Args:
+        a: Coefficients in rising powers, without the leading 1.
+    """
     m = len(a)
     matrix = np.eye(m, k=1)
     matrix[-1] = -np.asarray(a, dtype=float)
@@ -32,22 +36,28 @@ def companion(a: tuple[float, ...]) -> np.ndarray:
 
 
 def is_hurwitz(a: tuple[float, ...]) -> bool:
-    """Whether all eigenvalues of A_eta have negative real parts."""
+    """Whether all eigenvalues of A_eta have negative real parts, so that the zero dynamics are stable.
+
+    Args:
+        a: Characteristic coefficients in rising powers, without the leading 1.
+    """
     return bool(np.all(np.linalg.eigvals(companion(a)).real < 0.0))
 
 
 def kharitonov(low: tuple[float, ...], high: tuple[float, ...]) -> list[tuple[float, ...]]:
-    """Kharitonov's four polynomials: if these are stable, so are all with coefficients between low and high.
+    """Kharitonov's four polynomials: if these are stable, so is every polynomial with coefficients between the bounds.
 
-    Coefficients are in ascending powers, without the leading 1.
+    Args:
+        low: Lower bounds of the coefficients in rising powers, without the leading 1.
+        high: Upper bounds.
 
     Reference:
         V. L. Kharitonov, Differential Equations 14 (1979) 1483-1485.
     """
-    ends = {"l": low, "h": high}
+    bounds = {"l": low, "h": high}
     polynomials = []
-    for pattern in ("llhh", "hhll", "lhhl", "hllh"):
-        polynomials.append(tuple(ends[pattern[i % 4]][i] for i in range(len(low))))
+    for pattern in ("llhh", "hhll", "lhhl", "hllh"):  # low or high bound of coefficients 0 to 3, then repeated
+        polynomials.append(tuple(bounds[pattern[i % 4]][i] for i in range(len(low))))
     return polynomials
 
 
@@ -61,7 +71,9 @@ def require_hurwitz(dynamics: ZeroDynamics) -> None:
         raise ConfigError(
             "zero_dynamics", f"a and c must have the same length >= 1, got {len(dynamics.a)} and {len(dynamics.c)}"
         )
-    low, high = zip(*(extent(value) for value in dynamics.a), strict=True)
+    extents = [extent(value) for value in dynamics.a]
+    low = tuple(least for least, _ in extents)
+    high = tuple(greatest for _, greatest in extents)
     for corner in kharitonov(low, high):
         if not np.all(np.isfinite(corner)) or not is_hurwitz(corner):
             raise ConfigError(
@@ -72,10 +84,11 @@ def require_hurwitz(dynamics: ZeroDynamics) -> None:
 
 
 def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
-    """Rate lambda [1/s] and gain c of eta_bar' = -lambda eta_bar + c |y'|, which bounds |C_eta eta|.
+    """Rate lambda [1/s] and gain c of the norm observer eta_bar' = -lambda eta_bar + c |y'|, which bounds |C_eta eta|.
 
-    With A_eta^T P_o + P_o A_eta = -2 I, lambda = 1/lmax(P_o) and c = |C_eta| |P_o B_eta| / lmin(P_o); the bound
-    holds up to |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t).
+    With the Lyapunov equation A_eta^T P_o + P_o A_eta = -2 I, lambda = 1/lmax(P_o) and
+    c = |C_eta| |P_o B_eta| / lmin(P_o), where lmin and lmax are the extreme eigenvalues. The bound holds up to the
+    transient |C_eta| (lmax/lmin)^(1/2) |eta(0)| e^(-lambda t).
 
     Raises:
         ConfigError: As for :func:`require_hurwitz`.
@@ -83,6 +96,7 @@ def norm_observer(dynamics: ZeroDynamics) -> tuple[float, float]:
     require_hurwitz(dynamics)
     matrix = companion(tuple(float(value) for value in dynamics.a))
     p = solve_continuous_lyapunov(matrix.T, -2.0 * np.eye(len(matrix)))
-    eigenvalues = np.linalg.eigvalsh(p)
-    gain = np.linalg.norm(np.asarray(dynamics.c, dtype=float)) * np.linalg.norm(p[:, -1]) / eigenvalues[0]
+    eigenvalues = np.linalg.eigvalsh(p)  # ascending
+    input_column = p[:, -1]  # P_o B_eta: B_eta is the last unit vector
+    gain = np.linalg.norm(np.asarray(dynamics.c, dtype=float)) * np.linalg.norm(input_column) / eigenvalues[0]
     return 1.0 / float(eigenvalues[-1]), float(gain)

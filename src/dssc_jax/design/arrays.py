@@ -14,6 +14,7 @@ def greater(first: Numeric, second: Numeric) -> Numeric:
 
 
 def ratio_where(condition: Numeric, numerator: Numeric, denominator: Numeric) -> Numeric:
-    """numerator/denominator if the condition holds, else NaN; the denominator may vanish elsewhere."""
+    """numerator/denominator where a condition holds, NaN elsewhere, where the denominator may be 0."""
     xp = namespace(condition, numerator, denominator)
-    return xp.where(condition, numerator / xp.where(condition, denominator, 1.0), xp.nan)
+    safe_denominator = xp.where(condition, denominator, 1.0)
+    return xp.where(condition, numerator / safe_denominator, xp.nan)

@@ -18,18 +18,18 @@ Numbers = TypeVar("Numbers", bound=NamedTuple)
 
 
 def non_negative(unit: str, meaning: str) -> Quantity:
-    """The quantity of a bound that is at least 0 and has no law."""
+    """Quantity of a number that must be at least 0, and that no probability law may replace."""
     return Quantity(unit, meaning, at_least=0.0, law=False)
 
 
 def positive(unit: str, meaning: str) -> Quantity:
-    """The quantity of a number that is above 0 and has no law."""
+    """Quantity of a number that must be above 0, and that no probability law may replace."""
     return Quantity(unit, meaning, above=0.0, law=False)
 
 
 @cache
 def quantities(kind: type) -> dict[str, Quantity]:
-    """The quantities with which the fields of a parameter type are annotated, by field."""
+    """Unit, meaning and admissible interval of each field of a parameter type, from the field's annotation."""
     quantity_by_name = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         for annotation in getattr(hint, "__metadata__", ()):
@@ -39,7 +39,11 @@ def quantities(kind: type) -> dict[str, Quantity]:
 
 
 def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
-    """Whether every number is in its quantity's interval and below :data:`LARGEST`; for arrays, element by element."""
+    """Whether every number is in its admissible interval and below :data:`LARGEST`; for arrays, element by element.
+
+    Args:
+        numbers: A NamedTuple whose fields are annotated with quantities.
+    """
     holds: Numeric = True
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
@@ -52,14 +56,18 @@ def in_range(numbers: tuple[Numeric, ...]) -> Numeric:
 
 
 def require_plain(numbers: tuple[Numeric, ...]) -> None:
-    """Require that every number is plain, in its quantity's interval, and of usable magnitude.
+    """Require that every number is plain, in its admissible interval, and of a magnitude with which one can compute.
+
+    Args:
+        numbers: A NamedTuple whose fields are annotated with quantities; a field may be a tuple of numbers.
 
     Raises:
-        ConfigError: With the field, the rule and the value.
+        ConfigError: A number is not; the message has the field, the rule and the value.
     """
     for name, quantity in quantities(type(numbers)).items():
         value = getattr(numbers, name)
-        for item in value if isinstance(value, tuple) else (value,):
+        items = value if isinstance(value, tuple) else (value,)
+        for item in items:
             if isinstance(item, bool) or not isinstance(item, int | float) or not abs(item) < LARGEST:
                 raise ConfigError(name, f"must be a plain number below {LARGEST:.0e}, got {item}")
             if item != 0.0 and abs(item) < 1.0 / LARGEST:
@@ -70,7 +78,10 @@ def require_plain(numbers: tuple[Numeric, ...]) -> None:
 
 
 class Bounds(NamedTuple):
-    """The bounds of (A0)-(A4) and of the reference."""
+    """Bounds of plant (A0), disturbance (A1)-(A3), nominal control (A4) and reference: the premises of Theorem 1.
+
+    ``zero_dynamics`` is None for a plant of order two, which has none.
+    """
 
     k_min: Annotated[Numeric, positive("1/s", "lower bound of k_p (A0.a)")]
     k_max: Annotated[Numeric, positive("1/s", "upper bound of k_p (A0.a)")]
@@ -97,7 +108,7 @@ class Bounds(NamedTuple):
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":
-        """The bounds, after a check of every field and of the rules that span several fields.
+        """The same bounds, after a check of every field and of the rules for several fields.
 
         Raises:
             ConfigError: A number is out of its range, k_min > k_max, or A_eta is not Hurwitz.
@@ -115,7 +126,7 @@ class Bounds(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """The constants in the theorem's inequalities; k_p at k_max."""
+    """The constants in the theorem's inequalities, which bound growth with sigma and e for every k_p up to k_max."""
 
     kd1_bar: Annotated[Numeric, Quantity("1/(m s)", "bound of |beta_1/sigma| growing with |e| (69)")]
     kd2_bar: Annotated[Numeric, Quantity("1/m", "bound of |beta_1/sigma| growing with |sigma| (69)")]
@@ -131,13 +142,14 @@ class Constants(NamedTuple):
 
 
 def derive(bounds: Bounds, l0: Numeric) -> Constants:
-    """The constants of Appendix E, with y = e + y_m and y' = -l0 e + sigma + y_m'.
+    """Compute the constants of Appendix E, in which y = e + y_m and y' = -l0 e + sigma + y_m' are inserted.
 
-    kappa_e follows from the derivative of (64): the article misplaces a factor l0 and omits k_p on du_p/de.
-    In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, which the article does not use.
+    Two constants differ from the article's. kappa_e follows from the derivative of (64): the article misplaces a factor
+    l0 and omits k_p on du_p/de. In beta_m the terms l0 y_m'' of sigma_m'' and of (l0 - a_p) y_m'' cancel, which the
+    article does not use.
 
     Args:
-        bounds: The bounds.
+        bounds: Bounds of plant, disturbance, nominal control and reference.
         l0: Error pole [1/s].
 
     Example:
@@ -149,9 +161,10 @@ def derive(bounds: Bounds, l0: Numeric) -> Constants:
     c_eta_a_eta, c_eta_b_eta = coupling(b.zero_dynamics)
     csigma_bar = k_max * b.c_sigma + l0 + b.a_max
     k_sigma = (l0 + b.a_max) * l0 + k_max * (b.c_e2 + b.k_d4) + c_eta_b_eta
-    printed = (l0 + b.a_max) * l0 + b.c_e2 + k_max * l0 * b.k_d4 + c_eta_b_eta
+    printed = (l0 + b.a_max) * l0 + b.c_e2 + k_max * l0 * b.k_d4 + c_eta_b_eta  # k_sigma in the article's kappa_e
+    # beta_m: the terms that do not grow with sigma and e
     exogenous = k_max * (b.u_m_dot + b.k_d5 * b.y_m + b.alpha_d2 + b.alpha_d3)
-    steady = exogenous + (k_max * b.k_d4 + c_eta_b_eta) * b.y_m_dot + b.y_m_dddot
+    steady = exogenous + (k_max * b.k_d4 + c_eta_b_eta) * b.y_m_dot + b.y_m_dddot  # all terms but that of y_m''
     return Constants(
         kd1_bar=k_max * (b.k_d1 + l0 * b.k_d2),
         kd2_bar=k_max * b.k_d2,
@@ -168,10 +181,14 @@ def derive(bounds: Bounds, l0: Numeric) -> Constants:
 
 
 def coupling(dynamics: ZeroDynamics | None) -> tuple[float, float]:
-    """|C_eta A_eta| and |C_eta B_eta|, for A_eta in companion form and B_eta = (0, ..., 0, 1); both 0 for order two."""
+    """|C_eta A_eta| and |C_eta B_eta|, by which the zero dynamics (A_eta, B_eta, C_eta) act on the output.
+
+    A_eta has companion form, so that its last row is -a, and B_eta = (0, ..., 0, 1). Both norms are 0 for a plant of
+    order two, which has no zero dynamics.
+    """
     if dynamics is None:
         return 0.0, 0.0
-    a, c = dynamics
-    # C_eta A_eta: A_eta shifts the entries of C_eta by one place, and its last row is -a
-    c_a = [(c[i - 1] if i else 0.0) - c[-1] * a[i] for i in range(len(a))]
+    a, c = dynamics  # last row of -A_eta, and C_eta
+    shifted_c = [0.0, *c[:-1]]  # the ones of A_eta above its diagonal shift C_eta by one place
+    c_a = [shifted - c[-1] * coefficient for shifted, coefficient in zip(shifted_c, a, strict=True)]
     return float(sum(x * x for x in c_a) ** 0.5), float(abs(c[-1]))

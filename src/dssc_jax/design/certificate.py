@@ -1,4 +1,4 @@
-"""The certificate of a design: Table 1, Lyapunov matrices, positive functions, small gain, and guarantees."""
+"""The certificate of a design by Theorem 1: its inequalities with their slacks, and the guarantee that follows."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from dssc_jax.design.table1 import Inequality, InequalityState, Parameters, ineq
 
 
 class Lyapunov(NamedTuple):
-    """What is proved, and found by search, of the matrices of (53), (54) and of the functions.
+    """Eigenvalues of the Lyapunov matrices P (53) and Q - 2 eps I (54), and what is proved for all sigma, e and k_p.
 
     Args:
         p_smallest: Smallest eigenvalue of P over the interval of k_p; NaN where P is not positive definite.
@@ -33,8 +33,8 @@ class Certificate(NamedTuple):
     Args:
         inequalities: Table 1, row by row.
         constants: The constants in the inequalities.
-        lyapunov: P, Q - 2 eps I and the functions.
-        small_gain: The smallest phi_b by three formulas.
+        lyapunov: Results for P, Q - 2 eps I and the functions.
+        small_gain: The smallest phi_b of the small-gain condition, by three formulas.
         phi_b: The phi_b of the design.
         guarantee: Decay rate and residual sets; the rate is 0 and the sets are infinite if Q or the small gain is not
             proved.
@@ -65,25 +65,24 @@ class Certificate(NamedTuple):
         """The certificate as JSON's types, in which NaN and infinity must still be replaced."""
         rows = [
             {
-                "name": i.name,
-                "equation": i.equation,
-                "value": i.value,
-                "bound": i.bound,
-                "slack": i.slack,
-                "state": i.state.value,
-                "printed_slack": i.printed_slack,
+                "name": row.name,
+                "equation": row.equation,
+                "value": row.value,
+                "bound": row.bound,
+                "slack": row.slack,
+                "state": row.state.value,
+                "printed_slack": row.printed_slack,
             }
-            for i in self.inequalities
+            for row in self.inequalities
         ]
-        gain = {
-            f"{name}_phi_b": {"bound": bound, "slack": self.phi_b - bound}
-            for name, bound in self.small_gain._asdict().items()
-        }
+        small_gain_rows = {}
+        for formula, bound in self.small_gain._asdict().items():
+            small_gain_rows[f"{formula}_phi_b"] = {"bound": bound, "slack": self.phi_b - bound}
         return {
             "inequalities": rows,
             "certified": self.certified,
             "table": self.table,
-            "small_gain": gain,
+            "small_gain": small_gain_rows,
             "lyapunov": self.lyapunov._asdict(),
             "guarantee": self.guarantee._asdict(),
             "practice": self.practice._asdict(),
@@ -139,17 +138,19 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
 
 
 def as_floats(numbers: Numbers) -> Numbers:
-    """A tuple of numbers with arrays of one element replaced by Python's numbers; text stays."""
-    values = [value if isinstance(value, str) else float(value) for value in numbers]
-    return numbers._replace(**dict(zip(numbers._fields, values, strict=True)))
+    """A NamedTuple of numbers with Python's floats in place of arrays of one element; text stays."""
+    values = {}
+    for name, value in numbers._asdict().items():
+        values[name] = value if isinstance(value, str) else float(value)
+    return numbers._replace(**values)
 
 
 def certified(parameters: Parameters, bounds: Bounds) -> Numeric:
-    """Whether Theorem 1 holds, for many designs at once; see :attr:`Certificate.certified`.
+    """Whether Theorem 1 holds, for many designs at once, by the rule of :attr:`Certificate.certified`.
 
     Args:
-        parameters: Arrays, traced or not, of shapes that broadcast.
-        bounds: Arrays of such shapes, too; the zero dynamics are plain numbers.
+        parameters: Parameters of the designs: numbers, or arrays, traced or not, of shapes that broadcast.
+        bounds: Their bounds, of such shapes, too; the zero dynamics are plain numbers.
 
     Returns:
         True or False for each design; False where a number is out of its range. JAX's arrays must be float64.

@@ -1,7 +1,7 @@
 """Certification of a study's loop by Theorem 1 at every point of its sweep.
 
-The certificate is that of the loop in continuous time, without unmodelled dynamics and sensors, and with a rho that
-maintains sliding. The simulation covers everything else in the study.
+The theorem concerns the loop in continuous time, without unmodelled dynamics and sensors, and with a rho that maintains
+sliding. The simulation covers everything else in the study.
 """
 
 from typing import Any, NamedTuple
@@ -24,9 +24,12 @@ UNCOVERED = {
 """Numbers that the theorem does not cover, with the reason."""
 ACTUATION = ("unmodelled", "actuator")
 """Sections of the study file with the unmodelled dynamics."""
-LIMITS = ("rate", "limit")  # of unmodelled dynamics whose absence is an infinite number
-REFINEMENTS = 2  # of the walk's cell in which the certificate is lost
-CELL_POINTS = 33  # of a refined cell, so that two refinements reach 1/1024 of it
+LIMITS = ("rate", "limit")
+"""Fields of unmodelled dynamics that are infinite, rather than 0, where the dynamics are absent."""
+REFINEMENTS = 2
+"""Refinements of the cell, between two values of the number, in which the certificate is lost."""
+CELL_POINTS = 33
+"""Points of a refined cell: two refinements divide it by 32 squared, or 1024."""
 
 
 class Mark(NamedTuple):
@@ -54,9 +57,9 @@ class Reach(NamedTuple):
 
 
 def mark(study: Study) -> Mark:
-    """Whether Theorem 1 certifies the loop at each point of a study's sweep.
+    """Whether Theorem 1 certifies the loop at each point of a study's sweep, or why the theorem does not apply.
 
-    If the study's code is not loaded, this is the result that is stored with its description.
+    If the study's code is not loaded, the result is read from the study's description.
     """
     if isinstance(study, Described):
         description = study.description
@@ -75,28 +78,35 @@ def mark(study: Study) -> Mark:
 def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     """How far Theorem 1 certifies a study as values of one number replace the number's law or value.
 
-    The theorem assumes that there are no unmodelled dynamics. A lag mu s W(mu s) u (Section V-A2) depends on u' and
-    is therefore not a disturbance of the class (A0)-(A3), however small mu is; nor is the effect of a limit on the
-    command.
+    The theorem assumes that there are no unmodelled dynamics. A lag mu s W(mu s) u (Section V-A2) depends on u', so it
+    is no disturbance of the class (A0)-(A3), however small mu is. The effect of a limit on the command is no such
+    disturbance either.
 
     Args:
         study: The study; its own sweep is ignored.
         name: Dotted name of the number.
         values: Values of the number, from its safe end, shape (n,).
     """
+    section, _, _ = name.partition(".")
     if name in study.parameter_names:
         refusal = parameter_refusal(study, name)
-        return Reach(None, refusal) if refusal else certified_up_to(study, name, np.asarray(values, float))
-    section = name.partition(".")[0]
-    if section in ACTUATION:
+        if refusal:
+            return Reach(None, refusal)
+    elif section in ACTUATION:
         return actuation_reach(study, name)
-    if section in UNCOVERED or name in UNCOVERED:
-        return Reach(None, f"Theorem 1 does not cover {name}: {UNCOVERED.get(name) or UNCOVERED[section]}")
+    elif name in UNCOVERED or section in UNCOVERED:
+        reason = UNCOVERED[name] if name in UNCOVERED else UNCOVERED[section]
+        return Reach(None, f"Theorem 1 does not cover {name}: {reason}")
     return certified_up_to(study, name, np.asarray(values, float))
 
 
 def actuation_reach(study: Study, name: str) -> Reach:
-    """:func:`reach` for a number of the unmodelled dynamics: the theorem covers only their absence."""
+    """How far Theorem 1 certifies a study along a number of the unmodelled dynamics: it covers only their absence.
+
+    Args:
+        study: The study; its own sweep is ignored.
+        name: Dotted name of the number.
+    """
     verdict, reason = mark(study.override({"sweep": {}}))
     if verdict is None:
         return Reach(None, f"Theorem 1 does not apply: {reason}")
@@ -108,24 +118,33 @@ def actuation_reach(study: Study, name: str) -> Reach:
     if name.rpartition(".")[2] in LIMITS:
         return Reach(None, f"{text}; it covers no finite {name}")
     quantity = study.quantities[name]
-    if 0.0 not in (quantity.above, quantity.at_least):
+    vanishes_at_zero = 0.0 in (quantity.above, quantity.at_least)  # such as a time constant
+    if not vanishes_at_zero:
         return Reach(None, f"{text}, whatever {name} is")
     return Reach(0.0, f"{text}; it covers no {name} > 0")
 
 
 def parameter_refusal(study: Study, name: str) -> str:
-    """Why the theorem cannot follow a parameter; empty if it covers every number that follows from it."""
+    """Why the theorem does not cover a parameter of the study, in words.
+
+    Empty if the theorem covers every number that follows from the parameter.
+    """
     for follower in study.followers(name):
-        section = follower.partition(".")[0]
+        section, _, _ = follower.partition(".")
         if section in ACTUATION or section in UNCOVERED or follower in UNCOVERED:
             return f"Theorem 1 does not cover {name}: {follower} follows from it, and it knows nothing of that"
     return ""
 
 
 def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
-    """:func:`reach` for a number that the theorem covers.
+    """How far Theorem 1 certifies a study along a number that it covers.
 
     The cell between the last certified and the first uncertified value is refined.
+
+    Args:
+        study: The study; its own sweep is ignored.
+        name: Dotted name of the number, or :data:`SPREAD` for the factor that widens all laws.
+        values: Values of the number, from its safe end, shape (n,).
     """
     marks_of = marks_over_spread if name == SPREAD else marks_along
     verdicts, reason = marks_of(study, name, values)
@@ -137,40 +156,52 @@ def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
         text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
         return Reach(float(values[-1]), text)
     first_failure = int(np.argmin(verdicts))
-    low = values[first_failure - 1]
-    high = values[first_failure]
+    certified_end = values[first_failure - 1]
+    failing_end = values[first_failure]
     for _ in range(REFINEMENTS):
-        refined_values = np.linspace(low, high, CELL_POINTS)
+        refined_values = np.linspace(certified_end, failing_end, CELL_POINTS)
         verdicts, _ = marks_of(study, name, refined_values)
         assert verdicts is not None  # the theorem applies at both ends
         first_failure = max(1, int(np.argmin(verdicts)))
-        low = refined_values[first_failure - 1]
-        high = refined_values[first_failure]
-    return Reach(float(low), f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {low:.6g}")
+        certified_end = refined_values[first_failure - 1]
+        failing_end = refined_values[first_failure]
+    text = f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {certified_end:.6g}"
+    return Reach(float(certified_end), text)
 
 
 def marks_along(study: Study, name: str, values: np.ndarray) -> Mark:
-    """The marks of a study at values of one number, in the order of the values, (n,)."""
+    """The theorem's result at each value of one number, in the order of the values, shape (n,).
+
+    Args:
+        study: The study; its own sweep is ignored.
+        name: Dotted name of the number.
+        values: Rising or falling values of the number, shape (n,).
+    """
     verdicts, reason = mark(study.override({"sweep": {name: sorted(values.tolist())}}))
-    if verdicts is not None and values[0] > values[-1]:
+    is_falling = values[0] > values[-1]
+    if verdicts is not None and is_falling:
         verdicts = verdicts[::-1]
     return Mark(verdicts, reason)
 
 
 def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
-    """The marks of a study whose laws are widened by each of several factors, (n,): their ends move about the median.
+    """The theorem's result for a study whose laws are widened by each of several factors, shape (n,).
 
-    A law of unbounded support stays unbounded; one that leaves its number's range is not certified. ``name`` is not
-    used: the function has the arguments of :func:`marks_along`.
+    A law of unbounded support stays unbounded. A study in which a law leaves its number's interval is not certified.
+
+    Args:
+        study: The study; its own sweep is ignored.
+        name: Not used; the function has the arguments of :func:`marks_along`.
+        values: Factors on the width of every law, shape (n,).
     """
     del name
     verdicts = []
     for value in values:
         try:
             verdict, reason = mark(study.override({"sweep": {}, **widened_laws(study, float(value))}))
-        except ConfigError:
-            verdict = np.False_
-            reason = ""
+        except ConfigError:  # a law leaves its number's interval
+            verdicts.append(False)
+            continue
         if verdict is None:
             return Mark(None, reason)
         verdicts.append(bool(verdict))
@@ -178,13 +209,17 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
 
 
 def widened_laws(study: Study, share: float) -> dict[str, Any]:
-    """Uniform laws between the moved ends of each law with bounded support, by name: the ends move about the median.
+    """A uniform law in place of each law with bounded support, between the moved ends of that support, by name.
 
-    ``share`` is the factor on their distance from the median.
+    Theorem 1 depends on the ends alone. A number takes the place of a law without width.
+
+    Args:
+        study: The study.
+        share: Factor on the distance of the ends from the median.
     """
     changes: dict[str, Any] = {}
     for name, law in study.laws.items():
         if np.all(np.isfinite(law.support)):
-            low, high = (float(end) for end in law.spread(np.array(law.support), share))
+            low, high = law.spread(np.array(law.support), share).tolist()
             changes[name] = {"uniform": [low, high]} if low < high else low
     return changes

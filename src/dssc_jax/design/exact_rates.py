@@ -1,4 +1,4 @@
-"""Whether a controller sees a disturbance at once, in an exact y' that no sensor gives."""
+"""Check whether a controller sees a disturbance at once, in an exact y' that no sensor gives."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ RATES = (1e-3, -1e-3, 1.0, -1.0, 1e3, -1e3)
 
 
 def exact_rates(study: Study) -> tuple[str, ...]:
-    """Channels whose y' contains a disturbance and reaches the controller unchanged.
+    """Names of the channels whose y' contains a disturbance and reaches the controller unchanged.
 
     Such a controller sees the disturbance at once, which flatters the loop unless y' is measured.
 
@@ -24,32 +24,53 @@ def exact_rates(study: Study) -> tuple[str, ...]:
         study: The study; uncertain numbers have their median values.
     """
     loop = study.loop
-    template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)
-    channels = len(loop.channels)
-    zeros: Signals = (0.0,) * channels
-    plant = loop.mimo_plant
+    template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)  # records: arrays
     is_acting = np.array([model != NO_DISTURBANCE for model in (*loop.disturbance, *loop.inputs)])
     if not is_acting.any():
         return ()
+    slopes = rate_slopes(study, template)
     exact_channels = []
-    with jax.enable_x64(True):
-        state = plant.init(template.plant)
-
-        def rates(disturbances: jax.Array) -> jax.Array:
-            at_commands, at_inputs = tuple(disturbances[:channels]), tuple(disturbances[channels:])
-            measurements = plant.measure(template.plant, state, PlantInput(zeros, at_commands, None, at_inputs))
-            return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
-
-        slopes = np.asarray(jax.jacfwd(rates)(jnp.zeros(len(is_acting))))
     for i, name in enumerate(loop.channels):
-        is_exact = not template.differentiator[i] and shows_rate(study, template, i)
-        if is_exact and np.any(slopes[i, is_acting] != 0.0) and takes_rate(study, template, i):
+        has_no_differentiator = not template.differentiator[i]
+        contains_disturbance = bool(np.any(slopes[i, is_acting] != 0.0))
+        if (
+            has_no_differentiator
+            and shows_rate(study, template, i)
+            and contains_disturbance
+            and takes_rate(study, template, i)
+        ):
             exact_channels.append(name)
     return tuple(exact_channels)
 
 
+def rate_slopes(study: Study, template: LoopParams) -> np.ndarray:
+    """Derivatives of the plant's y' by the disturbances at its start, shape (channels, channels + inputs).
+
+    The columns are the disturbances at the commands, then those at the named inputs.
+
+    Args:
+        study: The study.
+        template: Parameters of its loop, without laws.
+    """
+    loop = study.loop
+    plant = loop.mimo_plant
+    channel_count = len(loop.channels)
+    zeros: Signals = (0.0,) * channel_count
+    with jax.enable_x64(True):
+        state = plant.init(template.plant)
+
+        def rates(disturbances: jax.Array) -> jax.Array:
+            """The y' of every channel, shape (channels,), with these disturbances and no command."""
+            at_commands, at_inputs = tuple(disturbances[:channel_count]), tuple(disturbances[channel_count:])
+            drive: PlantInput[Signals] = PlantInput(zeros, disturbance=at_commands, wind=None, inputs=at_inputs)
+            measurements = plant.measure(template.plant, state, drive)
+            return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
+
+        return np.asarray(jax.jacfwd(rates)(jnp.zeros(channel_count + len(loop.inputs))))
+
+
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's sensor passes y' on unchanged: by trial, a jump of y' arrives at once and in full."""
+    """Whether a channel's sensor passes y' on unchanged: in a trial, a jump of y' arrives at once and in full."""
     sensor, params = study.loop.sensor[channel], template.sensor[channel]
     key = jax.random.key(0)
     with arithmetic(study.config.loop.precision):
@@ -62,9 +83,9 @@ def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
 
 
 def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's controller takes y', by its declaration or by trial.
+    """Whether a channel's controller takes y', by its declaration or by a trial.
 
-    If it does, its first two samples differ for some of the rates tried.
+    In the trial, a controller that takes y' gives other states or commands in its first two samples for some y'.
     """
     controller = study.loop.controller[channel]
     if controller.takes_rate is not None:
@@ -75,22 +96,24 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     signals = (0.0,) * int(controller.takes(gains))
 
     def two_samples(rate: float) -> list[Scalar]:
+        """State after one sample, and commands of two samples, at a constant y'."""
         measurement = Measurement(0.0, rate, signals)
         state, command, _ = controller.step(gains, controller.init(gains, measurement, origin), measurement, origin, dt)
         _, second_command, _ = controller.step(gains, state, measurement, origin, dt)
         return [float(leaf) for leaf in jax.tree.leaves((state, command, second_command))]
 
-    with arithmetic(study.config.loop.precision):  # native code has one
+    with arithmetic(study.config.loop.precision):  # native code takes numbers of one precision
         at_rest = two_samples(0.0)
         return any(two_samples(rate) != at_rest for rate in RATES)
 
 
 def rate_warning(study: Study) -> str | None:
-    """One sentence, if a controller sees a disturbance at once in an exact y'."""
+    """A warning of one sentence if a controller sees a disturbance at once in an exact y'; None otherwise."""
     channels = exact_rates(study)
     if not channels:
         return None
-    place = f" in {', '.join(channels)}" if any(channels) else ""
+    has_one_channel = channels == ("",)
+    place = "" if has_one_channel else f" in {', '.join(channels)}"
     return (
         f"y' contains the disturbance itself{place}, and an exact y' shows it at once, which flatters "
         "the loop; if y' is not measured, add a [differentiator], and if it is, a [sensor]"

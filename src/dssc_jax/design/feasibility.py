@@ -1,4 +1,4 @@
-"""Limits of a certificate, and optimisation of the free parameters for a goal."""
+"""How far bounds can change before a design loses its certificate, and the best free parameters for a goal."""
 
 from collections.abc import Callable, Mapping
 from enum import StrEnum
@@ -17,10 +17,14 @@ from dssc_jax.design.synthesis import Free, design, synthesise
 from dssc_jax.design.table1 import Parameters
 
 LARGEST_FACTOR = 1e6  # factors beyond it count as no limit
-FACTOR_HALVINGS = 60
+FACTOR_HALVINGS = 60  # halvings of the interval of a factor's logarithm
 AT_EDGE = 1e-3  # share of a range's logarithmic length that counts as its end
+SMALLEST_VALUE = 1e-300  # least objective and residual of which a logarithm is taken
+LARGEST_VALUE = 1e300
+MISSED_GOAL_COST = 1e4  # added to the cost of a candidate that misses the goal; all logarithms of objectives are below
 INFEASIBLE_COST = 1e9  # cost of a candidate that cannot be computed
 DISTURBANCE_FIELDS = ("k_d1", "k_d2", "k_d3", "k_d4", "k_d5", "alpha_d2", "alpha_d3")
+"""Bounds of the disturbance in (A1)-(A3)."""
 
 
 class Limits(NamedTuple):
@@ -42,7 +46,11 @@ class Limits(NamedTuple):
 
 
 def limits(p: Parameters, bounds: Bounds) -> Limits:
-    """The limits of a certified design, each with everything else fixed; NaN for an uncertified design.
+    """The limits of a certified design, each found with everything else fixed; NaN for an uncertified design.
+
+    Args:
+        p: Parameters of the design.
+        bounds: Its bounds.
 
     Example:
         >>> from dssc_jax.design import synthesise
@@ -52,42 +60,67 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
         0.896
     """
 
-    def factor_of(change: Callable[[float], tuple[Parameters, Bounds]], end: float) -> float:
-        return last_true(lambda factor: bool(certified(*change(factor))), end)
+    def is_certified_with_phi_b(factor: float) -> bool:
+        """Whether the design is certified with phi_b times a factor."""
+        return bool(certified(p._replace(phi_b=p.phi_b * factor), bounds))
 
-    def with_scaled_disturbance(factor: float) -> tuple[Parameters, Bounds]:
-        return p, scaled_bounds(bounds, factor)
+    def is_certified_with_disturbance(factor: float) -> bool:
+        """Whether the design is certified with all bounds of the disturbance times a factor."""
+        return bool(certified(p, scaled_bounds(bounds, factor)))
 
-    a_factor = factor_of(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), LARGEST_FACTOR)
+    def is_certified_with_k_min(factor: float) -> bool:
+        """Whether the design is certified with k_min times a factor."""
+        return bool(certified(p, bounds._replace(k_min=bounds.k_min * factor)))
+
+    def is_certified_with_k_max(factor: float) -> bool:
+        """Whether the design is certified with k_max times a factor."""
+        return bool(certified(p, bounds._replace(k_max=bounds.k_max * factor)))
+
+    def is_certified_with_a_max(factor: float) -> bool:
+        """Whether the design is certified with a_max + factor - 1, since a_max may be 0."""
+        return bool(certified(p, bounds._replace(a_max=bounds.a_max + factor - 1.0)))
+
+    smallest_factor = 1.0 / LARGEST_FACTOR
     return Limits(
-        phi_b=p.phi_b * factor_of(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / LARGEST_FACTOR),
-        disturbance=factor_of(with_scaled_disturbance, LARGEST_FACTOR),
-        k_min=bounds.k_min * factor_of(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / LARGEST_FACTOR),
-        k_max=bounds.k_max * factor_of(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), LARGEST_FACTOR),
-        a_max=a_factor - 1.0 + bounds.a_max,
+        phi_b=p.phi_b * last_true(is_certified_with_phi_b, smallest_factor),
+        disturbance=last_true(is_certified_with_disturbance, LARGEST_FACTOR),
+        k_min=bounds.k_min * last_true(is_certified_with_k_min, smallest_factor),
+        k_max=bounds.k_max * last_true(is_certified_with_k_max, LARGEST_FACTOR),
+        a_max=last_true(is_certified_with_a_max, LARGEST_FACTOR) - 1.0 + bounds.a_max,
     )
 
 
 def scaled_bounds(bounds: Bounds, factor: float) -> Bounds:
-    """The bounds with every constant of the disturbance in (A1)-(A3) multiplied by a factor."""
+    """The bounds with every bound of the disturbance in (A1)-(A3) multiplied by a factor."""
     return bounds._replace(**{name: factor * getattr(bounds, name) for name in DISTURBANCE_FIELDS})
 
 
 def last_true(holds: Callable[[float], bool], end: float) -> float:
-    """The factor between 1 and ``end`` up to which a condition holds, by bisection of its logarithm.
+    """The factor between 1 and ``end`` up to which a condition holds, by bisection of the factor's logarithm.
 
-    NaN if it does not hold at 1; infinity, or 0, if it still holds at ``end``.
+    Args:
+        holds: (factor) -> whether the condition holds.
+        end: Largest factor > 1, or smallest factor < 1.
+
+    Returns:
+        The factor; NaN if the condition does not hold at 1. If it still holds at ``end``, there is no limit: infinity
+        for a large factor, 0 for a small one.
     """
     if not holds(1.0):
         return float("nan")
     if holds(end):
         return float("inf") if end > 1.0 else 0.0
-    inside, _ = bisect(lambda log: holds(float(np.exp(log))), 0.0, float(np.log(end)), FACTOR_HALVINGS)
-    return float(np.exp(inside))
+
+    def holds_at(logarithm: np.ndarray) -> bool:
+        """Whether the condition holds for the factor with this logarithm, a single number."""
+        return holds(float(np.exp(logarithm)))
+
+    holding_logarithm, _ = bisect(holds_at, 0.0, float(np.log(end)), FACTOR_HALVINGS)
+    return float(np.exp(holding_logarithm))
 
 
 class Criterion(StrEnum):
-    """Criteria for the choice of the free parameters."""
+    """Quantity of a design that the choice of the free parameters makes as good as possible."""
 
     RESIDUAL = "residual"
     DECAY_RATE = "decay_rate"
@@ -97,11 +130,11 @@ class Criterion(StrEnum):
 
 OBJECTIVES: dict[Criterion, Callable[[Parameters, Bounds], np.ndarray]] = {
     Criterion.RESIDUAL: lambda p, bounds: guarantee(p, bounds).e,
-    Criterion.DECAY_RATE: lambda p, bounds: 1.0 / np.maximum(guarantee(p, bounds).decay_rate, 1e-300),
+    Criterion.DECAY_RATE: lambda p, bounds: 1.0 / np.maximum(guarantee(p, bounds).decay_rate, SMALLEST_VALUE),
     Criterion.GAIN: lambda p, bounds: (p.kappa_c**2 + p.kappa_d) * (p.phi_a / p.delta + p.phi_b),
     Criterion.PHI_B: lambda p, bounds: p.phi_b,
 }
-"""Each is minimised; the gain is the synthesised proportional gain at sigma = e = 0."""
+"""Positive function of a design that each criterion minimises; the gain is 1/(k_o tau_av) at sigma = e = 0."""
 
 
 class DesignGoal(NamedTuple):
@@ -130,9 +163,10 @@ RANGES: dict[str, tuple[float, float]] = {
 def optimise(
     bounds: Bounds, free: Free, goal: DesignGoal, ranges: Mapping[str, tuple[float, float]] = RANGES, seed: int = 0
 ) -> Free:
-    """Optimise the free parameters of Table 1 for a goal, by differential evolution on their logarithms.
+    """The free parameters of Table 1 that are best for a goal, by differential evolution on their logarithms.
 
-    Every candidate is a design of the strict recipe.
+    Every candidate is a design of the strict recipe. The search minimises the logarithm of the criterion's objective; a
+    candidate that misses the goal costs more than every candidate that meets it.
 
     Args:
         bounds: The bounds.
@@ -168,14 +202,17 @@ def optimise(
             )
 
     def candidate(logarithms: np.ndarray) -> Free:
+        """Free parameters with these logarithms of the varied fields, shape (fields,) or (fields, candidates)."""
         return free._replace(**dict(zip(ranges, np.exp(logarithms), strict=True)))
 
     def cost(logarithms: np.ndarray) -> np.ndarray:
+        """Costs of all candidates of a generation, shape (candidates,)."""
         with np.errstate(all="ignore"):  # what overflows is no candidate
             p = design(bounds, candidate(logarithms))
             excess = shortfall(p, bounds, goal)
-            value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
-            return np.nan_to_num(np.where(excess > 0.0, 1e4 + excess, value), nan=INFEASIBLE_COST)
+            value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), SMALLEST_VALUE, LARGEST_VALUE))
+            costs = np.where(excess > 0.0, MISSED_GOAL_COST + excess, value)
+            return np.nan_to_num(costs, nan=INFEASIBLE_COST)
 
     optimal_free = free
     if ranges:
@@ -186,13 +223,19 @@ def optimise(
         if optimum.fun >= INFEASIBLE_COST:
             raise ConfigError("bounds", "no design in the ranges can be computed; the bounds are too far apart")
         optimal_free = Free(*map(float, candidate(optimum.x)))
-    if not float(shortfall(synthesise(bounds, optimal_free), bounds, goal)) <= 0.0:
+    meets_goal = float(shortfall(synthesise(bounds, optimal_free), bounds, goal)) <= 0.0  # NaN: it does not
+    if not meets_goal:
         raise ConfigError("goal", infeasible(bounds, optimal_free, goal))
     return optimal_free
 
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
-    """Sentences on the parameters at an end of their range, within :data:`AT_EDGE` of its logarithmic length."""
+    """Sentences on the optimal parameters that lie at an end of their range, where a wider range may do better.
+
+    Args:
+        free: The optimal parameters.
+        ranges: Lower and upper end of each varied field.
+    """
     descriptions = []
     for name, (low, high) in ranges.items():
         share = float(np.log(getattr(free, name) / low) / np.log(high / low))
@@ -205,17 +248,27 @@ def edges(free: Free, ranges: Mapping[str, tuple[float, float]]) -> tuple[str, .
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
-    """The sum of the logarithms by which a design misses the limits of a goal; 0 if it meets them."""
+    """How far designs miss the limits of a goal: the sum of the logarithms of the ratios; 0 for a design that meets it.
+
+    Args:
+        p: Parameters of the designs, arrays of one shape or numbers.
+        bounds: The bounds.
+        goal: The goal.
+
+    Returns:
+        Array of the shape of the parameters.
+    """
     excess = np.zeros(np.shape(p.phi_b))
     if np.isfinite(goal.residual):
-        excess = excess + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
+        residual = np.clip(guarantee(p, bounds).e, SMALLEST_VALUE, LARGEST_VALUE)
+        excess = excess + np.maximum(np.log(residual / goal.residual), 0.0)
     if goal.sample_time > 0.0:
         excess = excess + np.maximum(np.log(goal.sample_time / practice(p, bounds).sample_time_origin), 0.0)
     return excess
 
 
 def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:
-    """The message that no design meets the goal, with the guarantee of the nearest one.
+    """The message that no design meets the goal, with the guarantee and the sampling period of the nearest design.
 
     Args:
         bounds: The bounds.

@@ -13,14 +13,17 @@ from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive
 from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
 from dssc_jax.study.components import as_table, parse_params
-from dssc_jax.study.schema import STRICT, finite_number
+from dssc_jax.study.parsed_values import parse_finite
+from dssc_jax.study.schema import STRICT
 from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)
 """Values of parameters that [free] does not give and the goal does not vary (assumed)."""
 REQUIRED_FREE = set(Free._fields) - set(Free._field_defaults)
-RUNNABLE = 1e-3  # s; sampling period that a design must allow where no goal is given
+"""Fields of [free] without a default."""
+RUNNABLE = 1e-3
+"""Sampling period that a design must allow unless a goal states another one [s]."""
 
 
 def interval_of(value: object) -> tuple[float, float]:
@@ -31,10 +34,10 @@ def interval_of(value: object) -> tuple[float, float]:
     """
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"must be [low, high], got {value!r}")
-    return finite_number(value[0]), finite_number(value[1])
+    return parse_finite(value[0]), parse_finite(value[1])
 
 
-Real = Annotated[float, BeforeValidator(finite_number)]
+Real = Annotated[float, BeforeValidator(parse_finite)]
 Range = Annotated[tuple[float, float], BeforeValidator(interval_of)]
 
 
@@ -45,9 +48,9 @@ class DesignFile(NamedTuple):
         name: The name in the file, or the file's name.
         bounds: The bounds.
         parameters: Given, synthesised or optimised.
-        free: The free parameters of the synthesis, if there was one.
-        goal: The goal of the optimisation, if there was one.
-        modulation: How the loop reaches sliding, if the file gives it.
+        free: The free parameters of the synthesis; None if the file gives the parameters.
+        goal: The goal of the optimisation; None without an optimisation.
+        modulation: How the loop reaches sliding; None if the file does not give it.
         edges: Optimised parameters at an end of their range, in words.
     """
 
@@ -61,7 +64,7 @@ class DesignFile(NamedTuple):
 
 
 class GoalTable(BaseModel):
-    """``[goal]``: the goal for the choice of the free parameters."""
+    """``[goal]``: what the free parameters are chosen for, and the ranges in which they are sought."""
 
     model_config = STRICT
     criterion: str | None = None
@@ -74,29 +77,35 @@ DESIGN_TABLES = ("name", "recipe", "bounds", "parameters", "free", "goal", "modu
 
 
 def load_design(path: str | Path, *, complete: bool = True) -> DesignFile:
-    """Read a design file.
+    """Read a design file, and synthesise or optimise its parameters if it does not give them.
 
     Args:
         path: A TOML file with ``[bounds]`` and ``[parameters]`` or ``[free]``; ``recipe`` is ``strict`` (default) or
             ``printed`` and belongs to ``[free]``. With ``[goal]``, parameters that ``[free]`` does not fix are
             optimised.
-        complete: Whether ``[free]`` without ``[goal]`` must give every parameter; otherwise the rest is optimised
-            for the smallest guaranteed residual at a sampling period of 1 ms, and ``[free]`` may be absent.
+        complete: Whether ``[free]`` without ``[goal]`` must give every parameter; otherwise the missing ones are
+            optimised for the smallest guaranteed residual at a sampling period of 1 ms, and ``[free]`` may be absent.
 
     Raises:
-        ConfigError: File, dotted path, rule and value of the first error.
+        ConfigError: The file is not valid; the message has file, dotted path, rule and value of the first error.
     """
+    table = read_toml(path)
     try:
-        return parse_design(read_toml(path), Path(path).stem, complete)
+        return parse_design(table, Path(path).stem, complete)
     except ConfigError as error:
-        raise (error if error.where == str(path) else error.within(str(path))) from None
+        raise error.within(str(path)) from None
 
 
 def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFile:
-    """Parse the content of a design file; ``name`` is the design's unless the content has one.
+    """Parse the content of a design file, and synthesise or optimise its parameters if it does not give them.
+
+    Args:
+        table: Content of the file.
+        name: Name of the design if the content has none.
+        complete: As in :func:`load_design`.
 
     Raises:
-        ConfigError: Dotted path, rule and value of the first error.
+        ConfigError: The content is not valid; the message has dotted path, rule and value of the first error.
     """
     for key in table:
         if key not in DESIGN_TABLES:
@@ -139,10 +148,17 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
 
 
 def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:
-    """Optimise the free parameters that ``[free]`` does not fix.
+    """Optimise the free parameters that ``[free]`` does not fix, for the goal of ``[goal]``.
+
+    Args:
+        table: Content of the design file.
+        bounds: Its bounds.
 
     Returns:
-        The free parameters, the goal, and sentences on those at an end of their range.
+        The free parameters, the goal, and sentences on parameters at an end of their range.
+
+    Raises:
+        ConfigError: ``[goal]`` or ``[free]`` is not valid, or no design meets the goal.
     """
     try:
         goal_table = GoalTable.model_validate(as_table(table.get("goal", {}), "goal"))
@@ -166,13 +182,23 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
 
 
 def default_criterion(bounds: Bounds) -> str:
-    """The criterion without a stated one: the smallest residual, or the fastest decay if nothing drives the loop."""
-    is_driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
+    """The criterion of a goal that states none: the smallest residual, or without inputs the fastest decay.
+
+    Without a reference and a disturbance the residual is 0 for every design.
+    """
+    drives_sliding = derive(bounds, l0=1.0).beta_m > 0.0  # for any l0
+    drives_zero_dynamics = bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0
+    is_driven = drives_sliding or drives_zero_dynamics
     return (Criterion.RESIDUAL if is_driven else Criterion.DECAY_RATE).value
 
 
 def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) -> Numbers:
-    """Parse the table at a path into an instance of its parameter type.
+    """Parse a table of a design file into an instance of its parameter type, all of whose numbers must be plain.
+
+    Args:
+        table: Content of the design file.
+        kind: Type of the parameters, such as :class:`Bounds`.
+        path: Name of the table in the file.
 
     Raises:
         ConfigError: The table is missing, or a number is not plain, out of its range or of unusable magnitude.
@@ -187,25 +213,32 @@ def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) 
 
 def design_toml(design_file: DesignFile) -> str:
     """The text of a design file with the parameters as numbers, and as a comment the table of a study with them."""
-    numbers = design_file.bounds._asdict().items()
-    bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}
-    quoted_name = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")
-    lines = [f"name = {quoted_name}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
-    if design_file.bounds.zero_dynamics is not None:
-        a, c = (list(part) for part in design_file.bounds.zero_dynamics)
-        lines.append(f"zero_dynamics = {{ a = {a}, c = {c} }}")
-    lines += ["", "[parameters]", *(f"{name} = {value!r}" for name, value in design_file.parameters._asdict().items())]
-    if (modulation := design_file.modulation) is not None:
-        lines += ["", "[modulation]", *(f"{name} = {value!r}" for name, value in modulation._asdict().items())]
-    comment = [f"# {line}" for line in ["In a study:", *functions_toml(design_file.parameters).splitlines()]]
-    return "\n".join([*lines, "", *comment, ""])
+    stated_bounds = design_file.bounds._asdict()
+    zero_dynamics = stated_bounds.pop("zero_dynamics")
+    quoted_name = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")  # as TOML requires
+    lines = [f"name = {quoted_name}", "", "[bounds]"]
+    lines += [f"{name} = {value!r}" for name, value in stated_bounds.items() if value != 0.0]  # 0 is the default
+    if zero_dynamics is not None:
+        lines.append(f"zero_dynamics = {{ a = {list(zero_dynamics.a)}, c = {list(zero_dynamics.c)} }}")
+    lines += ["", "[parameters]"]
+    lines += [f"{name} = {value!r}" for name, value in design_file.parameters._asdict().items()]
+    if design_file.modulation is not None:
+        lines += ["", "[modulation]"]
+        lines += [f"{name} = {value!r}" for name, value in design_file.modulation._asdict().items()]
+    lines += ["", "# In a study:"]
+    lines += [f"# {line}" for line in functions_toml(design_file.parameters).splitlines()]
+    return "\n".join([*lines, ""])
 
 
 def functions_toml(parameters: Parameters) -> str:
-    """The controller's table in a study that uses the parameters; k_o = 1 is arbitrary, only k_o tau_av matters."""
-    names = {name: "epsilon" if name == "eps" else name for name in Parameters._fields if name != "l0"}
-    fields = ", ".join(f"{names[name]} = {getattr(parameters, name)!r}" for name in names)
-    return (
-        f'[controller]\nkind = "dssc"\nl0 = {parameters.l0!r}\n[controller.functions]\nkind = "vgsta"\nk_o = 1.0\n'
-        + fields.replace(", ", "\n")
-    )
+    """The table ``[controller]`` of a study that uses the parameters.
+
+    k_o = 1 is arbitrary, since only k_o tau_av matters.
+    """
+    lines = ["[controller]", 'kind = "dssc"', f"l0 = {parameters.l0!r}"]
+    lines += ["[controller.functions]", 'kind = "vgsta"', "k_o = 1.0"]
+    for name, value in parameters._asdict().items():
+        if name != "l0":
+            field = "epsilon" if name == "eps" else name
+            lines.append(f"{field} = {value!r}")
+    return "\n".join(lines)

@@ -21,7 +21,7 @@ from dssc_jax.core.numerics import arithmetic, as_vector
 from dssc_jax.core.sampled_linear import LinearSystem
 from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.design.linearised_plant import LinearisedPlant
-from dssc_jax.models.controllers.lqg import sampled_system
+from dssc_jax.models.controllers.linear_quadratic import sampled_system
 from dssc_jax.study.actuators import acting_elements
 from dssc_jax.study.components import Component
 from dssc_jax.study.fitting import nominal_params

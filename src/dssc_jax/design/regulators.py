@@ -9,7 +9,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import DesignProblem, LinearPlant
 from dssc_jax.design.pid_gains import acts_at_rest, limits
-from dssc_jax.models.controllers.lqg import filter_gain, gain_at_rest, regulator_gain, sampled_system
+from dssc_jax.models.controllers.linear_quadratic import filter_gain, gain_at_rest, regulator_gain, sampled_system
 
 FILTER_RATIO = 4.0  # ratio of the filter's bandwidth to the regulator's
 PLACES = 9  # bisections' decades of a weight on either side

@@ -24,38 +24,42 @@ from dssc_jax.core.native.fmu_instances import require_no_faults
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine import kernels
+from dssc_jax.engine.clock import Clock, CountedLane
 from dssc_jax.engine.linearisation.margin_values import MarginValues, margin_values
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
 
 BLOCK = 16384  # most lanes of a block
-PROBES = 16  # draws that are simulated twice to find in-loop noise
+PROBES = 16  # draws that are simulated with two indices each to find in-loop noise
 VERSIONS = ("dssc_jax", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "xarray", "zarr")
 
 Block = tuple[slice, ...]
-"""A box of the grid."""
+"""A box of the grid: a range of indices along every swept parameter, then a range of draws."""
 
 Lanes = tuple[np.ndarray, ...]
-"""Lanes of a result: indices along every swept parameter, then along the draws, shape (n,) each."""
+"""Places of n lanes in the grid: indices along every swept parameter, then draw indices, shape (n,) each."""
 
 Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
-"""(numbers of the lane by name, draw index) -> results by name."""
+"""The program of a lane: ``(numbers of the lane by name, draw index) -> results by name``."""
 
 BlockRun = tuple[Block, Callable[[], Arrays], Arrays]
 """A block that is being computed, the function that waits for its results, and the drawn values of its draws."""
 
 
 def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
-    """The program of a lane: a function that simulates its draw.
+    """Return the program of a lane: the function that simulates its draw.
 
     Args:
         study: The study.
-        axis_name: See :func:`dssc_jax.closed_loop.draw.simulate_draw`; None if derivatives are taken.
-        segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
+        axis_name: Name of the mapped axis of the lanes that share a time loop; None if derivatives are taken. See
+            :func:`dssc_jax.closed_loop.draw.simulate_draw`.
+        segment: Samples between checkpoints of reverse mode; see
+            :func:`dssc_jax.closed_loop.time_loops.scan_segments`.
     """
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        """The results of the lane's draw by name."""
         key = draw_key(study.config.seed, index)
         loop = study.loop
         params = study.params(values)
@@ -68,7 +72,10 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
 
 
 def margins_in(study: Study, values: Mapping[str, Scalar]) -> dict[str, Scalar]:
-    """The margins of the linearised loop that a study requires, among the numbers of a lane."""
+    """The required margins of the linearised loop, picked by name from the numbers of a lane.
+
+    They are computed before the flight, so the lane receives them like its other numbers.
+    """
     return {name: values[name] for name in margins_of(study.measures)}
 
 
@@ -78,7 +85,7 @@ def lane_names(study: Study) -> list[str]:
 
 
 def results_of(study: Study, run: Run) -> dict[str, Scalar]:
-    """The results of a lane by their names in a dataset."""
+    """Metrics, slacks, times of violation and outcome of a lane, by their names in a dataset."""
     results = {**run.metrics, **run.slacks, **run.violated_at, "outcome": run.outcome, "failed_at": run.failed_at}
     if study.loop.settled:
         results["settled_at"] = run.settled_at
@@ -91,7 +98,7 @@ class Layout:
 
     Args:
         shape: Number of points of each swept parameter, then number of draws.
-        block: Shape of a block; those at the far edges may be smaller.
+        block: Shape of a block; the last blocks along each dimension may be smaller.
     """
 
     shape: tuple[int, ...]
@@ -99,19 +106,20 @@ class Layout:
 
     @classmethod
     def of(cls, study: Study, lanes: int = BLOCK) -> "Layout":
-        """The grid of a study in blocks of at most ``lanes`` lanes: whole trailing dimensions, and a part of the next.
+        """The grid of a study in blocks of at most ``lanes`` lanes.
 
-        A block that contains the whole grid is as long as the lanes allow, so that a run may get more draws later.
+        A block takes all draws first, then as many points of the last swept parameter as fit, and so on. If the whole
+        grid fits, the block is longer than the draws, so that a run may get more draws later.
         """
         shape = (*(len(values) for values in study.axes.values()), study.config.draws)
-        block = []
-        room = lanes
+        reversed_block = []  # lengths along the draws, the last swept parameter, ..., the first
+        room = lanes  # how often the block so far fits into the lanes
         for size in reversed(shape):
             length = max(1, min(size, room))
-            block.append(length)
+            reversed_block.append(length)
             room = room // size if length == size else 0
-        block[0] *= max(1, room)
-        return cls(shape, tuple(reversed(block)))
+        reversed_block[0] *= max(1, room)
+        return cls(shape, tuple(reversed(reversed_block)))
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> "Layout":
@@ -128,55 +136,29 @@ class Layout:
         return math.prod(map(min, self.shape, self.block))
 
     def index(self, block: Block) -> tuple[int, ...]:
-        """The index along each dimension of a block, or of the block that contains a part of one."""
+        """The number of a block along each dimension of the grid; of a part of a block, the number of that block."""
         return tuple(part.start // size for part, size in zip(block, self.block, strict=True))
 
     def blocks(self) -> list[Block]:
-        """Every block as a slice of the grid, in C order."""
-        parts = []
-        for size, step in zip(self.shape, self.block, strict=True):
-            parts.append([slice(start, min(start + step, size)) for start in range(0, size, step)])
-        return list(itertools.product(*parts))
-
-
-@dataclass
-class Clock:
-    """Times and counts of an engine: seconds of compilation, margins and runs; lanes done; traces of the lane.
-
-    A lane whose machine code is in the cache is never traced.
-    """
-
-    compile_seconds: float = 0.0
-    margin_seconds: float = 0.0
-    run_seconds: float = 0.0
-    lanes: int = 0
-    traces: int = 0
-
-
-@dataclass
-class CountedLane:
-    """A lane that counts how often it is traced."""
-
-    lane: Lane
-    clock: Clock = field(compare=False)
-
-    def __call__(self, values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
-        """The results of the lane."""
-        self.clock.traces += 1
-        return self.lane(values, index)
+        """Every block of the grid in C order: the draws advance first."""
+        ranges_by_dimension = []
+        for size, length in zip(self.shape, self.block, strict=True):
+            starts = range(0, size, length)
+            ranges_by_dimension.append([slice(start, min(start + length, size)) for start in starts])
+        return list(itertools.product(*ranges_by_dimension))
 
 
 @dataclass
 class Engine:
-    """A study compiled once for batches of a fixed size; an instance is a function of a batch's numbers.
+    """A study compiled once for batches of a fixed size; a call of the engine simulates a batch.
 
     Args:
         study: The study.
-        lanes: Lanes of a batch; smaller ones are padded.
+        lanes: Lanes of a batch; a smaller batch is padded.
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
         clock: Its times and counts.
-        program: The program of a lane, from the study.
+        program: Makes the program of a lane from the study.
         kernel: The form, see :func:`dssc_jax.engine.kernels.requested_form`.
         extra: Names of further numbers of each lane that the program needs.
     """
@@ -191,14 +173,15 @@ class Engine:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        """Choose the form; programs are compiled when they are first needed."""
         self.kernel = kernels.requested_form(self.kernel)
         self._start: kernels.Start | None = None
         self._margins: MarginValues | None = None
-        self._ended = 0.0
+        self._last_end = 0.0  # time of perf_counter at which the last batch ended [s]
 
     @property
     def names(self) -> list[str]:
-        """Numbers that differ between lanes."""
+        """Names of the numbers that differ between lanes: swept, uncertain, and further ones."""
         return [*self.study.axes, *self.study.laws, *self.extra]
 
     def __call__(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> Callable[[], Arrays]:
@@ -224,18 +207,19 @@ class Engine:
             results = start(columns, np.asarray(indices))
 
         def finish() -> Arrays:
+            """Wait for the batch, and return its results; the time in which two batches overlap counts once."""
             arrays, end_time = results()
             require_no_faults()
-            end_time = max(end_time, self._ended)
-            self.clock.run_seconds += end_time - max(start_time, self._ended)
-            self._ended = end_time
+            end_time = max(end_time, self._last_end)
+            self.clock.run_seconds += end_time - max(start_time, self._last_end)
+            self._last_end = end_time
             self.clock.lanes += count
             return arrays
 
         return finish
 
     def compiled(self) -> kernels.Start:
-        """The program of a batch, compiled on first use."""
+        """The function that starts a batch, compiled on first use."""
         if self._start is None:
             start_time = time.perf_counter()
             lane = CountedLane(self.program(self.study), self.clock)
@@ -254,11 +238,13 @@ class Engine:
 
     @property
     def rate(self) -> float:
-        """Lanes times samples per second, without compilation; 0 before the first batch."""
-        return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
+        """Lanes times samples per second, without compilation [1/s]; 0 before the first batch."""
+        if not self.clock.run_seconds:
+            return 0.0
+        return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds
 
     def times(self, start_time: float) -> dict[str, float]:
-        """Times for the manifest, since ``start_time`` of ``time.perf_counter``."""
+        """Times and counts of a run for its manifest; the run began at ``start_time`` of ``time.perf_counter`` [s]."""
         return {
             "seconds": time.perf_counter() - start_time,
             "compile_seconds": self.clock.compile_seconds,
@@ -275,12 +261,12 @@ def medians(study: Study) -> dict[str, float]:
 
 
 def values_of_draws(study: Study, draws: slice) -> Arrays:
-    """Values of the study's laws for a range of draws."""
+    """Values of the uncertain numbers in a range of draws, by name, shape (draws,) each."""
     return draw(study, np.arange(draws.start, draws.stop))
 
 
 def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.ndarray]:
-    """Numbers and draw indices of every lane of a block, flattened in C order, shape (lanes,) each.
+    """Numbers and draw indices of every lane of a block, shape (lanes,) each, in C order of the block.
 
     Args:
         study: The study.
@@ -288,29 +274,26 @@ def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.nda
         values: Values of the laws for the block's draws, shape (draws,) each.
     """
     *points, draws = block
-    shape = shape_of(block)
-    flat = {}
-    for position, ((name, axis), part) in enumerate(zip(study.axes.items(), points, strict=True)):
-        shape_along_axis = [1] * len(shape)
-        shape_along_axis[position] = -1
-        column = np.asarray(axis[part]).reshape(shape_along_axis)
-        flat[name] = np.broadcast_to(column, shape).reshape(-1)
+    draw_indices = np.arange(draws.start, draws.stop)
+    swept_values = [np.asarray(axis[part]) for axis, part in zip(study.axes.values(), points, strict=True)]
+    *swept_grids, index_grid = np.meshgrid(*swept_values, draw_indices, indexing="ij")
+    numbers = {name: grid.reshape(-1) for name, grid in zip(study.axes, swept_grids, strict=True)}
     for name, column in values.items():
-        flat[name] = np.broadcast_to(column, shape).reshape(-1)
-    indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
-    return flat, indices
+        numbers[name] = np.broadcast_to(column, shape_of(block)).reshape(-1)
+    return numbers, index_grid.reshape(-1)
 
 
 def lane_numbers(study: Study, lanes: Lanes) -> Arrays:
-    """Swept and drawn numbers of each lane, shape (n,) each."""
-    numbers = draw(study, lanes[-1])
-    for (name, axis), index in zip(study.axes.items(), lanes[:-1], strict=True):
+    """Swept and drawn numbers of n lanes by name, shape (n,) each."""
+    *points, draws = lanes
+    numbers = draw(study, draws)
+    for (name, axis), index in zip(study.axes.items(), points, strict=True):
         numbers[name] = np.asarray(axis)[index]
     return numbers
 
 
 def shape_of(block: Block) -> tuple[int, ...]:
-    """The shape of a block."""
+    """The number of points of a block along each swept parameter, then its number of draws."""
     return tuple(part.stop - part.start for part in block)
 
 
@@ -330,7 +313,7 @@ def computing() -> JsonObject:
 
 
 def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-    """Compute blocks in turn, each in the background while the caller handles the one before it.
+    """Compute blocks in turn, each in the background while the caller handles the previous block.
 
     The first block starts when this function is called, not when the iterator is first read.
 
@@ -340,11 +323,13 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
     engine.compiled()  # a program that cannot be compiled fails here, before anything is drawn
 
     def start_block(block: Block) -> BlockRun:
+        """Draw the numbers of a block, and start its lanes."""
         *_, draws = block
         values = values_of_draws(engine.study, draws)
         return block, engine(*lanes_of(engine.study, block, values)), values
 
     def collect_all(first: BlockRun) -> Iterator[tuple[Block, Arrays, Arrays]]:
+        """Yield the blocks in turn; the next block starts before the caller gets the present one."""
         current_run = first
         for block in blocks[1:]:
             next_run = start_block(block)
@@ -377,12 +362,15 @@ def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
 
 
 def join_batches(batches: Sequence[Arrays]) -> Arrays:
-    """The arrays of several batches by name, those of one batch after those of the other."""
+    """Join the arrays of several batches by name, in the order of the batches."""
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
 def is_noisy(engine: Engine) -> bool:
-    """Whether the loop has in-loop noise: the results of draws with equal numbers differ if their indices differ."""
+    """Whether the loop has in-loop noise, such as the noise of sensors.
+
+    It has if draws with equal numbers but other indices have other results: the index alone selects the noise.
+    """
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     results = evaluate(engine, values, np.arange(PROBES))
     results_of_other_draws = evaluate(engine, values, np.arange(PROBES, 2 * PROBES))

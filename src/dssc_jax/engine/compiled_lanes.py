@@ -1,4 +1,7 @@
-"""Machine code of lanes. The user's cache remembers signatures, so that a lane it knows is not even traced."""
+"""Lanes as machine code.
+
+The user's cache remembers the signatures of compiled lanes, so that a lane which it knows is not even traced.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,8 +28,8 @@ def compiled_lanes(
     Args:
         lane: A function of trees of scalars.
         arguments: ``jax.ShapeDtypeStruct`` in place of the scalars.
-        width: Lanes of a vector; None: by the size of the program.
-        strict: Without contraction, for the same bits on every machine.
+        width: Lanes in a vector of the processor; None: by the size of the program.
+        strict: Whether to compile without contraction of multiply-adds, for the same bits on every machine.
         gpu: Whether to compile a kernel, see :class:`KernelLanes`.
 
     Raises:
@@ -36,6 +39,7 @@ def compiled_lanes(
     translator = ptx.translator() if gpu else machine.translator()
 
     def recall(compute: Callable[[], Any]) -> Any:
+        """The lane's signature from the cache, or computed and kept there."""
         return remembered("signature", compute, lane, arguments, width, strict, translator)
 
     return lanes(lane, *arguments, width=width, strict=strict, recall=recall)
@@ -45,9 +49,9 @@ class LaneBatch:
     """The program of a lane as machine code, for batches of lanes.
 
     Args:
-        lane: (numbers by name, draw index) -> results.
+        lane: ``(numbers by name, draw index) -> results``.
         names: Names of the numbers.
-        cores: Cores to use; None: all.
+        cores: Most cores to use; None: all.
         strict: See :func:`compiled_lanes`.
         gpu: See :func:`compiled_lanes`.
 
@@ -58,6 +62,7 @@ class LaneBatch:
     def __init__(
         self, lane: Callable[..., Any], names: Sequence[str], cores: int | None, strict: bool, gpu: bool = False
     ) -> None:
+        """Compile the lane, in the precision that is in use."""
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
         with gpu_errors():
@@ -73,11 +78,12 @@ class LaneBatch:
         with gpu_errors():
             finish = self._lanes.start_timed((values, index), len(index), self._threads)
 
-        def finished() -> tuple[Any, float]:
+        def finish_batch() -> tuple[Any, float]:
+            """Wait for the batch, and return its results and the time at which it ended."""
             with gpu_errors():
                 return finish()
 
-        return finished
+        return finish_batch
 
 
 @contextmanager

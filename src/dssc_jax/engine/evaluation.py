@@ -23,16 +23,21 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
-DIRECTION = "direction"  # further number of a lane: index of the number by which it differentiates
+DIRECTION = "direction"  # a further number of a lane: the index of the number by which the lane differentiates
 
 
 def is_differentiated(name: str) -> bool:
-    """Whether a result has derivatives: outcomes have none, nor have times that are whole samples."""
+    """Whether a result has derivatives; an outcome and a time of whole samples have none."""
     return name not in NOT_DIFFERENTIATED and not name.startswith(VIOLATED_AT)
 
 
 class Derivative(NamedTuple):
-    """Key of a result: the derivative of a metric or slack ``of`` with respect to a number ``by`` of the study."""
+    """The key of a derivative among results.
+
+    Args:
+        of: Name of the metric or slack.
+        by: Name of the study's number with respect to which it is differentiated.
+    """
 
     of: str
     by: str
@@ -40,12 +45,12 @@ class Derivative(NamedTuple):
 
 @dataclass
 class Evaluator:
-    """A compiled study whose numbers in ``extents`` have a value of their own in every lane.
+    """A compiled study that is simulated at any values of some of its numbers; a call runs many lanes.
 
     Args:
         study: The study; its sweep is ignored.
-        extents: Lowest and highest value of each number that lanes set. Both are checked like values of a sweep. The
-            values replace the number's law.
+        extents: The numbers that have a value of their own in every lane, each with its lowest and highest value. Both
+            are checked like values of a sweep. The values replace the number's law.
         lanes: Most lanes of a batch.
 
     Raises:
@@ -59,6 +64,7 @@ class Evaluator:
     swept: Study = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check the numbers, and make the engine, in whose study they are swept."""
         require_values_between(self.study, self.extents)
         axes = {name: sorted(set(extent)) for name, extent in self.extents.items()}
         self.swept = self.study.override({"sweep": axes})
@@ -69,7 +75,7 @@ class Evaluator:
         return Engine(self.swept, self.lanes)
 
     def values_of_draws(self, draws: slice) -> Arrays:
-        """Values of the remaining laws for a range of draws, shape (draws,) each."""
+        """Values of the uncertain numbers that lanes do not set, in a range of draws, shape (draws,) each."""
         return values_of_draws(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
@@ -96,7 +102,7 @@ class Evaluator:
         if not margins:
             return self(indices, values)["outcome"] != Outcome.OK
         required = [rule for rule in self.swept.requirements if rule.measure.name in margins]
-        # First the flights: placeholders that meet the requirements stand for the margins.
+        # first the flights: values that just meet the requirements stand for the margins
         placeholders = {name: np.full(len(indices), np.nan) for name in margins}
         placeholders |= {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
         flights = self(indices, {**values, **placeholders})
@@ -115,13 +121,18 @@ class Evaluator:
 def require_values_between(study: Study, extents: Mapping[str, tuple[float, float]]) -> None:
     """Require that numbers may have any value between the ends of their ranges.
 
+    Args:
+        study: The study.
+        extents: Lowest and highest value of each number.
+
     Raises:
         ConfigError: A number must be whole, or a number that must be whole follows from it.
     """
     for name, (low, high) in extents.items():
-        whole_names = [n.name for n in study.numbers.values() if n.quantity.whole and name in (n.name, *n.sources)]
-        if whole_names and low != high:
-            rule = f"a search takes values between {low:g} and {high:g}, and {whole_names[0]} is a whole number"
+        whole_numbers = [number for number in study.numbers.values() if number.quantity.whole]
+        affected_names = [number.name for number in whole_numbers if name in (number.name, *number.sources)]
+        if affected_names and low != high:
+            rule = f"a search takes values between {low:g} and {high:g}, and {affected_names[0]} is a whole number"
             raise ConfigError(name, f"{rule}; sweep it instead, over whole numbers")
 
 
@@ -131,8 +142,12 @@ def plant_and_controllers(study: Study) -> list[tuple[str, Plant | Controller]]:
 
 
 def native_code(study: Study) -> str:
-    """The file of native code that the plant or a controller calls; empty if the whole loop can be differentiated."""
-    return next((part.native for _, part in plant_and_controllers(study) if part.native), "")
+    """The first file of native code that the plant or a controller calls; empty if there is none.
+
+    Without native code the whole loop can be differentiated.
+    """
+    files = [part.native for _, part in plant_and_controllers(study) if part.native]
+    return files[0] if files else ""
 
 
 def require_derivatives(study: Study) -> None:
@@ -183,7 +198,10 @@ class GradientEvaluator(Evaluator):
     reverse: bool = False
 
     def compiled(self) -> Engine:
-        """The engine of the program with derivatives."""
+        """The engine of the program with derivatives.
+
+        Forward mode has a lane for each draw and number. Reverse mode runs as plain XLA, which can differentiate it.
+        """
         if self.reverse:
             program = partial(reverse_mode, names=self.names)
             return Engine(self.swept, self.lanes, program=program, kernel=Form.SCAN)
@@ -206,30 +224,37 @@ class GradientEvaluator(Evaluator):
             results |= {Derivative(margin, name): slope for margin, slope in slopes.items()}
             for requirement in self.swept.requirements:
                 if requirement.measure.name in slopes:
-                    sign = 1.0 if requirement.maximum is None else -1.0
+                    sign = 1.0 if requirement.maximum is None else -1.0  # slack: value - minimum, or maximum - value
                     results[Derivative(requirement.name, name)] = sign * slopes[requirement.measure.name]
         return results
 
     def _flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
-        """Results and derivatives of the simulation, with constant margins of the linearised loop."""
+        """Results and derivatives of the simulation, with the margins of the linearised loop as constants.
+
+        In forward mode all lanes run once for each number, first all for the first number, then all for the second.
+        """
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)
         size = len(self.names)
-        tiled = {name: np.tile(column, size) for name, column in values.items() if name != DIRECTION}
-        columns = super().__call__(np.tile(indices, size), tiled | {DIRECTION: np.repeat(np.arange(size), count)})
+        repeated_values = {name: np.tile(column, size) for name, column in values.items() if name != DIRECTION}
+        repeated_values[DIRECTION] = np.repeat(np.arange(size), count)
+        columns = super().__call__(np.tile(indices, size), repeated_values)
         results = {}
         for key, column in columns.items():
             if isinstance(key, Derivative):
                 rows = column.reshape(size, count)
-                results |= {Derivative(key.of, name): row for name, row in zip(self.names, rows, strict=True)}
+                for name, row in zip(self.names, rows, strict=True):
+                    results[Derivative(key.of, name)] = row
             else:
-                results[key] = column[:count]
+                results[key] = column[:count]  # the same for every number
         return results
 
 
 def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
-    """Derivatives of each lane's smallest slack, relative to the requirement's scale, with respect to some numbers.
+    """Derivatives of each lane's smallest relative slack with respect to some numbers.
+
+    The slack of a requirement is relative to the requirement's scale.
 
     Args:
         requirements: The study's requirements.
@@ -239,18 +264,21 @@ def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Se
     Returns:
         Shape (n, numbers).
     """
-    binding = binding_requirement(requirements, results)[None]
+    binding = binding_requirement(requirements, results)  # index of the requirement, shape (n,)
+    lanes = np.arange(len(binding))
     columns = []
     for name in names:
-        rows = np.array([results[Derivative(r.name, name)] / r.scale for r in requirements])
-        columns.append(np.take_along_axis(rows, binding, 0)[0])
+        slopes = np.array([results[Derivative(rule.name, name)] / rule.scale for rule in requirements])
+        columns.append(slopes[binding, lanes])
     return np.stack(columns, axis=1)
 
 
 def metrics_and_slacks(
     plain: Lane, values: Mapping[str, jax.Array], index: jax.Array
 ) -> Callable[[dict[str, jax.Array]], tuple[dict[str, Scalar], dict[str, Scalar]]]:
-    """A function of some numbers of a lane, which returns the results with derivatives, and all results.
+    """Return a lane as a function of some of its numbers, for JAX to differentiate.
+
+    The function returns the results that have derivatives, and all results.
 
     Args:
         plain: The program of the lane.
@@ -258,11 +286,13 @@ def metrics_and_slacks(
         index: Draw index.
     """
 
-    def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+    def run_lane(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+        """The results with derivatives, and all results."""
         results = plain({**values, **numbers}, index)
-        return {name: value for name, value in results.items() if is_differentiated(name)}, results
+        differentiated = {name: value for name, value in results.items() if is_differentiated(name)}
+        return differentiated, results
 
-    return at
+    return run_lane
 
 
 def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, Scalar]) -> dict[Any, Scalar]:
@@ -274,33 +304,41 @@ def with_derivatives(results: Mapping[str, Scalar], slopes: Mapping[Derivative, 
 
 
 def forward_mode(study: Study, names: Sequence[str]) -> Lane:
-    """The program of a lane in forward mode, which differentiates by the number that ``DIRECTION`` selects."""
+    """Return the program of a lane in forward mode.
+
+    It differentiates by the number that :data:`DIRECTION` selects among ``names``.
+    """
     plain = lane_of_study(study)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        """The results of the lane, and the derivative of each with respect to the selected number."""
         lane_values = {name: value for name, value in values.items() if name != DIRECTION}
         numbers = {name: lane_values[name] for name in names}
         tangent = {name: jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i, name in enumerate(names)}
-        _, slopes, results = jax.jvp(
-            metrics_and_slacks(plain, lane_values, index), (numbers,), (tangent,), has_aux=True
-        )
+        run_lane = metrics_and_slacks(plain, lane_values, index)
+        _, slopes, results = jax.jvp(run_lane, (numbers,), (tangent,), has_aux=True)
         return with_derivatives(results, {Derivative(of, DIRECTION): slope for of, slope in slopes.items()})
 
     return lane
 
 
 def reverse_mode(study: Study, names: Sequence[str]) -> Lane:
-    """The program of a lane in reverse mode: one backward pass for each metric and slack."""
+    """Return the program of a lane in reverse mode: one backward pass for each metric and slack.
+
+    Checkpoints about every sqrt(steps) samples keep its memory small.
+    """
     plain = lane_of_study(study, axis_name=None, segment=math.isqrt(study.loop.steps))
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[str, Scalar]:
+        """The results of the lane, and the derivative of each with respect to every number in ``names``."""
         numbers = {name: values[name] for name in names}
-        slopes, results = jax.jacrev(metrics_and_slacks(plain, values, index), has_aux=True)(numbers)
-        flat = {}
-        for metric, row in slopes.items():
-            for number, slope in row.items():
-                flat[Derivative(metric, number)] = slope
-        return with_derivatives(results, flat)
+        jacobian = jax.jacrev(metrics_and_slacks(plain, values, index), has_aux=True)
+        slopes_by_result, results = jacobian(numbers)
+        derivatives = {}
+        for result, slopes in slopes_by_result.items():
+            for number, slope in slopes.items():
+                derivatives[Derivative(result, number)] = slope
+        return with_derivatives(results, derivatives)
 
     return lane
 

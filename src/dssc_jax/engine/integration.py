@@ -23,7 +23,7 @@ from dssc_jax.study import Study
 
 CHECKED_DRAWS = 16
 NEGLIGIBLE = 0.01
-"""Change of a required metric, in shares of its bound, below which no warning appears (assumed)."""
+"""Change of a required metric, in shares of its bound, up to which no warning appears (assumed)."""
 DIVERGING = 1e3
 """Change of a metric, in shares of its bound or median size, above which the plant or its integration diverges
 (assumed)."""
@@ -64,17 +64,18 @@ class IntegrationError(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether a verdict changes, or a metric by more than :data:`NEGLIGIBLE`."""
+        """Whether halved steps change a verdict, or a metric by more than :data:`NEGLIGIBLE`."""
         return self.verdicts > 0 or self.change > NEGLIGIBLE
 
     @property
     def text(self) -> str:
-        """The error in words."""
+        """The error in words: what changes with twice the substeps, and in how many draws it was tried."""
         if self.exact:
-            return "between the samples everything is held exactly" + (FRACTION if self.averaged else "")
+            exception = FRACTION if self.averaged else ""
+            return f"between the samples everything is held exactly{exception}"
         size = f"{self.change:.1g}" if self.change < 1e-4 else f"{100.0 * self.change:.2g} %"
         changes = f"{self.metric} changes by at most {size} of its {self.scale}" if self.metric else "no metric changes"
-        flips = "no verdict changes" if not self.verdicts else f"{self.verdicts} verdicts change"
+        flips = f"{self.verdicts} verdicts change" if self.verdicts else "no verdict changes"
         halved = f"with {2 * self.substeps} substeps instead of {self.substeps} (order {self.order})"
         text = f"{halved}, {changes} and {flips} in {self.draws} draws"
         return f"{text}; {AVERAGED}" if self.averaged else text
@@ -99,7 +100,7 @@ class IntegrationError(NamedTuple):
 
 
 def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationError:
-    """The error of integration of a study, from some draws with the study's substeps and with twice as many.
+    """Measure the error of integration of a study, by some draws with the study's substeps and with twice as many.
 
     Args:
         study: The study; with a sweep, the draws are spread over its points.
@@ -107,8 +108,8 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     """
     loop = study.loop
     order = order_between_samples(held_parts(loop))
-    parts = zip(loop.unmodelled, study.template.unmodelled, strict=True)
-    averaged = any(model.averages(params) for model, params in parts)
+    models_with_params = zip(loop.unmodelled, study.template.unmodelled, strict=True)
+    averaged = any(model.averages(params) for model, params in models_with_params)
     if is_exact(held_parts(loop)):
         return IntegrationError(
             exact=True,
@@ -124,13 +125,14 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
         )
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = math.prod(shape)
-    lane_indices = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
+    lane_indices = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))  # evenly over the grid
     lanes = np.unravel_index(lane_indices, shape)
     coarse = results_with_substeps(study, lanes, loop.substeps)
     fine = results_with_substeps(study, lanes, 2 * loop.substeps)
     change, metric = largest_change(study, coarse, fine)
     verdicts = int(np.count_nonzero(coarse["outcome"] != fine["outcome"]))
     scale = "bound" if study.requirements else "median size"
+    # 2^n times the substeps divide the change by 2^(order n); one doubling at least, also of an infinite change
     error_ratio = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
     doublings = int(np.ceil(np.log2(error_ratio) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
@@ -149,17 +151,18 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
 
 
 def results_with_substeps(study: Study, lanes: Lanes, substeps: int) -> Arrays:
-    """Results of some lanes of a study with another number of substeps, shape (n,) each."""
-    engine = Engine(replace(study, loop=replace(study.loop, substeps=substeps)), len(lanes[-1]))
+    """Results of n lanes of a study with another number of substeps, by name, shape (n,) each."""
+    *_, draws = lanes
+    engine = Engine(replace(study, loop=replace(study.loop, substeps=substeps)), len(draws))
     values = lane_numbers(study, lanes)
-    return evaluate(engine, {name: values[name] for name in engine.names}, lanes[-1])
+    return evaluate(engine, {name: values[name] for name in engine.names}, draws)
 
 
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:
-    """The largest change of a metric in shares of its scale, and the metric, an empty name if none changes.
+    """The largest change of a metric in shares of its scale, and the metric's name, empty if none changes.
 
-    Required metrics count, with the scales of the requirements. Without requirements all metrics count, with their
-    typical sizes.
+    Required metrics count, in shares of the scales of their requirements. Without requirements all metrics count, in
+    shares of their typical sizes. The change is infinite if a draw ends early with one number of substeps alone.
 
     Args:
         study: The study.
@@ -169,18 +172,17 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
     scales = {requirement.measure.name: requirement.scale for requirement in study.requirements}
     if not scales:
         scales = {measure.name: typical_size(fine[measure.name]) for measure in study.measures}
-    worst = 0.0
-    name = ""
+    is_end_different = np.any(ended_early(coarse["outcome"]) != ended_early(fine["outcome"]))
+    largest = 0.0
+    metric_of_largest = ""
     for metric, scale in scales.items():
         coarse_values = coarse[metric]
         fine_values = fine[metric]
         is_finite = np.isfinite(coarse_values) & np.isfinite(fine_values)
         differences = np.where(is_finite, coarse_values, 0.0) - np.where(is_finite, fine_values, 0.0)
         relative_changes = np.abs(differences) / scale
-        change = float(np.max(relative_changes, initial=0.0))
-        if np.any(ended_early(coarse["outcome"]) != ended_early(fine["outcome"])):
-            change = np.inf
-        if change > worst:
-            worst = change
-            name = metric
-    return worst, name
+        change = np.inf if is_end_different else float(np.max(relative_changes, initial=0.0))
+        if change > largest:
+            largest = change
+            metric_of_largest = metric
+    return largest, metric_of_largest

@@ -24,26 +24,21 @@ from dssc_jax.lanes.unsupported import Unsupported
 
 KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
 Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], tuple[dict[Any, np.ndarray], float]]]
-"""(numbers by name, draw indices), shape (n,) each -> a function that waits for the lanes.
+"""Starts a batch: ``(numbers by name, draw indices)``, shape (n,) each, to a function that waits for the lanes.
 
 That function returns the results by name, shape (n,) each, and the time of :func:`time.perf_counter` at which the lanes
-ended.
+ended [s].
 """
 
 
 class Form(StrEnum):
-    """How a batch runs.
+    """How a batch of lanes runs."""
 
-    ``lanes``: machine code for a CPU, in fast arithmetic. ``strict``: the same without contraction, with the same bits
-    on every machine. ``scan``: plain XLA. ``gpu`` and ``gpu-strict``: the program of ``lanes`` and ``strict`` on an
-    NVIDIA GPU, one lane a thread.
-    """
-
-    LANES = "lanes"
-    STRICT = "strict"
-    SCAN = "scan"
-    GPU = "gpu"
-    GPU_STRICT = "gpu-strict"
+    LANES = "lanes"  # machine code for a CPU, in fast arithmetic
+    STRICT = "strict"  # as `lanes`, but without contraction of multiply-adds: the same bits on every machine
+    SCAN = "scan"  # plain XLA
+    GPU = "gpu"  # the program of `lanes` on an NVIDIA GPU, one lane a thread
+    GPU_STRICT = "gpu-strict"  # the program of `strict` on an NVIDIA GPU
 
 
 STRICT_FORMS = Form.STRICT, Form.GPU_STRICT
@@ -55,7 +50,10 @@ class KernelWarning(UserWarning):
 
 
 def requested_form(choice: str = "") -> str:
-    """The form to use: the argument, else that of the environment, else ``lanes`` on a CPU and ``scan`` on a GPU.
+    """The form to use: the choice, else the environment's choice, else ``lanes`` on a CPU and ``scan`` on a GPU.
+
+    Args:
+        choice: Name of a form; empty: no choice.
 
     Raises:
         ConfigError: There is no such form, or the machine has no GPU for it.
@@ -102,10 +100,10 @@ def compiled(
 
     Args:
         choice: The result of :func:`requested_form`.
-        lane: (numbers by name, draw index) -> results by name.
+        lane: ``(numbers by name, draw index) -> results by name``.
         names: Names of the numbers.
         lanes: Most lanes of a batch.
-        tile: Lanes of a tile, for the forms of XLA.
+        tile: Lanes of a tile, for plain XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs; None: all.
 
     Raises:
@@ -132,7 +130,7 @@ def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool 
     """Compile the program of a single lane, which may record arrays.
 
     Args:
-        lane: (numbers by name, draw index) -> a tree of results.
+        lane: ``(numbers by name, draw index) -> a tree of results``.
         names: Names of the numbers.
         plain: Whether to use plain XLA, as a reference.
 
@@ -148,8 +146,10 @@ def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool 
             lanes = compiled_lanes(lane, dict.fromkeys(names, number), jax.ShapeDtypeStruct((), jnp.uint32), width=1)
 
             def run_lane(values: Mapping[str, Any], index: Any) -> Any:
+                """The results of the lane by machine code."""
                 columns = {name: np.array([values[name]]) for name in names}
-                results = lanes.start((columns, np.array([index])), 1, 1)()
+                finish = lanes.start((columns, np.array([index])), 1, 1)  # one lane, one thread
+                results = finish()
                 return jax.tree.map(lambda column: column[0], results)
 
             return run_lane
@@ -158,6 +158,7 @@ def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool 
     jitted = jax.jit(lane, compiler_options=plain_options())
 
     def run_plain(values: Mapping[str, Any], index: Any) -> Any:
+        """The results of the lane by plain XLA."""
         results = jitted({name: values[name] for name in names}, np.uint32(index))
         return jax.tree.map(np.asarray, results)
 

@@ -3,6 +3,7 @@
 This is the reference program, and the form for programs without machine code.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -27,13 +28,18 @@ def plain_options() -> dict[str, str | bool]:
     return {"xla_disable_hlo_passes": "fusion"} if jax.default_backend() == "cpu" else {}
 
 
+def next_multiple(count: int, step: int) -> int:
+    """The smallest multiple of a step that is not below a count."""
+    return math.ceil(count / step) * step
+
+
 class PlainBatch:
     """The program of a lane by plain XLA, for batches of at most ``lanes`` lanes.
 
     Args:
-        lane: (numbers by name, draw index) -> results.
+        lane: ``(numbers by name, draw index) -> results``.
         names: Names of the numbers.
-        lanes: Most lanes of a batch; smaller ones are padded.
+        lanes: Most lanes of a batch; a smaller batch is padded.
         tile: Lanes of a tile; None: a share of the batch, on a CPU at most :data:`LANES`.
         devices: Devices to use; None: all.
     """
@@ -41,22 +47,24 @@ class PlainBatch:
     def __init__(
         self, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
     ) -> None:
+        """Divide the batch into tiles, as many for each device, and compile the program."""
         usable = jax.devices()[:devices]
-        share = -(-lanes // len(usable))
+        share = math.ceil(lanes / len(usable))  # lanes of a device
         most = min(share, LANES) if usable[0].platform == "cpu" else share
-        self._tile = -(-min(tile or most, share) // TILE_STEP) * TILE_STEP
-        tiles = -(-lanes // self._tile)
-        self._tiles = -(-tiles // len(usable)) * len(usable)
+        self._tile = next_multiple(min(tile or most, share), TILE_STEP)
+        tiles = math.ceil(lanes / self._tile)
+        self._tiles = next_multiple(tiles, len(usable))
         self._real = np.dtype(jnp.result_type(float))
         batch = jax.vmap(lane, axis_name=AXIS)
         mesh = Mesh(np.array(usable), ("device",))
 
-        def part(values: dict[str, jax.Array], index: jax.Array) -> Any:
+        def run_tiles(values: dict[str, jax.Array], index: jax.Array) -> Any:
+            """The results of the tiles of one device, one tile after the other."""
             return jax.lax.map(lambda tile: batch(*tile), (values, index))
 
-        spec = PartitionSpec("device")
+        over_devices = PartitionSpec("device")
         shape = (self._tiles, self._tile)
-        sharded = jax.shard_map(part, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        sharded = jax.shard_map(run_tiles, mesh=mesh, in_specs=over_devices, out_specs=over_devices, check_vma=False)
         number = jax.ShapeDtypeStruct(shape, self._real)
         lowered = jax.jit(sharded).lower(dict.fromkeys(names, number), jax.ShapeDtypeStruct(shape, jnp.uint32))
         self._run = lowered.compile(compiler_options=plain_options())
@@ -67,13 +75,19 @@ class PlainBatch:
         shape = (self._tiles, self._tile)
 
         def as_tiles(column: np.ndarray, dtype: Any) -> np.ndarray:
-            return np.pad(column, (0, self._tiles * self._tile - count), mode="edge").astype(dtype).reshape(shape)
+            """A number of each lane, shape (tiles, lanes of a tile); copies of the last lane fill the last tiles."""
+            padding = self._tiles * self._tile - count
+            return np.pad(column, (0, padding), mode="edge").astype(dtype).reshape(shape)
+
+        def as_lanes(array: jax.Array) -> np.ndarray:
+            """The results of the batch's lanes, without those that fill the last tiles."""
+            return np.asarray(array).reshape(-1, *array.shape[2:])[:count]
 
         columns = {name: as_tiles(column, self._real) for name, column in values.items()}
         tiled_results = self._run(columns, as_tiles(index, np.uint32))
 
-        def flat() -> tuple[Any, float]:
-            results = jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], tiled_results)
-            return results, time.perf_counter()  # an upper bound: XLA does not report the end
+        def finish() -> tuple[Any, float]:
+            """Wait for the batch; the time is an upper bound, because XLA does not report the end."""
+            return jax.tree.map(as_lanes, tiled_results), time.perf_counter()
 
-        return flat
+        return finish

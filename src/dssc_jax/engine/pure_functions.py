@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.metrics.margin_measures import margins_of
-from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, Recorded, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import Lane, lane_numbers, lane_of_study
@@ -42,7 +43,11 @@ class StepState(NamedTuple):
 
 
 def require_values(study: Study, values: Values) -> None:
-    """Require a value for each uncertain or swept number, and JAX in the precision of the study.
+    """Require a value for each uncertain or swept number of the study, and JAX in the study's precision.
+
+    Args:
+        study: The study.
+        values: Numbers by their dotted names.
 
     Raises:
         ConfigError: A value is missing, a name has no value of its own in a trace, or JAX has another precision.
@@ -57,7 +62,7 @@ def require_values(study: Study, values: Values) -> None:
             raise ConfigError(name, study.numbers[name].follows)
         if not study.numbers[name].quantity.law:
             raise ConfigError(name, "is fixed before tracing; change it with study.override")
-    bits = 8 * jnp.result_type(float).itemsize
+    bits = 8 * jnp.result_type(float).itemsize  # of JAX's real numbers: 32 or 64
     if bits != study.config.loop.precision:
         enabled = study.config.loop.precision == 64
         rule = f"is {study.config.loop.precision}, and JAX computes in {bits} bits"
@@ -65,12 +70,15 @@ def require_values(study: Study, values: Values) -> None:
 
 
 def real_numbers(values: Values) -> dict[str, jax.Array]:
-    """Values as JAX arrays of the precision that is in use."""
+    """Values by name as JAX's real numbers, in the precision that is in use."""
     return {name: jnp.asarray(value, jnp.result_type(float)) for name, value in values.items()}
 
 
 def drawn_values(study: Study, indices: np.ndarray) -> Arrays:
-    """Values of all uncertain and swept numbers in some draws, shape (n,) each; swept ones have their first value."""
+    """Values of all uncertain and swept numbers in n draws, by name, shape (n,) each.
+
+    A swept number has the first value of its sweep.
+    """
     first_point = [np.zeros(len(indices), int)] * len(study.axes)
     return lane_numbers(study, (*first_point, indices))
 
@@ -100,12 +108,12 @@ class LaneFunction:
     @property
     def example(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Arguments of the function: values and index of the first draw."""
-        indices = np.arange(1, dtype=np.uint32)
+        indices = np.zeros(1, dtype=np.uint32)
         columns = drawn_values(self.study, indices)
         return {name: column[0] for name, column in columns.items()}, indices[0]
 
     def draws(self, count: int | None = None) -> tuple[Arrays, np.ndarray]:
-        """Values and indices of the first draws, for ``jax.vmap``; the same draws as those of :func:`dssc_jax.run`.
+        """Values and indices of the first draws, for ``jax.vmap``: the same draws as :func:`dssc_jax.run` simulates.
 
         Args:
             count: Number of draws; None: as many as the study has.
@@ -140,7 +148,7 @@ class Stepper:
     @property
     def example(self) -> tuple[dict[str, np.ndarray], jax.Array]:
         """Arguments of :meth:`init`: values and random key of the first draw."""
-        columns = drawn_values(self.study, np.arange(1))
+        columns = drawn_values(self.study, np.zeros(1, int))
         return {name: column[0] for name, column in columns.items()}, self.key(0)
 
     def key(self, index: jax.Array | int) -> jax.Array:
@@ -163,14 +171,14 @@ class Stepper:
         return StepState(jnp.zeros((), jnp.int32), loop, numbers, key)
 
     def step(self, state: StepState) -> tuple[StepState, Recorded]:
-        """Measure, control, and integrate to the next sample.
+        """Advance the loop by one sample: measure, control, and integrate to the next sample.
 
         Every call computes the matrix exponentials of linear parts again.
 
         Returns:
-            The next state, and the signals of this sample: those of each channel (``info.instant.channels``), the
-            plant's outputs, the desired outputs, inputs and outputs of the controllers (``info.controlled``), and
-            whether the state is still finite and the model valid.
+            The next state, and a record of this sample. It has the signals of each channel
+            (``info.instant.channels``), the plant's outputs, the desired outputs, and inputs and outputs of the
+            controllers (``info.controlled``). It also tells whether the state is still finite and the model valid.
         """
         params = self.study.params(state.values)
         next_state, info = step(self.study.loop, params, state.key, state.loop, state.k)
@@ -185,8 +193,8 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
 
     Args:
         study: The study.
-        segment: Number of samples between the checkpoints that reverse mode stores; it recomputes those between. None:
-            it stores every sample.
+        segment: Number of samples between the checkpoints that reverse mode stores; it computes the samples between two
+            checkpoints again. None: it stores every sample.
 
     Raises:
         ConfigError: The segment has no sample, a margin of the linearised loop is required, or a part keeps its state
@@ -206,9 +214,9 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
         raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
     study.require_single_laws()
     require_steps_in_any_order(study, "a pure function of the flight")
-    margin = next(iter(margins_of(study.measures)), None)
-    if margin is not None:
-        rule = f"{margin} is that of the linearised loop, which a pure function of the flight does not have"
+    margins = list(margins_of(study.measures))
+    if margins:
+        rule = f"{margins[0]} is that of the linearised loop, which a pure function of the flight does not have"
         raise ConfigError(study.source, f"{rule}; take the requirement out, or use `run`")
     return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 

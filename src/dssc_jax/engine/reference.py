@@ -23,14 +23,16 @@ from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 
 TOLERANCE = {64: 1e-9, 32: 2e-3}
-"""Relative deviation, by precision, between different programs, compilers or machines in a loop that does not amplify
-rounding: they contract multiply-adds differently."""
+"""Relative deviation, by precision [bits], that rounding explains in a loop that does not amplify it.
+
+Different programs, compilers and machines contract multiply-adds differently.
+"""
 
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
-"""Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
+"""Relative change, by precision [bits], of every number that tests a lane's sensitivity: a few rounding errors."""
 
-RESTING = {64: 1e-12, 32: 1e-6}  # most size of a metric at rest over that of the largest metric, by precision
-COPIES = 4  # copies of a lane, moved in different directions
+RESTING = {64: 1e-12, 32: 1e-6}  # by precision: most size of a metric at rest, relative to the largest metric
+COPIES = 4  # copies of a lane, whose numbers are changed in different directions
 ROUNDING_FACTOR = 100.0  # allowed deviation over that of the copies, because rounding acts in every operation
 UNDECIDED_BEYOND = 1e-2  # allowed deviation beyond which a lane is no evidence
 MOST_CHANGE = UNDECIDED_BEYOND / ROUNDING_FACTOR  # by rounding, of a lane that is evidence
@@ -44,7 +46,7 @@ VERDICTS = {
 
 
 class Agreement(NamedTuple):
-    """Agreement of stored lanes with recomputed ones.
+    """How well stored values of n lanes agree with recomputed values.
 
     Args:
         deviation: Largest relative deviation of a value in each lane, shape (n,); infinite where outcomes differ.
@@ -58,19 +60,24 @@ class Agreement(NamedTuple):
 
     @property
     def decided(self) -> np.ndarray:
-        """Whether each lane is evidence because rounding hardly changes it, shape (n,)."""
+        """Whether each lane is evidence, because rounding alone hardly changes it, shape (n,)."""
         return self.allowed <= UNDECIDED_BEYOND
 
     @property
     def verdict(self) -> str:
-        """``differs`` if rounding does not explain a deviation, ``undecided`` without evidence, else ``agrees``."""
-        if np.any(self.decided & (self.deviation > self.allowed)):
+        """The verdict, a key of :data:`VERDICTS`.
+
+        ``differs``: rounding does not explain the deviation of a lane that is evidence. ``undecided``: no lane is
+        evidence. ``agrees``: all others.
+        """
+        is_unexplained = self.decided & (self.deviation > self.allowed)
+        if np.any(is_unexplained):
             return "differs"
         return "agrees" if self.decided.any() else "undecided"
 
 
 def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
-    """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each.
+    """Metrics, slacks and outcome of n lanes by the plain program, by name, shape (n,) each.
 
     Args:
         study: The study.
@@ -87,17 +94,25 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
 
 
 def recompute(study: Study, lanes: Lanes) -> Arrays:
-    """Every variable of a result at some lanes, by the plain program, shape (n,) each."""
+    """Compute every variable of a result at n lanes again by the plain program; by name, shape (n,) each."""
+    *_, draws = lanes
     values = lane_numbers(study, lanes)
-    return {name: values[name] for name in study.laws} | plain_results(study, values, lanes[-1])
+    drawn = {name: values[name] for name in study.laws}
+    return drawn | plain_results(study, values, draws)
 
 
 def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
-    """Results of :data:`COPIES` copies of lanes by the plain program, with every number changed in its last bits."""
+    """Results of :data:`COPIES` copies of n lanes by the plain program, with every number changed in its last bits.
+
+    Their differences tell how much the loop amplifies rounding.
+    """
+    *_, draws = lanes
+    count = len(draws)
     columns = {}
     for name, number in study.numbers.items():
-        if isinstance(number.value, float) and not number.expression and number.quantity.law:
-            columns[name] = np.full(len(lanes[-1]), number.value)
+        may_be_changed = isinstance(number.value, float) and not number.expression and number.quantity.law
+        if may_be_changed:
+            columns[name] = np.full(count, number.value)
     columns |= lane_numbers(study, lanes)
     rng = np.random.default_rng(0)
     shift = SHIFT[study.config.loop.precision]
@@ -105,8 +120,7 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
     for name, column in columns.items():
         signs = rng.choice([-1.0, 1.0], (COPIES, len(column)))
         values[name] = (column * (1.0 + shift * signs)).ravel()
-    results = plain_results(study, values, np.tile(lanes[-1], COPIES))
-    count = len(lanes[-1])
+    results = plain_results(study, values, np.tile(draws, COPIES))
     copies = []
     for first in range(0, COPIES * count, count):
         copies.append({name: array[first : first + count] for name, array in results.items()})
@@ -114,16 +128,24 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
 
 
 def stored_lanes(dataset: xr.Dataset, names: Iterable[str], lanes: Lanes) -> Arrays:
-    """Variables of a stored result at some lanes, shape (n,) each; variables of draws do not depend on the sweep."""
+    """Some variables of a stored result at n lanes, by name, shape (n,) each.
+
+    A drawn number is stored once for each draw, because it does not depend on the sweep.
+    """
+    *_, draws = lanes
     columns = {}
     for name in names:
         array = dataset[name]
-        columns[name] = array.values[lanes[-1:] if array.dims == ("draw",) else lanes]
+        is_drawn_number = array.dims == ("draw",)
+        columns[name] = array.values[draws] if is_drawn_number else array.values[lanes]
     return columns
 
 
 def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping[str, np.ndarray]) -> Agreement:
-    """Compare some lanes of a stored result with the values of another program.
+    """Compare n lanes of a stored result with the values of another program.
+
+    Lanes that deviate by more than rounding alone explains run again in copies with changed last bits. These tell how
+    much of the deviation the loop's own amplification of rounding explains.
 
     Args:
         study: The study.
@@ -135,7 +157,7 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
     sizes = {name: typical_size(dataset[name].values) for name in computed}
     deviations_by_name = deviations(study, sizes, stored_values, computed)
     names = np.array(list(deviations_by_name))
-    table = np.stack(list(deviations_by_name.values()))
+    table = np.stack(list(deviations_by_name.values()))  # shape (variables, n)
     rounding = TOLERANCE[study.config.loop.precision]
     allowed = np.full(table.shape[1], rounding)
     is_doubtful = table.max(0) > rounding
@@ -154,9 +176,9 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
 
 
 def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[str, np.ndarray]) -> list[str]:
-    """The metrics that consist of rounding errors only, such as those of a channel at rest.
+    """Names of the metrics that consist of rounding errors only, such as the error of a channel at rest.
 
-    They are far smaller than other metrics, whatever the units, and rounding changes them too much for any evidence.
+    Such a metric is far smaller than all others, whatever the units, and rounding changes it too much to be evidence.
 
     Args:
         study: The study.
@@ -176,11 +198,11 @@ def resting_metrics(study: Study, sizes: Mapping[str, float], spreads: Mapping[s
 def deviations(
     study: Study, sizes: Mapping[str, float], stored: Mapping[str, np.ndarray], computed: Mapping[str, np.ndarray]
 ) -> Arrays:
-    """Relative deviation of computed from stored variables, shape (n,) each.
+    """Relative deviation of computed from stored variables, by name, shape (n,) each.
 
-    It is relative to the stored value or to the variable's typical size, whichever is larger. A number of samples may
-    differ by one for nothing, because rounding can move an event by a sample. The deviation is 0 for equal values, NaN
-    included, and infinite for different outcomes and where only one of two values is finite.
+    It is relative to the stored value or to the variable's typical size, whichever is larger. A difference of one
+    sample counts as none, because rounding can move an event by a sample. Two NaN are equal. The deviation is infinite
+    for different outcomes, and where only one of two values is finite.
 
     Args:
         study: The study.
@@ -206,9 +228,10 @@ def deviations(
 
 
 def sample_changes(study: Study) -> dict[str, float]:
-    """The change of each variable that counts samples if one sample is added, by name, and a little more."""
-    period = (1.0 + 1e-6) * study.loop.sample_time
-    one_sample = {"s": period, "1": (1.0 + 1e-6) * (1.0 / study.loop.steps)}
+    """The change of each variable that counts samples if one sample is added, by name, in the variable's unit."""
+    with_rounding = 1.0 + 1e-6
+    period = with_rounding * study.loop.sample_time
+    one_sample = {"s": period, "1": with_rounding * (1.0 / study.loop.steps)}  # by unit: a time, a share of the time
     changes = {"failed_at": period, "settled_at": period}
     for measure in study.measures:
         if measure.metric.counted:

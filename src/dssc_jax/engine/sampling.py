@@ -21,7 +21,7 @@ from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.study import Study
 
-OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite
+OUTERMOST_LEVEL = 2.0**-53  # least distance of a level from 0 and 1, so that quantiles of unbounded laws are finite
 Arrays = dict[Any, np.ndarray]
 """Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
 
@@ -29,15 +29,24 @@ SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits 
 
 
 def draw_key(seed: jax.Array | int, index: jax.Array | int) -> jax.Array:
-    """The random key of draw ``index``."""
+    """The random key of a draw, from which all its in-loop noise follows.
+
+    Args:
+        seed: The study's seed.
+        index: Index of the draw.
+    """
     return jax.random.fold_in(jax.random.key(seed), index)
 
 
 @lru_cache(maxsize=1)
 def level_program() -> CompiledLanes:
-    """Machine code for (seed, draw index, stream of an uncertain number) -> a number in [0, 1)."""
+    """Compile, once, the program that draws the level of an uncertain number.
+
+    It maps (seed, draw index, stream of the number) to a uniform random number in [0, 1).
+    """
 
     def level(seed: jax.Array, index: jax.Array, stream: jax.Array) -> jax.Array:
+        """The level of the number with this stream in one draw, float64."""
         return jax.random.uniform(jax.random.fold_in(draw_key(seed, index), stream), dtype=jnp.float64)
 
     word = jax.ShapeDtypeStruct((), np.uint32)
@@ -46,7 +55,13 @@ def level_program() -> CompiledLanes:
 
 
 def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Independent random points of the half-open unit cube, shape (n, streams)."""
+    """Independent random points of the half-open unit cube, shape (n, streams).
+
+    Args:
+        seed: The study's seed.
+        streams: Random stream of each uncertain number.
+        indices: Draw indices, shape (n,).
+    """
     draws, draw_streams = np.meshgrid(indices, np.array(streams, np.uint32), indexing="ij")
     columns = np.full(draws.size, seed), draws.ravel(), draw_streams.ravel()
     one_thread = 1  # all others may still simulate the previous block
@@ -54,12 +69,12 @@ def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndar
 
 
 def random_points(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Random points of the unit cube, shape (n, streams)."""
+    """Points of the unit cube for the design ``random``: independent draws, shape (n, streams)."""
     return uniform(study.config.seed, streams, indices)
 
 
 def generator(*words: int) -> np.random.Generator:
-    """A random generator of the host, independent for each tuple of words."""
+    """A random generator of NumPy; each tuple of words gives an independent one."""
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
@@ -86,7 +101,10 @@ def sobol_points(dimension: int, start: int, end: int, words: Sequence[int]) -> 
 
 
 def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of scrambled Sobol sequences, one for each replicate, shape (n, streams)."""
+    """Points of the unit cube for the design ``sobol``, shape (n, streams).
+
+    Each replicate has a scrambled Sobol sequence of its own, and every R-th draw belongs to it.
+    """
     points = np.empty((len(indices), len(streams)))
     position, replicate = np.divmod(indices, study.config.replicates)
     for r in np.unique(replicate):
@@ -100,7 +118,10 @@ def replicated_sobol(study: Study, streams: tuple[int, ...], indices: np.ndarray
 
 @lru_cache(maxsize=1)
 def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: int) -> np.ndarray:
-    """All points of a study's Latin hypercubes, shape (draws, streams): a design of one dimension for each stream."""
+    """All points of a study's Latin hypercubes, shape (draws, streams).
+
+    Each uncertain number has designs of one dimension, from its own stream, so that no other number changes them.
+    """
     from scipy.stats import qmc
 
     design = np.empty((draws // replicates, replicates, len(streams)))
@@ -112,7 +133,10 @@ def latin_design(seed: int, streams: tuple[int, ...], replicates: int, draws: in
 
 
 def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:
-    """Points of Latin hypercubes, one for each replicate, shape (n, streams); they depend on the number of draws."""
+    """Points of the unit cube for the design ``lhs``, shape (n, streams): one Latin hypercube for each replicate.
+
+    They depend on the study's number of draws.
+    """
     config = study.config
     return latin_design(config.seed, streams, config.replicates, config.draws)[indices]
 
@@ -126,7 +150,7 @@ SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.nd
 
 
 def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
-    """Points of the open unit cube by the study's design.
+    """Points of the open unit cube by the study's design of draws.
 
     Args:
         study: The study.
@@ -145,12 +169,14 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
 
 
 def inside_cube(points: np.ndarray) -> np.ndarray:
-    """Points clipped to the inside of the unit cube, since quantiles may be infinite on its faces."""
+    """Points moved to the inside of the unit cube, because quantiles may be infinite on its faces."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
 
 def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers at points of the unit cube; a Gaussian copula correlates them.
+    """Values of the uncertain numbers at points of the unit cube.
+
+    A Gaussian copula correlates them: it mixes the scores, the standard normal quantiles of the coordinates.
 
     Args:
         study: The study.
@@ -163,15 +189,17 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     points = np.asarray(points).copy()
     coupled = [names.index(name) for name in study.correlated]
     if coupled:
-        normal = scipy.special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
-        points[:, coupled] = inside_cube(scipy.special.ndtr(normal))
+        scores = scipy.special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
+        points[:, coupled] = inside_cube(scipy.special.ndtr(scores))
     return values_at_levels(study, points)
 
 
 def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers, shape (n,) each, at levels of their laws, shape (n, laws).
+    """Values of the uncertain numbers at levels of their laws, by name, shape (n,) each.
 
-    Correlations are in the levels already.
+    Args:
+        study: The study.
+        levels: A probability for each law, in which correlations are contained already, shape (n, laws).
     """
     values = {}
     for column, (name, law) in enumerate(study.laws.items()):
@@ -180,7 +208,11 @@ def values_at_levels(study: Study, levels: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def mixing(study: Study) -> np.ndarray:
-    """The Cholesky factor M of the copula, shape (laws, laws): M z are correlated scores for independent scores z."""
+    """The matrix M that correlates the laws' scores, shape (laws, laws).
+
+    For independent standard normal scores z, M z are the scores of the Gaussian copula: M is the Cholesky factor of its
+    correlation matrix.
+    """
     names = list(study.laws)
     matrix = np.eye(len(names))
     coupled = [names.index(name) for name in study.correlated]
@@ -190,7 +222,7 @@ def mixing(study: Study) -> np.ndarray:
 
 
 def draw(study: Study, indices: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of the uncertain numbers in some draws.
+    """Values of the uncertain numbers in n draws.
 
     Args:
         study: The study.

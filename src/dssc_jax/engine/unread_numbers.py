@@ -14,22 +14,27 @@ from dssc_jax.study import Study
 
 
 def unread_numbers(study: Study) -> list[str]:
-    """The names of uncertain numbers of user-defined parts on which no result of a flight depends.
+    """Names of the uncertain numbers of user-defined parts on which no result of a flight depends.
 
-    This follows from the traced program, not from values, so a limit that no flight reaches counts as read. A parameter
-    that such a number follows from may still have an effect elsewhere.
+    The traced program tells them, not values, so a limit that no flight reaches counts as read. A parameter from which
+    such a number follows may still have an effect elsewhere.
     """
     slots = {function.part.partition(".")[0] for function in user_functions(study.loop).values()}
     if not slots or not study.laws:
         return []
     is_read_by_name: dict[str, bool] = {}
 
-    def trace(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+    def record_reads(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        """Note in ``is_read_by_name`` which numbers the program of a lane reads; it is only traced, for that effect.
+
+        JAX's elimination of dead code tells which inputs of a program have an effect on its results.
+        """
         numbers, structure = jax.tree.flatten(study.params(values))
         uncertain = [position for position, number in enumerate(numbers) if not is_known(number)]
         margins = margins_in(study, values)
 
         def results(traced_numbers: list[jax.Array]) -> dict[str, Scalar]:
+            """The results of the lane's draw as a function of its uncertain parameters."""
             all_numbers = list(numbers)
             for position, number in zip(uncertain, traced_numbers, strict=True):
                 all_numbers[position] = number
@@ -43,10 +48,12 @@ def unread_numbers(study: Study) -> list[str]:
         _, used_flags = dce_jaxpr(program, [True] * len(program.outvars))
         names = study.leaf_names()
         for position, is_used in zip(uncertain, used_flags, strict=True):
-            is_read_by_name[names[position]] = is_read_by_name.get(names[position], False) or is_used
+            name = names[position]
+            is_read_by_name[name] = is_read_by_name.get(name, False) or is_used
         return index
 
     with arithmetic(study.config.loop.precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        jax.eval_shape(trace, dict.fromkeys(lane_names(study), number), jax.ShapeDtypeStruct((), jnp.uint32))
-    return [name for name, is_read in is_read_by_name.items() if not is_read and name.partition(".")[0] in slots]
+        jax.eval_shape(record_reads, dict.fromkeys(lane_names(study), number), jax.ShapeDtypeStruct((), jnp.uint32))
+    unread_names = [name for name, is_read in is_read_by_name.items() if not is_read]
+    return [name for name in unread_names if name.partition(".")[0] in slots]

@@ -9,7 +9,8 @@ import numpy as np
 
 from dssc_jax.closed_loop.between_samples.fixed_steps import advance_by_steps
 from dssc_jax.closed_loop.estimates import estimation_of
-from dssc_jax.closed_loop.sample import LoopState, held_parts, initial_state, step
+from dssc_jax.closed_loop.first_state import initial_state
+from dssc_jax.closed_loop.sample import LoopState, held_parts, step
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.engine.sampling import draw_key

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.first_state import initial_state
+from dssc_jax.closed_loop.sample import LoopState, held_between_samples, step
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values, takes_signals

@@ -10,6 +10,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.hints.conversions import likeness_text
 from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.statistics.exchangeable import extremeness, largest_departures
 from dssc_jax.study import Study
 
@@ -80,7 +81,7 @@ def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(levels, values, strict=True))
 
 
-def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
+def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, Hint]:
     """Logged outputs that look like the draws' median in another unit, sign or channel, with the words for it.
 
     Where the draws' median is large, such an output is beyond all draws for most of the time.
@@ -98,5 +99,5 @@ def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
         is_large = np.isfinite(values) & (size > LARGE_SHARE * np.nanmax(size))
         is_outside = (values < signal["lowest"].values) | (values > signal["highest"].values)
         if text and np.count_nonzero(is_outside & is_large) > MOSTLY * np.count_nonzero(is_large):
-            hints[name] = text
+            hints[name] = Hint("output-likeness", text)
     return hints

@@ -268,7 +268,7 @@ def next_flight(
     warnings = []
     for log in logs:
         for warning in replay_log(study, log).warnings:
-            warnings.append(FlightWarning(warning.signal, warning.text, log.name))
+            warnings.append(FlightWarning(warning.signal, warning.code, warning.text, log.name))
     analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability, tuple(warnings))
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)

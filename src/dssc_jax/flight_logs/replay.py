@@ -38,7 +38,7 @@ from dssc_jax.flight_logs.reading.reader import (
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, signal_warnings
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
@@ -269,15 +269,17 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     factors = dict(integrals.factors)
     doubt_of_times = times_text(log, LONGER * loop.sample_time * loop.steps)
     if doubt_of_times:
-        factors["t"] = doubt_of_times
+        is_counted = doubt_of_times.startswith("counts")
+        factors["t"] = Hint("row-numbers" if is_counted else "repeated-times", doubt_of_times)
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
         if followed_text:
-            conversions.setdefault(signal_name(channel, "y"), followed_text)
+            conversions.setdefault(signal_name(channel, "y"), Hint("another-unit", followed_text))
         y_ref = signal_name(channel, "y_ref")
         if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
-            conversions[signal_name(channel, "y")] = f"looks exchanged with {y_ref}: it is the study's reference"
+            text = f"looks exchanged with {y_ref}: it is the study's reference"
+            conversions[signal_name(channel, "y")] = Hint("exchanged-columns", text)
             del comparison.others[y_ref]
         if not commands:
             continue
@@ -293,12 +295,12 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
         else:
             unit_text = command_unit(signals["u_total"], replay, units.of("u"))
-            hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
-            rate_text = rate_hint(log.columns[name], loop.sample_time)
+            hint = rate_hint(log.columns[name], loop.sample_time)
+            hint = hint or command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
             if unit_text:
-                conversions[name] = unit_text
-            elif rate_text or hint:
-                factors[name] = rate_text or hint
+                conversions[name] = Hint("another-unit", unit_text)
+            elif hint is not None:
+                factors[name] = hint
     conversions |= angle_hints(study, log, references)
     hints = LogHints(
         conversions=conversions,
@@ -339,7 +341,7 @@ def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
         )
     wrong = replay.hints.conversions
     if wrong:
-        reasons = "; ".join(f"{name} {text}" for name, text in wrong.items())
+        reasons = "; ".join(f"{name} {hint.text}" for name, hint in wrong.items())
         raise ConfigError(log.name, f"{reasons}. {REMEDY}")
 
 

@@ -2,9 +2,64 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 from dssc_jax.core.quantities import Quantity
+
+WarningCode: TypeAlias = Literal[
+    "another-command",
+    "another-reference",
+    "another-unit",
+    "clock-rate",
+    "command-dropouts",
+    "command-jump",
+    "command-offset",
+    "command-spikes",
+    "copied-column",
+    "damaged-log",
+    "delayed-command",
+    "delayed-output",
+    "early-end",
+    "estimate-outside-law",
+    "estimator-reset",
+    "exchanged-columns",
+    "faster-controller",
+    "held-command",
+    "held-output",
+    "initial-output",
+    "initial-speed",
+    "integral-factor",
+    "interpolated-command",
+    "interpolated-output",
+    "invalid-values",
+    "large-residual",
+    "level-start",
+    "missing-force",
+    "noisy-output",
+    "outliers",
+    "output-jump",
+    "output-likeness",
+    "rare-command",
+    "reference-slope",
+    "repeated-times",
+    "rough-squares",
+    "row-numbers",
+    "shifted-command",
+    "shifted-reference",
+    "start-in-air",
+    "start-motion",
+    "still-rate",
+    "stuck-command",
+    "stuck-output",
+]
+"""What a warning is about, for scripts; docs/log_fits.md lists the codes beside the messages."""
+
+
+class Hint(NamedTuple):
+    """What is wrong with a signal or a number, in words that follow its name."""
+
+    code: WarningCode
+    text: str
 
 
 @dataclass(frozen=True)
@@ -14,6 +69,7 @@ class SignalWarning:
     signal: Annotated[
         str, Quantity("", "signal of the log or number of the study that a warning concerns; empty: the answer as such")
     ]
+    code: Annotated[WarningCode, Quantity("", "what it is about, for scripts")]
     text: Annotated[str, Quantity("", "what is wrong, what follows from it, and what to do")]
 
 
@@ -24,6 +80,6 @@ class FlightWarning(SignalWarning):
     log: Annotated[str, Quantity("", "name of the log that it concerns")]
 
 
-def signal_warnings(hints: Mapping[str, str]) -> tuple[SignalWarning, ...]:
+def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
     """The warnings for hints, which say by signal or number what is wrong with it."""
-    return tuple(SignalWarning(name, f"{name} {text}") for name, text in hints.items())
+    return tuple(SignalWarning(name, hint.code, f"{name} {hint.text}") for name, hint in hints.items())

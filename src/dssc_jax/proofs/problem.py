@@ -11,6 +11,18 @@ Box = dict[str, Interval]
 """Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
 
 
+def interval_ends(interval: Interval) -> tuple[float, ...]:
+    """The two ends of an interval; a single number if they are equal."""
+    low, high = interval
+    return (low, high) if low < high else (low,)
+
+
+def middle(interval: Interval) -> float:
+    """The middle of an interval."""
+    low, high = interval
+    return 0.5 * (low + high)
+
+
 class NominalControl(NamedTuple):
     """The nominal control u_n of a loop.
 

@@ -2,11 +2,11 @@
 
 The folder of a run holds
 
-* ``manifest.json``: the study as run, versions, device, counts and times, with a digest of itself and one of all blocks
+* ``manifest.json``: the study as run, versions, device, counts and times, with a digest of itself and of all blocks
   (:mod:`~dssc_jax.results.manifest`);
-* ``data.zarr``: one array for each metric, slack and drawn number, and for ``outcome``
+* ``data.zarr``: an array for each metric, slack and drawn number, and for ``outcome``
   (:mod:`~dssc_jax.results.schema` names them, :mod:`~dssc_jax.results.arrays` creates and checks them);
-* ``digests``: one file for each block of draws; it is written after the block's chunks and marks the block as complete
+* ``digests``: a file for each block of draws; it is written after the block's chunks and marks the block as complete
   (:mod:`~dssc_jax.results.digests`, :mod:`~dssc_jax.results.blocks`);
 * ``summary.json``: failures, intervals and quantiles of every point, derived from the data and never read back
   (:mod:`~dssc_jax.results.summary`);

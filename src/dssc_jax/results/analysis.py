@@ -1,4 +1,4 @@
-"""Base class of all analyses."""
+"""Base class of all analyses, which saves and loads them by the types of their fields."""
 
 import json
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
-APART = {STORED_APART: True}
+APART = {STORED_APART: True}  # metadata of a field
 
 
 @dataclass(eq=False)
@@ -43,7 +43,7 @@ class Analysis(ABC):
     title: ClassVar[str]
     """Title of the analysis in a report."""
     table: ClassVar[tuple[str, ...]]
-    """Dimensions of the dataset along which its exported table has one row for each element."""
+    """Dimensions of the dataset along which its exported table has a row for each element."""
 
     study: Study = field(metadata=APART)
     dataset: xr.Dataset = field(repr=False, metadata=APART)
@@ -66,13 +66,13 @@ class Analysis(ABC):
 
     @classmethod
     def answer_type(cls) -> type:
-        """The type of :attr:`answer`."""
+        """The type of :attr:`answer`, as its annotation declares it."""
         getter = cls.answer.fget
         assert getter is not None
         return get_type_hints(getter)["return"]
 
     def summary(self) -> JsonObject:
-        """The answer in plain numbers, for JSON; infinite values and NaN become None."""
+        """The answer in plain numbers, for JSON, with the name of the study; infinite values and NaN become None."""
         integration = {} if self.integration is None else {"integration": self.integration}
         return {"study": self.study.name} | jsonable(self.answer) | integration
 
@@ -100,10 +100,10 @@ class Analysis(ABC):
         Raises:
             ConfigError: It contains no such analysis, or it is damaged.
         """
-        folder_content = read_analysis(Path(folder), cls.kind, trust_code)
-        integration = folder_content.settings.pop("integration", None)
+        stored = read_analysis(Path(folder), cls.kind, trust_code)
+        integration = stored.settings.pop("integration", None)
         try:
-            analysis = restored_analysis(cls, folder_content.study, folder_content.dataset, folder_content.settings)
+            analysis = restored_analysis(cls, stored.study, stored.dataset, stored.settings)
             _ = analysis.answer  # damage raises here, not where the answer is used
         except ConfigError as error:
             rule = f"{cls.kind}.json is damaged, or of another version: {error}"
@@ -116,21 +116,21 @@ class Analysis(ABC):
         return analysis
 
     def __eq__(self, other: object) -> bool:
-        """Whether both are equal analyses of the same study."""
+        """Whether the other is an analysis of the same kind and study, with the same numbers."""
         if not isinstance(other, type(self)):
             return NotImplemented
         if self.study.hash != other.study.hash or not self.dataset.identical(other.dataset):
             return False
         return json.dumps(self.summary(), sort_keys=True) == json.dumps(other.summary(), sort_keys=True)
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]  # an analysis is mutable
 
 
 Kind = TypeVar("Kind", bound=Analysis)
 
 
 def restored_analysis(kind: type[Kind], study: Study, dataset: xr.Dataset, settings: JsonObject) -> Kind:
-    """Make an analysis again from its study, its dataset and its stored fields.
+    """Rebuild an analysis from its study, its dataset and its stored fields.
 
     Args:
         kind: Class of the analysis.

@@ -19,7 +19,7 @@ from dssc_jax.study import Study, hash_of, stored_study
 from dssc_jax.study.tables import require_shallow
 
 REQUIRED_ENTRIES = {"study": dict, "hash": str, "source": str, "settings": dict, "sums": dict}
-"""Entries of a description, and their types."""
+"""Entries that every description has, and their types."""
 
 FLAGS = ("flag_values", "flag_meanings")
 """Attributes with the texts that codes stand for, following the CF conventions."""
@@ -40,7 +40,9 @@ class StoredAnalysis(NamedTuple):
 
 
 def require_free_folder(folder: Path, kind: str, study: Study) -> None:
-    """Require that a folder is absent, empty, or contains an analysis of this kind and study.
+    """Refuse a folder into which an analysis cannot be written without a loss.
+
+    It must be absent or empty, or contain an analysis of this kind and study.
 
     Raises:
         ConfigError: The folder contains something else, such as a symbolic link, or cannot be read.
@@ -58,15 +60,18 @@ def require_free_folder(folder: Path, kind: str, study: Study) -> None:
 
 
 def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: JsonObject, settings: JsonObject) -> Path:
-    """Write the folder of an analysis; one of the same kind and study is overwritten.
+    """Write the folder of an analysis, and read it back; an analysis of the same kind and study is overwritten.
 
     Args:
         folder: Created if absent.
         kind: Kind of analysis, e.g. ``margin``.
         study: The study that was analysed.
-        dataset: Its numbers.
-        summary: Summary of the numbers.
+        dataset: The numbers of the analysis.
+        summary: Summary of the numbers, which is never read back.
         settings: Other data needed for reading.
+
+    Returns:
+        The folder.
 
     Raises:
         ConfigError: The folder contains something else, or what is read back is not what was written.
@@ -74,8 +79,8 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     require_free_folder(folder, kind, study)
     files.make_folder(folder)
     coded_dataset, labels = with_text_codes(dataset)
-    plain = with_uniform_nan(coded_dataset)
-    sums = digests_of(plain)
+    stored = with_uniform_nan(coded_dataset)
+    sums = digests_of(stored)
     description = {
         "study": study.table,
         "hash": study.hash,
@@ -87,9 +92,10 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
         **code_entries(study),
     }
     write_sealed(folder / f"{kind}.json", description)
-    plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
+    stored.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
-    if read_description(folder, kind)["sums"] != sums or digests_of(stored_dataset(folder)) != sums:
+    holds_sums = read_description(folder, kind)["sums"] == sums
+    if not holds_sums or digests_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
     return folder
 
@@ -108,7 +114,8 @@ def with_uniform_nan(dataset: xr.Dataset) -> xr.Dataset:
     float_variables = {}
     for name, variable in dataset.data_vars.items():
         if variable.dtype.kind == "f":
-            float_variables[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
+            values = variable.values
+            float_variables[name] = variable.copy(data=np.where(np.isnan(values), np.nan, values))
     return dataset.assign(float_variables)
 
 
@@ -116,17 +123,19 @@ def with_text_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str
     """Replace text coordinates of a dataset by numbers, since Zarr has no stable type for text.
 
     Returns:
-        The dataset with numbers, and the texts of each coordinate.
+        The dataset with numbers, and the texts of each coordinate, by name of the coordinate.
     """
     labels = {}
     codes = {}
     for name, variable in dataset.coords.items():
-        if variable.dtype.kind not in "UO":
+        is_text = variable.dtype.kind in "UO"  # kinds of NumPy: Unicode, object
+        if not is_text:
             continue
         texts = variable.values.tolist()
-        flags = (list(range(len(texts))), " ".join(text.replace(" ", "_") for text in texts))
+        words = [text.replace(" ", "_") for text in texts]
+        attributes = {**variable.attrs, "flag_values": list(range(len(texts))), "flag_meanings": " ".join(words)}
         labels[str(name)] = texts
-        codes[str(name)] = (name, np.arange(len(texts)), variable.attrs | dict(zip(FLAGS, flags, strict=True)))
+        codes[str(name)] = (name, np.arange(len(texts)), attributes)
     return dataset.assign_coords(codes), labels
 
 
@@ -140,7 +149,10 @@ def with_texts(dataset: xr.Dataset, labels: Mapping[str, list[str]]) -> xr.Datas
 
 
 def digests_of(dataset: xr.Dataset) -> dict[str, str]:
-    """Digests of each variable and coordinate with dimensions and attributes; ``""`` is that of the dataset's own."""
+    """Digest of each variable and coordinate, by name: of its values, dimensions and attributes.
+
+    The key ``""`` has the digest of the dataset's own attributes.
+    """
     sums = {}
     for name, variable in dataset.variables.items():
         context = f"{variable.dims} {attributes_text(variable.attrs)}"
@@ -155,7 +167,7 @@ def attributes_text(attributes: Mapping[Hashable, object]) -> str:
 
 
 def read_description(folder: Path, kind: str) -> Manifest:
-    """Read and check the description of an analysis.
+    """Read and check the description of an analysis, the file ``KIND.json`` of its folder.
 
     Raises:
         ConfigError: It is missing, damaged, or has been altered.
@@ -204,18 +216,23 @@ def read_analysis(folder: Path, kind: str, trust_code: bool) -> StoredAnalysis:
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
     if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
-    dataset = with_order(dataset, description["sums"])
     return StoredAnalysis(
-        stored_study(description, description["source"], trust_code), dataset, description["settings"]
+        study=stored_study(description, description["source"], trust_code),
+        dataset=with_order(dataset, description["sums"]),
+        settings=description["settings"],
     )
 
 
 def with_order(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
-    """The dataset with its variables and coordinates in the order of names.
+    """The dataset with its variables and coordinates in a given order of their names.
 
     Zarr lists arrays in the order in which the file system has them, which differs from one machine to the next.
     """
-    variables = {name: dataset.variables[name] for name in names if name in dataset.variables}
-    coordinates = {name: variable for name, variable in variables.items() if name in dataset.coords}
-    data = {name: variable for name, variable in variables.items() if name in dataset.data_vars}
+    data = {}
+    coordinates = {}
+    for name in names:
+        if name in dataset.coords:
+            coordinates[name] = dataset.variables[name]
+        elif name in dataset.data_vars:
+            data[name] = dataset.variables[name]
     return xr.Dataset(data, coordinates, dataset.attrs)

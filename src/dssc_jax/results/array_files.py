@@ -24,6 +24,7 @@ class ArrayFiles(LocalStore):
     """
 
     def __init__(self, root: Path | str, *, read_only: bool = False) -> None:
+        """Name the folder; it is created or required when the store is opened."""
         super().__init__(Path(root), read_only=read_only)
 
     def _ensure_open_sync(self) -> None:
@@ -38,7 +39,7 @@ class ArrayFiles(LocalStore):
         await Store._open(self)
 
     def _require_root(self) -> None:
-        """Require that the folder exists; one that is written is created if the folder above it exists."""
+        """Require that the folder exists; a store that is written creates it if the folder above it exists."""
         if not self.read_only:
             files.make_folder(self.root, self.root.parent)
         if not self.root.is_dir():
@@ -47,28 +48,40 @@ class ArrayFiles(LocalStore):
     def get_sync(
         self, key: str, *, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """The content of a file, or a part of it; None if there is none."""
+        """The content of a file as a buffer; None if there is no file.
+
+        Args:
+            key: Path of the file within the store.
+            prototype: Kind of the buffer; None: Zarr's default.
+            byte_range: The requested range of bytes; None: all of them.
+        """
         self._ensure_open_sync()
         try:
             content = files.read_bytes(self.root / key)
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
-        return (prototype or default_buffer_prototype()).buffer.from_bytes(part_of(content, byte_range))
+        buffer_type = (prototype or default_buffer_prototype()).buffer
+        return buffer_type.from_bytes(requested_bytes(content, byte_range))
 
     async def get(
         self, key: str, prototype: BufferPrototype | None = None, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """See :meth:`get_sync`."""
+        """The content of a file as a buffer, read in another thread; see :meth:`get_sync`."""
         return await asyncio.to_thread(self.get_sync, key, prototype=prototype, byte_range=byte_range)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """Parts of several files."""
+        """The requested ranges of bytes of several files, one after the other; see :meth:`get_sync`."""
         return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
 
     def set_sync(self, key: str, value: Buffer) -> None:
-        """Write a file."""
+        """Write a file completely or not at all, and create its folder within the store.
+
+        Args:
+            key: Path of the file within the store.
+            value: Its content.
+        """
         self._check_writable()
         self._ensure_open_sync()
         path = self.root / key
@@ -77,11 +90,11 @@ class ArrayFiles(LocalStore):
         files.write_bytes(path, value.as_numpy_array().data, folder, durable=False)
 
     async def set(self, key: str, value: Buffer) -> None:
-        """See :meth:`set_sync`."""
+        """Write a file in another thread; see :meth:`set_sync`."""
         await asyncio.to_thread(self.set_sync, key, value)
 
     async def set_if_not_exists(self, key: str, value: Buffer) -> None:
-        """Write a file unless it exists. The lock of the results folder excludes a second writer."""
+        """Write a file unless it exists. No other process can create it meanwhile: the results folder is locked."""
         if not await self.exists(key):
             await self.set(key, value)
 
@@ -96,7 +109,7 @@ class ArrayFiles(LocalStore):
             files.delete(path, folder)
 
     async def delete(self, key: str) -> None:
-        """See :meth:`delete_sync`."""
+        """Delete a file or a folder in another thread; see :meth:`delete_sync`."""
         await asyncio.to_thread(self.delete_sync, key)
 
     async def delete_dir(self, prefix: str) -> None:
@@ -105,18 +118,18 @@ class ArrayFiles(LocalStore):
         await asyncio.to_thread(files.delete_tree, self.root / prefix, self.root.parent)
 
     async def clear(self) -> None:
-        """Delete every file."""
+        """Delete every file of the store; the empty folder remains."""
         await self.delete_dir("")
         files.make_folder(self.root, self.root.parent)
 
 
-def part_of(content: bytes, part: ByteRequest | None) -> bytes:
-    """The range of bytes of a file's content that Zarr requests; None: all bytes."""
-    match part:
+def requested_bytes(content: bytes, request: ByteRequest | None) -> bytes:
+    """The bytes of a file's content that Zarr requests: a range, all from an offset on, or the last; None: all."""
+    match request:
         case RangeByteRequest():
-            return content[part.start : part.end]
+            return content[request.start : request.end]
         case OffsetByteRequest():
-            return content[part.offset :]
+            return content[request.offset :]
         case SuffixByteRequest():
-            return content[max(0, len(content) - part.suffix) :]
+            return content[max(0, len(content) - request.suffix) :]
     return content

@@ -1,4 +1,4 @@
-"""The Zarr arrays of a results folder: creation, extension, and checks that they are those of the study."""
+"""The Zarr arrays of a results folder: creation, extension, and checks that they belong to the study."""
 
 import json
 from collections.abc import Mapping
@@ -34,30 +34,48 @@ Extent = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 def create_arrays(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
-    """Create all arrays of a store, fill the coordinates, and return the empty arrays of the variables by name."""
+    """Create all arrays of a results folder at once, and fill the coordinates.
+
+    Args:
+        folder: The results folder; arrays in it are deleted.
+        study: The study as run.
+        layout: Blocks of the run.
+
+    Returns:
+        The empty arrays of the variables by name.
+    """
     array_files = ArrayFiles(folder / DATA)
     group = zarr.open_group(array_files, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     values = coordinate_values(study)
-    nodes = {name: metadata(coordinates(study)[name], (values[name].shape, values[name].shape)) for name in values}
-    nodes |= {name: metadata(variable, array_extent(variable, layout)) for name, variable in variables(study).items()}
+    nodes: dict[str, Any] = {}
+    for name, variable in coordinates(study).items():
+        nodes[name] = expected_metadata(variable, coordinate_extent(values[name]))
+    for name, variable in variables(study).items():
+        nodes[name] = expected_metadata(variable, array_extent(variable, layout))
     with zarr.config.set(EVERY_CHUNK):
-        metadata_by_name: dict[str, Any] = {name: ArrayV3Metadata.from_dict(node) for name, node in nodes.items()}
-        arrays: dict[str, Any] = dict(zarr.create_hierarchy(store=group.store, nodes=metadata_by_name))
+        metadata: dict[str, Any] = {name: ArrayV3Metadata.from_dict(node) for name, node in nodes.items()}
+        arrays: dict[str, Any] = dict(zarr.create_hierarchy(store=group.store, nodes=metadata))
     for name, column in values.items():
         arrays[name][...] = column
     return {name: arrays[name] for name in variables(study)}
 
 
 def array_extent(variable: Variable, layout: Layout) -> Extent:
-    """Shape and chunks of a variable's array."""
-    has_draws_alone = variable.dims == ("draw",)
-    return (layout.shape[-1:], layout.block[-1:]) if has_draws_alone else (layout.shape, layout.block)
+    """Shape and chunks of a variable's array: a chunk for each block of lanes."""
+    if variable.dims == ("draw",):
+        return layout.shape[-1:], layout.block[-1:]
+    return layout.shape, layout.block
+
+
+def coordinate_extent(values: np.ndarray) -> Extent:
+    """Shape and chunks of the array of a coordinate with these values: a single chunk."""
+    return values.shape, values.shape
 
 
 def create_array(
     group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False
 ) -> zarr.Array:
-    """Create the array of a variable, with a checksum in every chunk.
+    """Create the empty array of a variable, with a checksum in every chunk.
 
     Args:
         group: The group of the store.
@@ -82,7 +100,13 @@ def create_array(
 
 
 def open_group(folder: Path, mode: str) -> zarr.Group:
-    """Open the Zarr group of a results folder, of version 3 only, since version 2 has a codec that unpickles.
+    """Open the Zarr group of a results folder.
+
+    Only version 3 of Zarr's format is accepted: version 2 has a codec that unpickles, and so may run foreign code.
+
+    Args:
+        folder: The results folder.
+        mode: ``r`` to read, ``r+`` to write.
 
     Raises:
         ConfigError: The group is absent or damaged.
@@ -98,11 +122,12 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
 def default_metadata(dtype: str) -> dict[str, Any]:
     """Metadata that the installed version of Zarr gives an array of a type that :func:`create_array` creates."""
     group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3)
-    return create_array(group, "blank", Variable(("draw",), dtype, {}), ((1,), (1,))).metadata.to_dict()
+    blank = create_array(group, "blank", Variable(("draw",), dtype, {}), extent=((1,), (1,)))
+    return blank.metadata.to_dict()
 
 
-def metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
-    """All metadata of the array of a variable, as they are at its creation."""
+def expected_metadata(variable: Variable, extent: Extent) -> dict[str, Any]:
+    """All metadata that the array of a variable has if it is as it was created."""
     shape, chunks = extent
     variable_metadata = {
         "shape": shape,
@@ -125,11 +150,11 @@ def checked_array(
     extent: Extent,
     any_draw_count: bool = False,
 ) -> zarr.Array:
-    """Open an array and require that its metadata are those of its creation.
+    """Open an array, and refuse it if its metadata have changed since it was created.
 
     Args:
         group: The group of the store.
-        place: Path of the array.
+        place: Path of the array, for its name and for messages.
         variable: The variable of the array.
         extent: Shape and chunks of the array.
         any_draw_count: Whether the array may have another number of draws than the extent.
@@ -142,10 +167,11 @@ def checked_array(
         with zarr.config.set(EVERY_CHUNK):
             array: Any = group[place.name]
         actual = json_text(array.metadata.to_dict())
-        shape = (*shape[:-1], array.shape[-1]) if any_draw_count else shape
+        if any_draw_count:
+            shape = (*shape[:-1], array.shape[-1])
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
-    if actual != json_text(metadata(variable, (shape, chunks))):
+    if actual != json_text(expected_metadata(variable, (shape, chunks))):
         raise ConfigError(str(place), "is damaged: its metadata are not those that its study lays out")
     return array
 
@@ -153,7 +179,7 @@ def checked_array(
 def checked_arrays(
     folder: Path, study: Study, layout: Layout, mode: str = "r", any_draw_count: bool = False
 ) -> dict[str, zarr.Array]:
-    """Open the arrays of all variables of a study, and require that the store holds these and no others.
+    """Open the arrays of all variables of a study, and refuse a folder with missing, changed or further arrays.
 
     Args:
         folder: The results folder.
@@ -166,28 +192,28 @@ def checked_arrays(
         The arrays by name.
 
     Raises:
-        ConfigError: An array is absent or differs from its creation, or there is an additional one.
+        ConfigError: An array is absent or differs from its creation, or there is a further array.
     """
     group = open_group(folder, mode)
     blank_group = zarr.open_group(MemoryStore(), mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     if json_text(group.metadata.to_dict()) != json_text(blank_group.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
-    actual = {
-        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), any_draw_count)
-        for name, variable in variables(study).items()
-    }
+    arrays = {}
+    for name, variable in variables(study).items():
+        extent = array_extent(variable, layout)
+        arrays[name] = checked_array(group, folder / DATA / name, variable, extent, any_draw_count)
     folder_names = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
-    unexpected = folder_names - actual.keys() - coordinates(study).keys()
+    unexpected = folder_names - arrays.keys() - coordinates(study).keys()
     if unexpected:
         raise ConfigError(str(folder / DATA / min(unexpected)), "is damaged: it is no variable of the study")
-    return actual
+    return arrays
 
 
 def require_coordinates(folder: Path, study: Study) -> None:
-    """Require that the coordinates of a store, which other programs read, are those of the study.
+    """Refuse a results folder whose coordinates, which other programs read, are not the study's.
 
     Raises:
-        ConfigError: A coordinate is not.
+        ConfigError: A coordinate differs from the study's.
     """
     group = open_group(folder, "r")
     for name, values in coordinate_values(study).items():
@@ -198,7 +224,7 @@ def require_coordinates(folder: Path, study: Study) -> None:
 def holds_coordinate(group: zarr.Group, place: Path, variable: Variable, values: np.ndarray) -> bool:
     """Whether a coordinate of a store can be read and has these values, shape (n,)."""
     try:
-        array = checked_array(group, place, variable, (values.shape, values.shape))
+        array = checked_array(group, place, variable, coordinate_extent(values))
         return np.array_equal(np.asarray(array), values)
     except Exception:  # zarr and its codecs raise errors of many kinds
         return False
@@ -213,7 +239,9 @@ def has_all_arrays(folder: Path, study: Study, layout: Layout) -> bool:
     try:
         checked_arrays(folder, study, layout, any_draw_count=True)
     except ConfigError as error:
-        if any((folder / DATA / "outcome" / "c").rglob("*")):
+        chunks_of_outcome = folder / DATA / "outcome" / "c"
+        holds_draws = any(chunks_of_outcome.rglob("*"))
+        if holds_draws:
             raise ConfigError(error.where, f"{error.rule}; start over without `resume`") from None
         return False
     return True
@@ -229,7 +257,8 @@ def extend_arrays(folder: Path, study: Study, layout: Layout) -> None:
     for name, values in coordinate_values(study).items():
         variable = coordinates(study)[name]
         if not holds_coordinate(group, folder / DATA / name, variable, values):
-            create_array(group, name, variable, (values.shape, values.shape), overwrite=True)[...] = values
+            array = create_array(group, name, variable, coordinate_extent(values), overwrite=True)
+            array[...] = values
 
 
 def one_line(error: BaseException) -> str:

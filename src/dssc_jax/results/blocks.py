@@ -1,4 +1,4 @@
-"""Reading and writing of a results folder block by block; each block is one chunk of every variable.
+"""Reading and writing of a results folder block by block; each block is a chunk of every variable.
 
 Each chunk is written to a temporary file and moved to its final name. The digests of the block are written last. A
 block is complete if the values of its chunks match the digests.
@@ -47,7 +47,9 @@ def report_write_errors(folder: Path, held_folder: HeldFolder | None = None) -> 
 
 
 class Chunks:
-    """The arrays of a results folder, block by block. Several processes may write, each to blocks of its own.
+    """Reads, writes and checks the arrays of a results folder, block by block.
+
+    Several processes may write, each to blocks of its own.
 
     Args:
         folder: The results folder.
@@ -72,6 +74,7 @@ class Chunks:
         arrays: dict[str, zarr.Array] | None = None,
         held_folder: HeldFolder | None = None,
     ) -> None:
+        """Open the arrays, unless they are given, and check them."""
         self.folder = folder
         self.layout = layout
         self.arrays = checked_arrays(folder, study, layout, mode, any_draw_count) if arrays is None else arrays
@@ -124,7 +127,7 @@ class Chunks:
         return blocks, obsolete_files
 
     def read(self, dataset: xr.Dataset) -> None:
-        """Fill a dataset with the stored values.
+        """Fill a dataset with the stored values, which are not yet compared with their digests.
 
         Raises:
             ConfigError: A variable cannot be read.
@@ -133,12 +136,11 @@ class Chunks:
             try:
                 dataset[name].values[...] = array[...]
             except Exception as error:  # zarr and its codecs raise errors of many kinds
-                raise ConfigError(
-                    str(self.folder / DATA / name), f"is damaged: {one_line(error)}; {RESUME_HINT}"
-                ) from error
+                rule = f"is damaged: {one_line(error)}; {RESUME_HINT}"
+                raise ConfigError(str(self.folder / DATA / name), rule) from error
 
     def require_all(self) -> None:
-        """Require the digests of all blocks.
+        """Refuse a folder in which digests of a block are missing.
 
         Raises:
             ConfigError: Digests are missing, since the run did not finish.
@@ -149,14 +151,14 @@ class Chunks:
             raise incomplete_error(self.folder, missing, sum(map(lanes_in, blocks)))
 
     def require_written(self, dataset: xr.Dataset, seal: str | None) -> None:
-        """Require that a dataset that was read holds the values that were written, by their digests.
+        """Refuse a dataset whose values are not the values that were written, by their digests.
 
         Args:
-            dataset: The dataset.
+            dataset: The dataset, as :meth:`read` filled it.
             seal: The digest over all blocks in the manifest; None for an unfinished run.
 
         Raises:
-            ConfigError: A value differs, or the digests are not those of the run.
+            ConfigError: A value differs, or the digests do not belong to the run.
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
@@ -168,15 +170,16 @@ class Chunks:
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {RESUME_HINT}")
 
     def _ranges(self, block: Block) -> list[DrawRange]:
-        """The digests of a block, if they cover its draws from the first on without a gap; else none."""
+        """The digests of a block, if they cover its draws from the first on without a gap; otherwise an empty list."""
         ranges = stored_ranges(self.folder, self.layout.index(block))
-        end = block[-1].start
+        draws = block[-1]
+        end = draws.start  # of the draws that are covered so far
         for draw_range in ranges:
             start, stop = draw_range.draws
             if start != end or stop <= start:
                 return []
             end = stop
-        return ranges if end <= block[-1].stop else []
+        return ranges if end <= draws.stop else []
 
     def _altered(
         self, block: Block, ranges: list[DrawRange], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
@@ -204,23 +207,35 @@ class Chunks:
 
         Drawn numbers are the same at all points of a sweep, and are stored with the first block of their draws.
         """
-        first = all(part.start == 0 for part in block[:-1])
-        return [name for name in self.arrays if first or name not in self.law_names]
+        is_first_of_draws = all(part.start == 0 for part in block[:-1])
+        if is_first_of_draws:
+            return list(self.arrays)
+        return [name for name in self.arrays if name not in self.law_names]
 
     def _part(self, name: str, block: Block) -> Block:
         """The part of a variable's array that belongs to a block; drawn numbers have the dimension of draws only."""
         return block[-1:] if name in self.law_names else block
 
     def _file(self, name: str, block: Block) -> Path:
-        """Path of the chunk of a variable in a block."""
+        """Path of the chunk of a variable in a block, such as ``data.zarr/outcome/c/0/3``."""
         index = self.layout.index(block)
-        return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.law_names else index))
+        if name in self.law_names:
+            index = index[-1:]
+        return self.folder / DATA / name / "c" / Path(*map(str, index))
 
 
 def missing_part(block: Block, ranges: list[DrawRange]) -> Block:
-    """The part of a block whose draws are not covered by its digests."""
-    start = ranges[-1].draws[1] if ranges else block[-1].start
-    return (*block[:-1], slice(start, block[-1].stop))
+    """The part of a block whose draws are not covered by its digests; empty if all are.
+
+    Args:
+        block: The block.
+        ranges: Digests of its draws, from the first on without a gap.
+    """
+    draws = block[-1]
+    start = draws.start
+    if ranges:
+        _, start = ranges[-1].draws
+    return (*block[:-1], slice(start, draws.stop))
 
 
 def incomplete_error(folder: Path, missing: int, total: int) -> ConfigError:

@@ -18,15 +18,16 @@ from dssc_jax.engine.batching import Layout
 from dssc_jax.results.manifest import write_json
 from dssc_jax.study import hash_of
 
-DIGESTS = "digests"
+DIGESTS = "digests"  # folder of the files, and entry of the manifest
 Index = tuple[int, ...]
+"""Position of a block along each dimension of the grid, in blocks."""
 
 
 class DrawRange(NamedTuple):
     """The digests of a range of draws in a block; a block to which draws were added has several ranges.
 
     Args:
-        draws: The first draw, and the last draw plus one.
+        draws: Index of the first draw, and the index after the last.
         digests: Digest of each variable's values, by name.
     """
 
@@ -59,7 +60,7 @@ def digest_file(folder: Path, index: Index) -> Path:
 
 
 def digest_content(folder: Path, index: Index) -> Any:
-    """Content of the file with the digests of a block; None if it is absent or not JSON."""
+    """Content of the file with the digests of a block, unchecked; None if it is absent or not JSON."""
     try:
         return json.loads(files.read_text(digest_file(folder, index)))
     except (OSError, ValueError, RecursionError):
@@ -69,24 +70,35 @@ def digest_content(folder: Path, index: Index) -> Any:
 def stored_ranges(folder: Path, index: Index) -> list[DrawRange]:
     """The stored digests of a block, for each range of its draws.
 
-    The list is empty if the file of the digests is absent, damaged, or that of another block.
+    The list is empty if the file of the digests is absent or damaged, or belongs to another block.
     """
     content = digest_content(folder, index)
+    ranges = []
     try:
         if content["block"] != list(index):
             return []
-        pairs = content["pieces"]
-        ranges = [DrawRange((int(start), int(stop)), dict(digests)) for (start, stop), digests in pairs]
+        for (start, stop), digests in content["pieces"]:
+            ranges.append(DrawRange((int(start), int(stop)), dict(digests)))
     except (TypeError, KeyError, ValueError):
         return []
     return ranges
 
 
 def add_range(folder: Path, index: Index, addition: DrawRange) -> None:
-    """Add the digests of a range of draws to those of a block, and write them."""
+    """Write the digests of a range of draws behind the digests of the block's earlier draws.
+
+    Stored digests of draws that the range contains, or that lie behind it, are dropped.
+
+    Args:
+        folder: The results folder.
+        index: Position of the block.
+        addition: The digests of the range.
+    """
+    first_draw, _ = addition.draws
     earlier_ranges = []
     for draw_range in stored_ranges(folder, index):
-        if draw_range.draws[1] <= addition.draws[0]:
+        _, stop = draw_range.draws
+        if stop <= first_draw:
             earlier_ranges.append(draw_range)
     files.make_folder(folder / DIGESTS, folder)
     content = {"block": index, "pieces": [*earlier_ranges, addition]}
@@ -94,5 +106,6 @@ def add_range(folder: Path, index: Index, addition: DrawRange) -> None:
 
 
 def digest_of_all(folder: Path, layout: Layout) -> str:
-    """The digest over the digests of all blocks."""
-    return hash_of({"blocks": [digest_content(folder, layout.index(block)) for block in layout.blocks()]})
+    """The digest over the digests of all blocks, which the manifest of a finished run contains."""
+    contents = [digest_content(folder, layout.index(block)) for block in layout.blocks()]
+    return hash_of({"blocks": contents})

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 TABLE_ROWS = 2**17
 """Number of rows that are written at a time."""
-MEANING = "outcome_meaning"
-CSVW = "http://www.w3.org/ns/csvw"
+MEANING = "outcome_meaning"  # column with the outcome in words
+CSVW = "http://www.w3.org/ns/csvw"  # context of the metadata of "CSV on the Web"
 
 
 class Format(StrEnum):
@@ -37,15 +37,28 @@ class Format(StrEnum):
     MAT = "mat"
 
 
-FILE_NAMES = dict(zip(Format, ("draws.csv", "draws.parquet", "result.nc", "result.mat"), strict=True))
-ANALYSIS_FILES = dict(zip(Format, ("table.csv", "table.parquet", "dataset.nc", "dataset.mat"), strict=True))
+FILE_NAMES = {
+    Format.CSV: "draws.csv",
+    Format.PARQUET: "draws.parquet",
+    Format.NETCDF: "result.nc",
+    Format.MAT: "result.mat",
+}
+"""File of an exported result in its folder."""
+ANALYSIS_FILES = {
+    Format.CSV: "table.csv",
+    Format.PARQUET: "table.parquet",
+    Format.NETCDF: "dataset.nc",
+    Format.MAT: "dataset.mat",
+}
+"""File of an exported analysis in its folder."""
 REQUIRED_PACKAGES = {Format.CSV: (), Format.PARQUET: ("pyarrow",), Format.NETCDF: ("h5netcdf", "h5py"), Format.MAT: ()}
+"""Optional packages that each format needs."""
 DATATYPES = {"i": "integer", "u": "integer", "b": "boolean", "U": "string", "O": "string", "f": "double"}
 """Datatypes of "CSV on the Web" by NumPy's kinds."""
 
 
 class ExportTable(NamedTuple):
-    """A table for export.
+    """A table for export, whose rows are made piece by piece, so that a large table need not fit into memory.
 
     Args:
         columns: Attributes of each column by name, in the order of the columns.
@@ -61,10 +74,11 @@ class ExportTable(NamedTuple):
 def export(result: Result | Analysis, to: Format | str, out: str | Path | None = None) -> list[Path]:
     """Write a result or an analysis for other programs.
 
-    ``csv`` and ``parquet`` are tables. That of a result has a row for each lane: swept values, draw, drawn numbers,
-    metrics, slacks and outcome. That of an analysis has a row for each index of its own dimensions. Units and meanings
-    are in the column metadata of Parquet, and beside a CSV in ``<file>-metadata.json``, as the W3C's "CSV on the Web"
-    defines it. ``netcdf`` is the dataset itself with CF attributes, and ``mat`` has a MATLAB struct for each variable.
+    ``csv`` and ``parquet`` are tables. The table of a result has a row for each lane: swept values, draw, drawn
+    numbers, metrics, slacks and outcome. The table of an analysis has a row for each index of its own dimensions. Units
+    and meanings are in the column metadata of Parquet, and beside a CSV in ``<file>-metadata.json``, as the W3C's "CSV
+    on the Web" defines it. ``netcdf`` is the dataset itself with CF attributes, and ``mat`` has a MATLAB struct for
+    each variable.
 
     Args:
         result: A loaded or new result, or analysis.
@@ -90,7 +104,8 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         result = result.with_theorem()
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
-    exported_files = [write_whole_file(path, lambda file: writers[form](result, file))]
+    write_content = writers[form]
+    exported_files = [write_whole_file(path, lambda file: write_content(result, file))]
     if form is Format.CSV:
         metadata_file = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
@@ -99,10 +114,10 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
 
 
 def require_package(package: str, form: Format) -> None:
-    """Require an optional package.
+    """Refuse an export whose optional package is not installed.
 
     Raises:
-        ConfigError: It is not installed.
+        ConfigError: The package is not installed; the message tells how to install it.
     """
     try:
         importlib.import_module(package)
@@ -111,7 +126,11 @@ def require_package(package: str, form: Format) -> None:
 
 
 def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
-    """Write a file completely or not at all.
+    """Write a file completely or not at all, and return its path.
+
+    Args:
+        path: The file; an existing file is replaced.
+        write: Writes the content into the open file.
 
     Raises:
         ConfigError: It cannot be written.
@@ -125,7 +144,7 @@ def write_whole_file(path: Path, write: Callable[[IO[bytes]], object]) -> Path:
 
 
 def table_of(result: Result | Analysis) -> ExportTable:
-    """The table of a result, or of an analysis."""
+    """The table of a result, with a row for each lane, or of an analysis, with a row for each index."""
     return table_of_analysis(result) if isinstance(result, Analysis) else table_of_lanes(result)
 
 
@@ -140,18 +159,19 @@ def table_of_analysis(analysis: Analysis) -> ExportTable:
         columns[name] = {"long_name": f"index of the {name}"}
         if name in data.variables:
             columns[name] = dict(data[name].attrs)
-        datatypes[name] = DATATYPES[frame[name].to_numpy().dtype.kind]
-    return ExportTable(columns, datatypes, [frame])
+        kind = frame[name].to_numpy().dtype.kind
+        datatypes[name] = DATATYPES[kind]
+    return ExportTable(columns, datatypes, pieces=[frame])
 
 
 def table_of_lanes(result: Result) -> ExportTable:
-    """The table of a result, with a row for each lane."""
+    """The table of a result, with a row for each lane, a draw at a point of the sweep."""
     columns = {}
     for name, variable in (coordinates(result.study) | variables(result.study)).items():
         columns[name] = dict(variable.attributes)
     columns[MEANING] = {"long_name": OUTCOME}
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
-    return ExportTable(columns, datatypes, lane_rows(result, list(columns)))
+    return ExportTable(columns, datatypes, pieces=lane_rows(result, list(columns)))
 
 
 def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
@@ -167,7 +187,8 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     data = result.dataset
     codes = outcome_codes(study)
     for block in Layout.of(study, TABLE_ROWS).blocks():
-        law_values = {name: data[name].values[block[-1]] for name in study.laws}
+        draws_of_block = block[-1]
+        law_values = {name: data[name].values[draws_of_block] for name in study.laws}
         numbers, draws = lanes_of(study, block, law_values)
         table: dict[str, Any] = {"draw": draws}
         for name in (*study.axes, *study.laws):
@@ -182,12 +203,14 @@ def lane_rows(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
 
 def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
     """Write a table as CSV: numbers with all their digits, missing values as empty cells."""
-    for number, piece in enumerate(table_of(result).pieces):
-        piece.to_csv(file, index=False, header=number == 0, lineterminator="\n")
+    is_first = True
+    for piece in table_of(result).pieces:
+        piece.to_csv(file, index=False, header=is_first, lineterminator="\n")
+        is_first = False
 
 
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
-    """Metadata of a CSV file, as "CSV on the Web" defines them.
+    """Metadata of a CSV file, as "CSV on the Web" defines them: type, meaning, unit and law of each column.
 
     Args:
         result: The result or analysis.
@@ -196,10 +219,12 @@ def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
     table = table_of(result)
     column_metadata = []
     for column, attributes in table.columns.items():
-        unit = {"schema:unitText": attributes["units"]} if "units" in attributes else {}
-        law = {"dc:source": attributes["law"]} if "law" in attributes else {}
         entry = {"name": column, "datatype": table.datatypes[column], "dc:description": attributes["long_name"]}
-        column_metadata.append(entry | unit | law)
+        if "units" in attributes:
+            entry["schema:unitText"] = attributes["units"]
+        if "law" in attributes:
+            entry["dc:source"] = attributes["law"]
+        column_metadata.append(entry)
     return {
         "@context": CSVW,
         "url": name,
@@ -215,12 +240,15 @@ def write_parquet(result: Result | Analysis, file: IO[bytes]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    rows = table_of(result)
+    export_table = table_of(result)
     writer = None
     try:
-        for piece in rows.pieces:
+        for piece in export_table.pieces:
             table = pa.Table.from_pandas(piece, preserve_index=False)
-            fields = [f.with_metadata({k: str(v) for k, v in rows.columns[f.name].items()}) for f in table.schema]
+            fields = []
+            for field in table.schema:
+                attributes = export_table.columns[field.name]
+                fields.append(field.with_metadata({name: str(value) for name, value in attributes.items()}))
             metadata = {**(table.schema.metadata or {}), **file_provenance(result)}
             table = table.cast(pa.schema(fields, metadata=metadata))
             writer = writer or parquet.ParquetWriter(file, table.schema)
@@ -234,7 +262,8 @@ def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
     """Write the dataset as compressed netCDF. It is made in memory, since HDF5 ends the process if a disk is full."""
     data = result.dataset.copy().assign_attrs(file_provenance(result))
     for variable in data.variables.values():
-        if "flag_values" in variable.attrs and variable.dtype.kind in "iu":
+        is_integer = variable.dtype.kind in "iu"  # kinds of NumPy: signed, unsigned
+        if is_integer and "flag_values" in variable.attrs:
             flags = np.asarray(variable.attrs["flag_values"], dtype=variable.dtype)  # CF: of the variable's type
             variable.attrs["flag_values"] = flags
     memory = io.BytesIO()
@@ -252,28 +281,40 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
 
     content: dict[str, object] = {"study": file_provenance(result)}
     for name, variable in result.dataset.variables.items():
-        values = variable.values if variable.dtype.kind in "fiub" else variable.values.astype(object)
-        attributes = {key: str(variable.attrs[key]) for key in ("units", "long_name") if key in variable.attrs}
-        content[matlab_name(str(name), content)] = {
-            "values": values,
+        is_numeric = variable.dtype.kind in "fiub"  # kinds of NumPy: float, integers, booleans
+        struct: dict[str, object] = {
+            "values": variable.values if is_numeric else variable.values.astype(object),
             "dimensions": list(map(str, variable.dims)),
-            **attributes,
         }
+        for key in ("units", "long_name"):
+            if key in variable.attrs:
+                struct[key] = str(variable.attrs[key])
+        content[matlab_name(str(name), content)] = struct
     savemat(file, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
 
 
 def matlab_name(name: str, used_names: Iterable[str]) -> str:
-    """A valid MATLAB name of at most 63 characters that is not among the used names."""
+    """A valid MATLAB name of at most 63 characters that is not among the used names.
+
+    Args:
+        name: The name, in which an underscore replaces each character that MATLAB does not allow.
+        used_names: Names that are taken; a further variable of the same name ends with ``_v2``, ``_v3``, ...
+    """
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
-    plain = plain if plain[:1].isalpha() else f"v{plain}"
+    starts_with_letter = plain[:1].isalpha()
+    if not starts_with_letter:
+        plain = f"v{plain}"
+    if plain not in used_names:
+        return plain
     alike = sum(used_name == plain or used_name.startswith(f"{plain}_v") for used_name in used_names)
-    return f"{plain}_v{alike + 1}" if alike and plain in used_names else plain
+    return f"{plain}_v{alike + 1}"
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
     """Attributes by which an exported file can be traced: the study, its hash, the version of dssc_jax and the time."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
-    history = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
+    computing_version = manifest.get("versions", {}).get("dssc_jax") or version("dssc_jax")
+    history = [f"computed with dssc_jax {computing_version}"]
     if "started" in manifest:
         history.append(str(manifest["started"]))
     return {

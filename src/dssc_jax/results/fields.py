@@ -35,9 +35,11 @@ class FieldMeaning(NamedTuple):
 
 
 def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
-    """The fields of an analysis in the types of JSON, by name, without those that are stored apart."""
-    hints = field_types(type(analysis))
-    return {name: TypeAdapter(hint).dump_python(getattr(analysis, name), mode="json") for name, hint in hints.items()}
+    """The fields of an analysis in the types of JSON, by name, without the fields that are stored apart."""
+    stored = {}
+    for name, field_type in field_types(type(analysis)).items():
+        stored[name] = TypeAdapter(field_type).dump_python(getattr(analysis, name), mode="json")
+    return stored
 
 
 def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str, object]:
@@ -51,17 +53,18 @@ def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str,
         ConfigError: A field is missing, unknown, or has a value of another type; the message names it.
     """
     values = {}
-    hints = field_types(cls)
+    types = field_types(cls)
     for name in stored_values:
-        if name not in hints:
+        if name not in types:
             raise ConfigError(name, "is no setting of this analysis")
-    for name, hint in hints.items():
+    for name, field_type in types.items():
         if name not in stored_values:
             raise ConfigError(name, "is missing")
         try:
-            values[name] = TypeAdapter(hint).validate_python(stored_values[name])
+            values[name] = TypeAdapter(field_type).validate_python(stored_values[name])
         except ValidationError as error:
-            raise ConfigError(name, error.errors()[0]["msg"]) from None
+            first_error = error.errors()[0]
+            raise ConfigError(name, first_error["msg"]) from None
     return values
 
 
@@ -74,22 +77,24 @@ def field_types(cls: type) -> dict[str, Any]:
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
     """Unit and meaning of each number of an answer and its parts, from the annotations of its dataclass.
 
+    Reports and tables show them beside the numbers.
+
     Args:
         cls: Dataclass of the answer, or of a part.
         prefix: Key of the part, with a final dot; empty for the answer itself.
     """
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
-        hint = hints[field.name]
+        field_type = hints[field.name]
         key = prefix.removesuffix(".") if field.metadata.get(MERGED) else f"{prefix}{field.name}"
-        if get_origin(hint) is Annotated:
-            inner, *notes = get_args(hint)
+        if get_origin(field_type) is Annotated:
+            field_type, *notes = get_args(field_type)
             for note in notes:
                 if isinstance(note, Quantity):
                     yield FieldMeaning(key, note.unit, note.meaning)
-            hint = inner
-        for part, place in answer_parts(hint):
-            yield from field_meanings(part, f"{key}{place}.".removeprefix("."))
+        for part, place in answer_parts(field_type):
+            prefix_of_part = f"{key}{place}.".removeprefix(".")  # the key of a merged field may be empty
+            yield from field_meanings(part, prefix_of_part)
 
 
 def answer_parts(hint: object) -> Iterator[tuple[type, str]]:
@@ -108,5 +113,5 @@ def answer_parts(hint: object) -> Iterator[tuple[type, str]]:
     elif origin in (list, tuple):
         place = "[]"
     for argument in get_args(hint):
-        for part, inner in answer_parts(argument):
-            yield part, place + inner
+        for part, inner_place in answer_parts(argument):
+            yield part, place + inner_place

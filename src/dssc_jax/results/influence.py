@@ -8,7 +8,7 @@ from dssc_jax.statistics.order import upper_quantiles
 
 IDLE_CHANGE = 0.01
 """Largest relative change of a metric's quantiles over an axis that counts as no change."""
-QUANTILES = (0.05, 0.5, 0.95)
+QUANTILES = (0.05, 0.5, 0.95)  # levels
 MOST_BINS = 8
 LEAST_BIN_DRAWS = 5
 
@@ -24,34 +24,39 @@ def idle_axes(result: Result) -> list[str]:
 
 
 def is_idle(result: Result, axis: str) -> bool:
-    """Whether a swept parameter affects no requirement, see :func:`idle_axes`."""
+    """Whether a swept parameter affects no requirement, as :func:`idle_axes` defines it."""
     failed = result.failed
-    if bool((failed != failed.isel({axis: 0})).any()):
+    failed_at_first_value = failed.isel({axis: 0})
+    if bool((failed != failed_at_first_value).any()):
         return False
-    metric_names = {rule.measure.name for rule in result.study.requirements} or {headline_measure(result.study).name}
+    metric_names = {requirement.measure.name for requirement in result.study.requirements}
+    if not metric_names:
+        metric_names = {headline_measure(result.study).name}
     return all(largest_change(result.dataset[name], axis) <= IDLE_CHANGE for name in metric_names)
 
 
 def largest_change(metric: xr.DataArray, axis: str) -> float:
     """Largest relative change of a metric's quantiles along an axis; infinite where a quantile ceases to be finite."""
     metric_values = metric.transpose(axis, ..., "draw").values
-    quantiles = upper_quantiles(metric_values, QUANTILES)
+    quantiles = upper_quantiles(metric_values, QUANTILES)  # shape (levels, values of the axis, ...)
     finite = np.isfinite(quantiles)
-    if (finite.any(axis=1) != finite.all(axis=1)).any():
+    ceases_to_be_finite = finite.any(axis=1) != finite.all(axis=1)
+    if ceases_to_be_finite.any():
         return float("inf")
     quantiles = np.where(finite, quantiles, 0.0)
     spread = np.ptp(quantiles, axis=1)
     scale = np.max(np.abs(quantiles), axis=1)
-    return float(np.max(np.divide(spread, scale, out=np.zeros_like(spread), where=scale > 0.0), initial=0.0))
+    relative_changes = np.divide(spread, scale, out=np.zeros_like(spread), where=scale > 0.0)
+    return float(np.max(relative_changes, initial=0.0))
 
 
 def idle_text(result: Result) -> str:
-    """Name the axes of a sweep that affect no requirement; empty if all affect one."""
+    """Text on the axes of a sweep that affect no requirement; empty if every axis affects a requirement."""
     return "; ".join(idle_axis_text(result, name) for name in idle_axes(result))
 
 
 def idle_axis_text(result: Result, axis: str) -> str:
-    """Tell that an axis affects no requirement, and which other metric changes most along it, if any."""
+    """Text that an axis affects no requirement, with the other metric that changes most along it, if any changes."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE_CHANGE:
         limit = f"{100 * IDLE_CHANGE:g} %"
@@ -62,31 +67,37 @@ def idle_axis_text(result: Result, axis: str) -> str:
 
 
 def equal_count_bins(values: np.ndarray) -> list[np.ndarray]:
-    """Sort draws into bins of equal count by the values of one number, shape (draws,); returns indices of each bin."""
-    return np.array_split(np.argsort(values), max(1, min(MOST_BINS, values.size // LEAST_BIN_DRAWS)))
+    """Indices of the draws in each bin, when the values of a number are sorted into bins with equally many draws.
+
+    Args:
+        values: Value of the number in each draw, shape (draws,).
+    """
+    bins = max(1, min(MOST_BINS, values.size // LEAST_BIN_DRAWS))
+    return np.array_split(np.argsort(values), bins)
 
 
 def influence(result: Result, name: str) -> float:
-    """Share of the variance of failure that one uncertain number explains, in [0, 1].
+    """Share of the variance of failure that an uncertain number explains, in [0, 1].
 
     The share is the correlation ratio over bins of the number, less the share that as many bins explain by chance. If
-    no draw fails, or all do, the variance is that of the ranks of the headline metric.
+    no draw fails, or all fail, the ranks of the headline metric take the place of failure.
 
     Args:
-        result: A run, or one point of a sweep (:meth:`Result.at`).
+        result: A run, or a point of a sweep (:meth:`Result.at`).
         name: The uncertain number's dotted name.
     """
     outcome = result.failed.values.astype(float)
     if outcome.min() == outcome.max():
         metric = result.dataset[headline_measure(result.study).name].values
-        outcome = np.argsort(np.argsort(np.where(np.isnan(metric), np.inf, metric), kind="stable")).astype(float)
-    groups = equal_count_bins(result.dataset[name].values)
-    total = float(np.sum((outcome - outcome.mean()) ** 2))
-    if total == 0.0 or len(groups) < 2:
+        order = np.argsort(np.where(np.isnan(metric), np.inf, metric), kind="stable")
+        outcome = np.argsort(order).astype(float)  # ranks
+    bins = equal_count_bins(result.dataset[name].values)
+    squares = float(np.sum((outcome - outcome.mean()) ** 2))
+    if squares == 0.0 or len(bins) < 2:
         return 0.0
-    explained_squares = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
-    chance = (len(groups) - 1) / max(1, outcome.size - 1)
-    return float(max(0.0, explained_squares / total - chance))
+    explained_squares = sum(len(draws) * (outcome[draws].mean() - outcome.mean()) ** 2 for draws in bins)
+    explained_by_chance = (len(bins) - 1) / max(1, outcome.size - 1)
+    return float(max(0.0, explained_squares / squares - explained_by_chance))
 
 
 def sorted_by_influence(result: Result, names: list[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The lock of a results folder, which admits one writer; the operating system releases it when the process ends."""
+"""The lock of a results folder, which admits a single writer; the system releases it when the process ends."""
 
 import json
 import os
@@ -11,12 +11,12 @@ from filelock import FileLock, Timeout
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
-LOCK = ".lock"
-HOLDER = ".writer.json"
+LOCK = ".lock"  # file that is locked
+HOLDER = ".writer.json"  # file with a description of the process that holds the lock
 
 
 def take(folder: Path) -> FileLock:
-    """Lock a folder until ``release`` is called or the process ends.
+    """Lock a folder for this process, until ``release`` of the lock is called or the process ends.
 
     Args:
         folder: An existing folder.
@@ -30,9 +30,8 @@ def take(folder: Path) -> FileLock:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise ConfigError(
-            str(folder), f"is being written by {holder(folder)}; wait for it, or choose another `out`"
-        ) from None
+        rule = f"is being written by {describe_holder(folder)}; wait for it, or choose another `out`"
+        raise ConfigError(str(folder), rule) from None
     process = {
         "process": os.getpid(),
         "host": platform.node(),
@@ -46,8 +45,8 @@ def take(folder: Path) -> FileLock:
     return lock
 
 
-def holder(folder: Path) -> str:
-    """Describe the process that locked the folder last."""
+def describe_holder(folder: Path) -> str:
+    """Text on the process that locked the folder last: its number, its host and the time; for messages."""
     try:
         process = json.loads(files.read_text(folder / HOLDER))
         return f"process {process['process']} on {process['host']} since {process['since']}"

@@ -31,12 +31,16 @@ DATA = "data.zarr"
 MANIFEST = "manifest.json"
 SUMMARY = "summary.json"
 MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
+"""Entries that every manifest has, each a table."""
 TIME_FIELDS = ("seconds", "compile_seconds", "rate")
-"""Times of a finished run."""
+"""Fields of the table ``times`` of a finished run."""
 
-STOPPING_FIELDS = ("rule", "most", "verdict", "looks", "stops")
-CLUSTER_FIELDS = ("workers", "lost")
-DESIGN_FIELDS = ("reason", "pilot", "asked", "asked_draws")
+OPTIONAL_TABLES = {
+    "stopping": ("rule", "most", "verdict", "looks", "stops"),
+    "cluster": ("workers", "lost"),
+    "design": ("reason", "pilot", "asked", "asked_draws"),
+}
+"""Tables that a manifest may have, and their fields."""
 NUMERICAL_PACKAGES = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
 
@@ -45,12 +49,19 @@ EXTENSIBLE = ("random", "sobol")
 
 
 def write_json(path: Path, content: object, within: Path | None = None, durable: bool = True) -> None:
-    """Write a JSON file; arguments and errors as for :func:`dssc_jax.core.files.replacing`."""
+    """Write a JSON file completely, or not at all; errors as for :func:`dssc_jax.core.files.replacing`.
+
+    Args:
+        path: The file.
+        content: Its content.
+        within: The folder below which no part of the path may be a symbolic link; None: only the file itself may not.
+        durable: Flush file and folder to disk, so that not even a power cut leaves a part.
+    """
     files.write_text(path, [json.dumps(content, indent=2), "\n"], within, durable)
 
 
 def write_sealed(path: Path, content: dict[str, object]) -> None:
-    """Write a JSON file with a digest of its content."""
+    """Write a JSON file with a digest of its content, which :func:`unseal` checks."""
     write_json(path, content | {SEAL: hash_of(content)})
 
 
@@ -77,7 +88,7 @@ def unseal(path: Path, content: object) -> JsonObject:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write manifest.json."""
+    """Write manifest.json with a digest of itself."""
     write_sealed(folder / MANIFEST, manifest)
 
 
@@ -92,11 +103,10 @@ def read_manifest(folder: Path) -> Manifest:
         manifest = json.loads(files.read_text(path))
     except OSError as error:
         kinds = sorted(file.stem for file in folder.glob("*.json") if file.name != SUMMARY)
-        analysis = kinds and (folder / DATA).exists()
-        hint = f"; it holds what `{kinds[0]}` wrote, which dj.load reads" if analysis else ""
-        raise ConfigError(
-            str(folder), f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){hint}"
-        ) from error
+        holds_analysis = kinds and (folder / DATA).exists()
+        hint = f"; it holds what `{kinds[0]}` wrote, which dj.load reads" if holds_analysis else ""
+        rule = f"is not a results folder: {MANIFEST} cannot be read ({error.strerror}){hint}"
+        raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     manifest = unseal(path, manifest)
@@ -114,7 +124,11 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def require_valid_fields(path: Path, manifest: Manifest) -> None:
-    """Require that the fields that a summary reads from a manifest, besides the study, are present and of their types.
+    """Refuse a manifest in which a field that a summary reads, besides the study, is missing or of another type.
+
+    Args:
+        path: The manifest, for messages.
+        manifest: Its content.
 
     Raises:
         ConfigError: A field is invalid; the message names it and gives the rule.
@@ -122,19 +136,21 @@ def require_valid_fields(path: Path, manifest: Manifest) -> None:
     for name, value in manifest["times"].items():
         if not is_number(value):
             raise ConfigError(str(path), f"is damaged: times.{name} must be a number, got {value!r}")
-    require_fields(path, "times", manifest["times"], TIME_FIELDS if manifest.get("complete") else ())
-    for name, fields in (("stopping", STOPPING_FIELDS), ("cluster", CLUSTER_FIELDS), ("design", DESIGN_FIELDS)):
+    if manifest.get("complete"):
+        require_fields(path, "times", manifest["times"], TIME_FIELDS)
+    for name, fields in OPTIONAL_TABLES.items():
         if manifest.get(name) is not None:
             require_fields(path, name, manifest[name], fields)
     code = manifest.get("code", {})
     if not isinstance(code, dict) or not all(isinstance(module, dict) for module in code.values()):
         raise ConfigError(str(path), f"is damaged: code must be a table of tables, got {code!r}")
-    if stopping := manifest.get("stopping"):
+    stopping = manifest.get("stopping")
+    if stopping:
         require_looks(path, stopping["looks"], stopping["stops"])
 
 
 def require_looks(path: Path, looks: object, stops: object) -> None:
-    """Require valid looks of a stopping rule.
+    """Refuse looks of a stopping rule that are not valid.
 
     Args:
         path: The manifest, for messages.
@@ -154,7 +170,7 @@ def require_looks(path: Path, looks: object, stops: object) -> None:
 
 
 def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]) -> None:
-    """Require that an entry of a manifest is a table with certain fields.
+    """Refuse an entry of a manifest that is not a table with certain fields.
 
     Args:
         path: The manifest, for messages.
@@ -176,7 +192,7 @@ def stored_layout(folder: Path, study: Study, manifest: Manifest, draws: int | N
         folder: The results folder, for messages.
         study: The study, which may have more draws than the manifest's.
         manifest: The manifest.
-        draws: Number of draws in the manifest's study; None: that of the study.
+        draws: Number of draws in the manifest's study; None: as many as the study has.
 
     Raises:
         ConfigError: The layout in the manifest does not match the manifest's study.
@@ -199,7 +215,7 @@ def is_list_of_counts(value: object) -> bool:
 
 
 def differences(old: object, new: object, path: str = "") -> list[str]:
-    """List the differences between two nested tables, one line for each value.
+    """Lines that tell the differences between two nested tables, one for each value that differs.
 
     Args:
         old: The stored table or value.
@@ -215,15 +231,18 @@ def differences(old: object, new: object, path: str = "") -> list[str]:
 
 
 def listed(lines: list[str], limit: int = 3) -> str:
-    """Join the first differences into one line, and count the others."""
-    return "; ".join(lines[:limit]) + (f"; and {len(lines) - limit} more" if len(lines) > limit else "")
+    """The first differences in one line, with the number of the others."""
+    parts = lines[:limit]
+    if len(lines) > limit:
+        parts.append(f"and {len(lines) - limit} more")
+    return "; ".join(parts)
 
 
 def is_occupied(folder: Path) -> bool:
-    """Whether a folder holds anything besides the files of a start that was aborted.
+    """Whether a folder holds anything besides the files that an aborted start leaves: locks and temporary files.
 
     Raises:
-        ConfigError: The path is that of a file.
+        ConfigError: The path leads to a file.
     """
     if not folder.exists():
         return False
@@ -233,7 +252,12 @@ def is_occupied(folder: Path) -> bool:
 
 
 def require_startable(folder: Path, study: Study, resume: bool) -> None:
-    """Require that a study may be run into a folder; the folder is not changed.
+    """Refuse a folder into which a study must not be run, before anything is changed.
+
+    Args:
+        folder: The folder, which may be absent.
+        study: The study to run.
+        resume: Whether the run resumes the run of the folder.
 
     Raises:
         ConfigError: The folder holds results of another study or something else, such as a symbolic link.
@@ -245,13 +269,13 @@ def require_startable(folder: Path, study: Study, resume: bool) -> None:
 
 
 def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> None:
-    """Require that a folder holds results of a study; a run that resumes it may ask for more draws.
+    """Refuse a folder with the results of another study; a run that resumes it may ask for more draws.
 
     Args:
         folder: The folder, for messages.
         manifest: Manifest of the folder.
         study: The study to run.
-        resume: Whether the run resumes that of the folder.
+        resume: Whether the run resumes the run of the folder.
 
     Raises:
         ConfigError: The study is different (the message gives the differences), or draws cannot be added.
@@ -284,17 +308,21 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
 
 
 def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
-    """Whether a study differs from that of a manifest only by a larger number of draws."""
+    """Whether a study differs from a manifest's study only by a larger number of draws."""
     if manifest["hash"] == study.hash:
         return False
     old = manifest["study"]
     draws = old.get("draws", 1)
-    only_draws_differ = [line.partition(":")[0] for line in differences(old, study.table)] == ["draws"]
+    lines = differences(old, study.table)
+    only_draws_differ = len(lines) == 1 and lines[0].startswith("draws:")
     return only_draws_differ and isinstance(draws, int) and study.config.draws > draws
 
 
 def code_entries(study: Study) -> Manifest:
-    """Entries of a manifest on a study's own code: files, digests, and descriptions for readers without the code."""
+    """Entries of a manifest on a study's own code: files, digests, and descriptions for readers without the code.
+
+    Empty for a study that uses only models of the package.
+    """
     if isinstance(study, Described):
         return {"code": study.code, "described": study.description.model_dump(mode="json")}
     code = code_digests(study.table)
@@ -305,17 +333,17 @@ def code_entries(study: Study) -> Manifest:
 
 
 def machinery_differences(old: Manifest, new: Manifest) -> list[str]:
-    """List the differences between two manifests that may change the last digits of a result.
+    """Lines that tell the differences between two manifests that may change the last digits of a result.
 
-    These are the versions of numerical packages, device, compiler settings and the user's code. A file of code that the
-    old manifest does not name is no difference: older ones lack the modules that the user's modules import.
+    They concern the versions of numerical packages, device, compiler settings and the user's code. A file of code that
+    the old manifest does not name is no difference: older manifests lack the modules that the user's modules import.
     """
     known_code = {name: module for name, module in new.get("code", {}).items() if name in old.get("code", {})}
     return differences(machinery(old), machinery({**new, "code": known_code}))
 
 
 def machinery(manifest: Manifest) -> dict[str, object]:
-    """The entries of a manifest that may change the last digits of a result."""
+    """The entries of a manifest on what may change the last digits of a result, for a comparison."""
     versions = manifest.get("versions", {})
     return {
         "versions": {name: versions.get(name) for name in NUMERICAL_PACKAGES},
@@ -326,7 +354,7 @@ def machinery(manifest: Manifest) -> dict[str, object]:
 
 
 def require_same_machinery(folder: Path, old: Manifest, new: Manifest) -> None:
-    """Require that a run continues with the versions, device, compiler settings and code with which it began.
+    """Refuse to continue a run with other versions, device, compiler settings or code than it began with.
 
     Args:
         folder: The results folder, for messages.

@@ -1,7 +1,7 @@
 """The messages of a trajectory in an MCAP file; this module needs the extra ``mcap``.
 
 Messages are Protocol Buffers. Poses, vectors and the log have the schemas of Foxglove. Each topic of signals has a
-schema with one field for each signal. Time 0 of the trajectory is time 0 of the file. The frame ``world`` is the
+schema with a field for each signal. Time 0 of the trajectory is time 0 of the file. The frame ``world`` is the
 inertial frame of the model, z up; ``vehicle`` has the axes forward, left, up of the body.
 
 Sources: MCAP format specification; Foxglove schemas (PoseInFrame, PosesInFrame, FrameTransform, Vector3, Log).
@@ -35,8 +35,8 @@ VECTORS = {
     "/wind": ("wind_x", "wind_y", "wind_z"),
     "/velocity": ("x_y_dot", "y_y_dot", "z_y_dot"),
 }
-"""Topics of vectors, and the signals of their components."""
-SIGNALS = "signals"
+"""Topics of vectors, and the signals of their components x, y and z."""
+SIGNALS = "signals"  # topic of the signals that belong to no channel and no rotor
 MOST_PATH_POSES = 2000
 
 
@@ -55,10 +55,15 @@ class TimedMessage(NamedTuple):
 
 
 def write_messages(trajectory: xr.Dataset, file: IO[bytes]) -> None:
-    """Write all messages of a trajectory to a file that is open for writing, in the order of their times."""
+    """Write all messages of a trajectory in the order of their times.
+
+    Args:
+        trajectory: The trajectory.
+        file: A file that is open for writing.
+    """
     writer = Writer(file)
     for message in sorted(messages_of(trajectory), key=lambda message: message.time):
-        writer.write_message(message.topic, message.content, message.time, message.time)
+        writer.write_message(message.topic, message.content, log_time=message.time, publish_time=message.time)
     writer.finish()
 
 
@@ -71,8 +76,9 @@ def messages_of(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
     for topic, names in VECTORS.items():
         if set(names) <= set(columns):
             yield from vector_messages(topic, [columns[name] for name in names], times)
-    for topic, names in signal_topics(list(columns)).items():
-        yield from signal_messages(topic, {field: columns[name] for field, name in names.items()}, times)
+    for topic, signal_of_field in signal_topics(list(columns)).items():
+        fields = {field: columns[name] for field, name in signal_of_field.items()}
+        yield from signal_messages(topic, fields, times)
     yield from log_messages(trajectory)
 
 
@@ -89,39 +95,55 @@ def pose_messages(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Itera
     for sample in finite_samples:
         time = int(times[sample])
         pose = PoseInFrame(frame_id=WORLD)
-        transform = FrameTransform(parent_frame_id=WORLD, child_frame_id=VEHICLE)
-        for stamp in (pose.timestamp, transform.timestamp):
-            stamp.FromNanoseconds(time)
-        for vector in (pose.pose.position, transform.translation):
-            set_vector(vector, positions[sample])
-        for quaternion in (pose.pose.orientation, transform.rotation):
-            quaternion.w, quaternion.x, quaternion.y, quaternion.z = map(float, attitudes[sample])
+        pose.timestamp.FromNanoseconds(time)
+        set_vector(pose.pose.position, positions[sample])
+        set_quaternion(pose.pose.orientation, attitudes[sample])
         yield TimedMessage("/pose", time, pose)
+        transform = FrameTransform(parent_frame_id=WORLD, child_frame_id=VEHICLE)
+        transform.timestamp.FromNanoseconds(time)
+        set_vector(transform.translation, positions[sample])
+        set_quaternion(transform.rotation, attitudes[sample])
         yield TimedMessage("/tf", time, transform)
     path = PosesInFrame(frame_id=WORLD)
     stride = max(1, math.ceil(len(finite_samples) / MOST_PATH_POSES))
     for sample in finite_samples[::stride]:
         point = path.poses.add()
         set_vector(point.position, positions[sample])
-        point.orientation.w = 1.0
+        point.orientation.w = 1.0  # no rotation
     yield TimedMessage("/path", int(times[0]), path)
     if set(DESIRED_POSITION) <= set(columns):
         desired_positions = np.stack([columns[name] for name in DESIRED_POSITION], axis=1)
-        for sample in np.flatnonzero(np.isfinite(desired_positions).all(axis=1)):
-            pose = PoseInFrame(frame_id=WORLD)
-            pose.timestamp.FromNanoseconds(int(times[sample]))
-            set_vector(pose.pose.position, desired_positions[sample])
-            pose.pose.orientation.w = 1.0
-            yield TimedMessage("/desired_pose", int(times[sample]), pose)
+        yield from desired_pose_messages(desired_positions, times)
+
+
+def desired_pose_messages(positions: np.ndarray, times: np.ndarray) -> Iterator[TimedMessage]:
+    """The desired pose at each sample at which its position is finite.
+
+    Args:
+        positions: Desired positions [m], shape (samples, 3).
+        times: Times of the samples [ns], shape (samples,).
+    """
+    for sample in np.flatnonzero(np.isfinite(positions).all(axis=1)):
+        time = int(times[sample])
+        pose = PoseInFrame(frame_id=WORLD)
+        pose.timestamp.FromNanoseconds(time)
+        set_vector(pose.pose.position, positions[sample])
+        pose.pose.orientation.w = 1.0  # no rotation
+        yield TimedMessage("/desired_pose", time, pose)
 
 
 def set_vector(vector: Any, values: np.ndarray) -> None:
-    """Set the fields x, y and z of a message to values of shape (3,)."""
+    """Set the fields x, y and z of a vector in a message to values of shape (3,)."""
     vector.x, vector.y, vector.z = map(float, values)
 
 
+def set_quaternion(quaternion: Any, values: np.ndarray) -> None:
+    """Set the fields w, x, y and z of a quaternion in a message to values in this order, shape (4,)."""
+    quaternion.w, quaternion.x, quaternion.y, quaternion.z = map(float, values)
+
+
 def vector_messages(topic: str, components: list[np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
-    """A vector at each sample at which all its components are finite.
+    """The messages of a vector, at each sample at which all its components are finite.
 
     Args:
         topic: The topic.
@@ -135,9 +157,9 @@ def vector_messages(topic: str, components: list[np.ndarray], times: np.ndarray)
 
 
 def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
-    """Sort the signals of a trajectory by topic; of each topic, the names of its fields with those of the signals.
+    """The topics of a trajectory's signals, each with the signal of each of its fields.
 
-    Signals of a channel are on ``/x``, ``/y`` and so on, those of rotors on ``/rotors``, all others on ``/signals``.
+    Signals of a channel are on ``/x``, ``/y`` and so on, signals of rotors on ``/rotors``, all others on ``/signals``.
 
     Example:
         >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])
@@ -157,16 +179,23 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
 
 
 def signal_messages(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[TimedMessage]:
-    """The signals of a topic at each sample; NaN once the draw has ended."""
+    """The messages with the signals of a topic, at each sample; NaN once the draw has ended.
+
+    Args:
+        topic: The topic.
+        columns: Values of each field, shape (samples,) each.
+        times: Times of the samples [ns], shape (samples,).
+    """
     message_type = signal_type(topic.strip("/"), list(columns))
-    for time, *values in zip(times, *columns.values(), strict=True):
-        message = message_type(**dict(zip(columns, map(float, values), strict=True)))
+    for sample, time in enumerate(times):
+        values = {field: float(column[sample]) for field, column in columns.items()}
+        message = message_type(**values)
         message.timestamp.FromNanoseconds(int(time))
         yield TimedMessage(topic, int(time), message)
 
 
 def signal_type(name: str, fields: list[str]) -> type[Any]:
-    """The type of a message with a time stamp and a number for each field.
+    """Define the type of a message with a time stamp and a number for each field, as Protocol Buffers.
 
     Args:
         name: Name of the type.
@@ -176,17 +205,19 @@ def signal_type(name: str, fields: list[str]) -> type[Any]:
     pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
     file = descriptor_pb2.FileDescriptorProto(name=f"dssc_jax/{name}.proto", package="dssc_jax", syntax="proto3")
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
-    kind = file.message_type.add(name=name)
-    kinds = descriptor_pb2.FieldDescriptorProto
-    kind.field.add(
+    message_type = file.message_type.add(name=name)
+    field_kinds = descriptor_pb2.FieldDescriptorProto
+    message_type.field.add(
         name="timestamp",
         number=1,
-        type=kinds.TYPE_MESSAGE,
+        type=field_kinds.TYPE_MESSAGE,
         type_name=".google.protobuf.Timestamp",
-        label=kinds.LABEL_OPTIONAL,
+        label=field_kinds.LABEL_OPTIONAL,
     )
-    for number, field in enumerate(fields, 2):
-        kind.field.add(name=field, number=number, type=kinds.TYPE_DOUBLE, label=kinds.LABEL_OPTIONAL)
+    for number, field in enumerate(fields, start=2):
+        message_type.field.add(
+            name=field, number=number, type=field_kinds.TYPE_DOUBLE, label=field_kinds.LABEL_OPTIONAL
+        )
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"dssc_jax.{name}"))
 
@@ -195,7 +226,8 @@ def log_messages(trajectory: xr.Dataset) -> Iterator[TimedMessage]:
     """The log: study and draw, the times at which a violation of a requirement was certain, and how the draw ended."""
     attributes = trajectory.attrs
     end = float(trajectory["t"].values[-1])
-    lines = [(0.0, Log.INFO, f"{attributes.get('study', '')}, draw {attributes.get('draw', '')}")]
+    title = f"{attributes.get('study', '')}, draw {attributes.get('draw', '')}"
+    lines = [(0.0, Log.INFO, title)]  # (time [s], level, text)
     for name, value in attributes.items():
         if str(name).startswith(VIOLATED_AT) and np.isfinite(value):
             requirement = str(name).removeprefix(VIOLATED_AT)

@@ -11,10 +11,12 @@ from dssc_jax.core.errors import ConfigError
 def write_mcap(trajectory: xr.Dataset, path: str | Path) -> None:
     """Write a trajectory as an MCAP file.
 
+    For a vehicle, the file has poses, a transform, the path, body rates, rotors and wind; for any other loop, it has
+    only the signals.
+
     Args:
-        trajectory: As of :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`. That of a vehicle has poses, a
-            transform, the path, body rates, rotors and wind; of any other loop there are the signals only.
-        path: The file; an existing one is replaced.
+        trajectory: A trajectory from :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`.
+        path: The file; an existing file is replaced.
 
     Raises:
         ConfigError: The extra ``mcap`` is not installed.

@@ -17,12 +17,12 @@ PROOFS_FILE = "proofs.json"
 
 
 class Bound(NamedTuple):
-    """A bound that the proof of a vehicle states.
+    """A bound that the proof of a vehicle states, and where the proof's summary has it.
 
     Args:
         label: Name of the bounded quantity.
         unit: Unit of the bound.
-        entries: Keys that lead to the bound in a summary's ``bounds``.
+        entries: Keys of the nested tables in a summary's ``bounds`` that lead to the bound.
     """
 
     label: str
@@ -30,7 +30,7 @@ class Bound(NamedTuple):
     entries: tuple[str, ...]
 
     def of(self, content: JsonObject) -> float:
-        """The value of the bound in the ``bounds`` of a summary."""
+        """The value of the bound, from the ``bounds`` of a proof's summary."""
         *parents, leaf = self.entries
         for parent in parents:
             content = content[parent]
@@ -45,7 +45,7 @@ BOUNDS = (
     Bound("smallest thrust of a rotor", "N", ("rotor_min",)),
     Bound("largest thrust of a rotor", "N", ("rotor_max",)),
 )
-"""Bounds that are reported of each proved point of a vehicle."""
+"""Bounds that are reported for each proved point of a vehicle's sweep."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class SweepProofs:
     def bounds(self) -> dict[str, np.ndarray]:
         """The bounds that a vehicle never exceeds, by label, in the units of :data:`BOUNDS`, each of shape (axes...).
 
-        NaN where the point is not proved. Empty for loops other than that of a vehicle.
+        NaN where the point is not proved. Empty for loops without a vehicle.
         """
         if not any(VEHICLE_BOUNDS in point for point in self.points):
             return {}
@@ -101,13 +101,13 @@ class SweepProofs:
         return arrays
 
     def require_complete(self) -> None:
-        """Require that there is one point, with all its fields, for each combination of the axes' values.
+        """Refuse proofs without exactly one point, with all its fields, for each combination of the axes' values.
 
         Raises:
             ValueError: There are more or fewer points.
             TypeError, KeyError: A point lacks a field.
         """
-        _ = self.error
+        _ = self.error  # reading them raises
         _ = self.bounds
 
     def _by_axes(self, values: list[float]) -> np.ndarray:
@@ -122,7 +122,7 @@ class SweepProofs:
 
 
 def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
-    """Read the proofs in a results folder; None if there are none, or if they are those of another study.
+    """Read the proofs in a results folder; None if there are none, or if they belong to another study.
 
     No certificate is verified here; ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
 
@@ -134,11 +134,12 @@ def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
         return None
     try:
         content = json.loads(files.read_text(path))
-        axes = {name: tuple(values) for name, values in content["axes"].items()}
+        axes = {name: tuple(values) for name, values in content["axes"].items()}  # JSON has lists
         proofs = SweepProofs(**{**content, "axes": axes})
         proofs.require_complete()
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(str(path), f"is damaged: {error!r}; delete it, and prove the sweep again") from None
-    return proofs if proofs.study_hash == study.hash and axes == study.axes else None
+    belongs_to_study = proofs.study_hash == study.hash and axes == study.axes
+    return proofs if belongs_to_study else None

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from dssc_jax.design.certification import Mark
 
 ERROR_METRICS = ("error_rms", "position_error_rms")
-"""Metrics of the error of a plant with one channel, and of a vehicle."""
+"""Metrics of the error: for a plant with one channel, and for a vehicle."""
 ASSUMPTIONS = "without lag and sampling and with a rho that keeps sliding"
 """Assumptions of a certificate by Theorem 1."""
 
@@ -49,7 +49,7 @@ DESIGN_NAMES = {"sobol": "scrambled Sobol", "lhs": "Latin hypercube"}
 
 @dataclass
 class Result:
-    """The result of a finished study.
+    """The result of a finished run or sweep of a study.
 
     Args:
         study: The study as run.
@@ -68,22 +68,35 @@ class Result:
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: Manifest, path: Path | None = None) -> "Result":
-        """Create a result with the proofs in its folder, if there are any."""
+        """The result of a study, with the proofs in its folder, if there are any.
+
+        Args:
+            study: The study as run.
+            dataset: The dataset; see the class.
+            manifest: Study, versions, device, counts and times.
+            path: The results folder; None: the result has not been saved.
+        """
         result = cls(study, dataset, manifest, path)
         proofs = read_proofs(path, study) if path is not None else None
         return result if proofs is None else result.with_proofs(proofs)
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
-        """The result with proofs, whose dataset has the coordinates ``proved`` and ``proved_error``."""
+        """The result with proofs of its points; the dataset has the coordinates ``proved`` and ``proved_error``."""
         claim = proofs.claim
-        attributes = {"long_name": f"proved for {claim.covered}, with lag and sampling", "covered": claim.covered}
-        bound = {
+        proved_attributes = {
+            "long_name": f"proved for {claim.covered}, with lag and sampling",
+            "covered": claim.covered,
+        }
+        error_attributes = {
             "long_name": f"proved upper bound of {claim.error} once settled",
             "units": self.study.units[0].output,
             "bounded": claim.error,
         }
         axes = tuple(self.study.axes)
-        coordinates = {"proved": (axes, proofs.proved, attributes), "proved_error": (axes, proofs.error, bound)}
+        coordinates = {
+            "proved": (axes, proofs.proved, proved_attributes),
+            "proved_error": (axes, proofs.error, error_attributes),
+        }
         return replace(self, dataset=self.dataset.assign_coords(coordinates), point_proofs=proofs)
 
     def with_theorem(self) -> "Result":
@@ -136,7 +149,7 @@ class Result:
 
     @property
     def failed(self) -> xr.DataArray:
-        """Whether each draw failed in any way; a draw that ended early did."""
+        """Whether each draw failed: it violates a requirement or ended early."""
         return self.dataset["outcome"] != Outcome.OK
 
     def at(self, index: Mapping[str, int]) -> "Result":
@@ -154,15 +167,15 @@ class Result:
         if not stopping:
             return interval_method(self.study)
         looks = tuple(Look(look["draws"], look["lower"], look["upper"]) for look in stopping["looks"])
-        return DataDriven(looks, stopping["stops"])
+        return DataDriven(looks, stops=stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:
         """Failures with intervals of each point of the sweep and each requirement, and quantiles of the metrics.
 
-        ``failures`` of a point counts the draws that fail in any way, that of a requirement all draws that violate it.
-        A draw that ended early violates every requirement. ``ended_early`` counts these draws; ``alone`` and
-        ``overlaps`` count only the others. The metrics of a draw that ended early count as infinite. Intervals of
-        quantiles are order statistics, which hold for independent draws only.
+        ``failures`` of a point counts the draws that fail in any way; ``failures`` of a requirement counts all draws
+        that violate it. A draw that ended early violates every requirement. ``ended_early`` counts these draws;
+        ``alone`` and ``overlaps`` count only the others. The metrics of a draw that ended early count as infinite.
+        Intervals of quantiles are order statistics, which hold for independent draws only.
 
         Args:
             confidence: Confidence of each single interval.
@@ -184,15 +197,17 @@ class Result:
         """
         if self.study.laws or self.study.config.draws < 2:
             return False
-        columns = [self.dataset[measure.name].transpose(..., "draw").values for measure in self.study.measures]
+        metrics = [self.dataset[measure.name].transpose(..., "draw").values for measure in self.study.measures]
         outcomes = self.dataset["outcome"].transpose(..., "draw").values
-        if any(np.any(values != values[..., :1]) for values in (outcomes, *columns)):
-            return False
-        return any(np.any(np.isfinite(values) & (values != np.rint(values))) for values in columns)
+        for values in (outcomes, *metrics):
+            first_draw = values[..., :1]
+            if np.any(values != first_draw):
+                return False
+        return any(np.any(np.isfinite(values) & (values != np.rint(values))) for values in metrics)
 
     @property
     def design_effect(self) -> DesignEffect | None:
-        """The effect of the design beside independent draws; None if the draws are independent, swept, or all agree."""
+        """Gain of the design over independent draws; None if the draws are independent, swept, or all agree."""
         if self.method.independent or self.study.axes:
             return None
         return design_effect(self.failed.values, self.study.config.replicates)
@@ -210,7 +225,7 @@ class Result:
         return None if entry is None else StatedAmounts.of(entry)
 
     def stated_errors(self, amounts: StatedAmounts, confidence: float = CONFIDENCE) -> list[StatedError]:
-        """Intervals of the failure probability if the laws are wrong by stated amounts.
+        """Intervals of the failure probability if the laws are wrong by stated amounts, one for each amount.
 
         Args:
             amounts: How wrong the laws may be.
@@ -229,7 +244,12 @@ class Result:
         return json_lines(self._content(self.points(), CONFIDENCE))
 
     def _content(self, points: Iterable[SummaryRow], confidence: float) -> Summary:
-        """The summary with points that may be made one by one."""
+        """The summary of the result.
+
+        Args:
+            points: The points, which may be made one by one.
+            confidence: Confidence of each single interval.
+        """
         times = self.manifest.get("times", {})
         return {
             "study": self.study.name,
@@ -267,12 +287,14 @@ class Result:
         """
         path = Path(folder)
         layout = Layout.of(self.study)
-        with store.Store(path, self.study, self.manifest | {"layout": layout.to_dict(), "complete": False}) as target:
+        manifest = self.manifest | {"layout": layout.to_dict(), "complete": False}
+        with store.Store(path, self.study, manifest) as target:
             for block in layout.blocks():
-                law_values = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
+                draws = block[-1]
+                law_values = {name: self.dataset[name].values[draws] for name in self.study.laws}
                 names = [name for name in variables(self.study) if name not in law_values]
-                grid = {name: self.dataset[name].values[block] for name in names}
-                target.chunks.write(block, grid, law_values)
+                results = {name: self.dataset[name].values[block] for name in names}
+                target.chunks.write(block, results, law_values)
             target.complete({})
             self.path = path
             target.summarise(self.lines())
@@ -298,13 +320,15 @@ def load_result(folder: str | Path, trust_code: bool = False) -> Result:
     Raises:
         ConfigError: The folder is not a results folder, it is damaged, or its run did not finish.
     """
-    return Result.of(*store.read_run(Path(folder), trust_code), Path(folder))
+    study, dataset, manifest = store.read_run(Path(folder), trust_code)
+    return Result.of(study, dataset, manifest, Path(folder))
 
 
 def headline_measure(study: Study) -> Measure:
-    """The headline metric of a study: that which ``[plot]`` names, else that of the first requirement, else the error.
+    """The metric that reports of a study show first.
 
-    For a study that measures no error it is the first metric.
+    It is the metric that ``[plot]`` names, else the metric of the first requirement, else the error, else the first
+    metric.
     """
     by_name = {measure.name: measure for measure in study.measures}
     if study.config.plot.metric:
@@ -318,14 +342,17 @@ def headline_measure(study: Study) -> Measure:
 
 
 def most_violated(result: Result) -> Measure:
-    """The metric that ``[plot]`` names, else that of the requirement which most draws violate.
+    """The metric that ``[plot]`` names, else the metric of the requirement which most draws violate.
 
     Without requirements it is the headline metric.
     """
     requirements = result.study.requirements
     if result.study.config.plot.metric or not requirements:
         return headline_measure(result.study)
-    counts = [int(np.count_nonzero(violated(result.dataset[rule.name].values))) for rule in requirements]
+    counts = []
+    for requirement in requirements:
+        slacks = result.dataset[requirement.name].values
+        counts.append(int(np.count_nonzero(violated(slacks))))
     return requirements[int(np.argmax(counts))].measure
 
 

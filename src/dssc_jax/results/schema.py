@@ -25,15 +25,19 @@ NOT_COMPUTED = -1
 
 
 def outcome_codes(study: Study) -> dict[int, str]:
-    """All outcome codes that draws of a study can have, with the name of each.
+    """Name of each outcome code that draws of a study can have, by code.
 
     The code of a draw names only the first violated requirement, in the study's order; the slacks show all of them.
     """
-    requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
-    early_ends = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
-    if study.table["plant"].get("ground") is not None:  # of a study whose code is not loaded, too
-        early_ends[int(Outcome.INTO_GROUND)] = "into_ground"
-    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | early_ends | requirements
+    codes = {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"}
+    is_vehicle = len(study.loop.channels) > 1
+    if is_vehicle:
+        codes[int(Outcome.SINGULAR_ATTITUDE)] = "singular_attitude"
+    if study.table["plant"].get("ground") is not None:  # also in a study whose code is not loaded
+        codes[int(Outcome.INTO_GROUND)] = "into_ground"
+    for number, requirement in enumerate(study.requirements):
+        codes[int(Outcome.REQUIREMENT) + number] = f"first_violated_{requirement.label}"
+    return codes
 
 
 def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
@@ -52,7 +56,13 @@ def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Variable:
-    """Dimensions, type and attributes of a variable of a result."""
+    """How a result stores a variable.
+
+    Args:
+        dims: Names of its dimensions.
+        dtype: NumPy's name of its type.
+        attributes: Unit, meaning and further attributes, following the CF conventions.
+    """
 
     dims: tuple[str, ...]
     dtype: str
@@ -60,7 +70,10 @@ class Variable:
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """All variables of a study's dataset; ``outcome`` is the last."""
+    """All variables of a study's dataset by name, the drawn numbers first; ``outcome`` is the last.
+
+    Drawn numbers have the dimension ``draw`` only, all others have the swept parameters and ``draw``.
+    """
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
     by_name = {}
@@ -100,7 +113,7 @@ def name_with_unit(name: str, unit: str) -> str:
 
 
 def coordinates(study: Study) -> dict[str, Variable]:
-    """The coordinates of a study's dataset: one for each axis, and the index of the draw."""
+    """The coordinates of a study's dataset by name: each swept parameter, and the index of the draw."""
     by_name = {}
     for name in study.axes:
         quantity = study.quantities[name]
@@ -110,7 +123,7 @@ def coordinates(study: Study) -> dict[str, Variable]:
 
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
-    """Values of the :func:`coordinates` of a study's dataset."""
+    """Values of the :func:`coordinates` of a study's dataset, by name."""
     values = {name: np.asarray(axis) for name, axis in study.axes.items()}
     values["draw"] = np.arange(study.config.draws)
     return values
@@ -118,8 +131,10 @@ def coordinate_values(study: Study) -> dict[str, np.ndarray]:
 
 def dataset_attributes(study: Study) -> dict[str, str]:
     """Attributes of a study's dataset itself, following the CF conventions."""
-    comment = {"comment": study.config.description} if study.config.description else {}
-    return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **comment}
+    attributes = {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax"}
+    if study.config.description:
+        attributes["comment"] = study.config.description
+    return attributes
 
 
 def in_memory(study: Study) -> xr.Dataset:

@@ -23,7 +23,8 @@ def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
     Returns:
         The score of each draw in each law, shape (n, laws).
     """
-    return special.ndtri(unit_points(study, indices)) @ mixing(study).T
+    independent_scores = special.ndtri(unit_points(study, indices))
+    return independent_scores @ mixing(study).T
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,11 @@ class ScoredDraws:
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:
-        """Whether each law has one of the names, and so may change, shape (laws,)."""
+        """Whether each law belongs to a named number, and so may change, shape (laws,)."""
         return np.isin(list(self.study.laws), names)
 
     def weighted(self, family: type[Change], confidence: float) -> WeightedDraws:
-        """The draws with weights under changes of all laws that can be changed.
+        """The draws, to be weighted under changes of all laws that can be shifted and widened.
 
         Args:
             family: The family of changes, such as a shift of the means.
@@ -70,5 +71,9 @@ class ScoredDraws:
         return WeightedDraws(family(self.precision), self.scores, self.failed, self.free(self.names), confidence)
 
     def bounds(self, interval: tuple[float, float]) -> AnyFailures:
-        """Bounds of the failure probability that hold whatever draws fail, from its interval under the present laws."""
+        """Bounds of the failure probability under changed laws, which hold whatever draws fail.
+
+        Args:
+            interval: Interval of the failure probability under the present laws.
+        """
         return AnyFailures(self.precision, interval)

@@ -50,12 +50,13 @@ class StatedError:
 
 @dataclass(frozen=True)
 class StatedAmounts:
-    """Amounts by which the laws may be wrong.
+    """Amounts by which the laws of a study may be wrong, as its user states them; true if there is any.
 
     Args:
-        within: Radii by the names of :data:`dssc_jax.statistics.divergence_balls.BALLS`.
-        shift: Shift of all means [standard deviations].
-        widening: Relative width of all laws.
+        within: Largest divergence of the true law, by name of the divergence in
+            :data:`dssc_jax.statistics.divergence_balls.BALLS`.
+        shift: Largest shift of the means [standard deviations]; None: not stated.
+        widening: Largest relative width of the laws, at least 1; None: not stated.
 
     Raises:
         ConfigError: An amount is out of range.
@@ -66,6 +67,7 @@ class StatedAmounts:
     widening: float | None
 
     def __post_init__(self) -> None:
+        """Refuse unknown divergences and amounts that are out of range."""
         for name, radius in self.within.items():
             if name not in BALLS:
                 raise ConfigError("within", f"'{name}' is no divergence; {nearest(name, BALLS)}")
@@ -77,6 +79,7 @@ class StatedAmounts:
             raise ConfigError("widening", f"must be finite and 1 or more, got {self.widening:g}")
 
     def __bool__(self) -> bool:
+        """Whether any amount is stated."""
         return bool(self.within) or self.shift is not None or self.widening is not None
 
     @property
@@ -93,13 +96,14 @@ class StatedAmounts:
         """
         try:
             within = {str(name): float(radius) for name, radius in entry["within"].items()}
-            shift, widening = (None if entry[name] is None else float(entry[name]) for name in ("shift", "widening"))
+            shift = None if entry["shift"] is None else float(entry["shift"])
+            widening = None if entry["widening"] is None else float(entry["widening"])
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError("stated", f"must be the amounts by which laws may be wrong, got {entry!r}") from None
         return cls(within, shift, widening)
 
     def require(self, study: Study) -> None:
-        """Require a study for which intervals under these amounts exist.
+        """Refuse a study without intervals under these amounts.
 
         Raises:
             ConfigError: The study has a sweep, its draws are not independent, or no law can be shifted or widened.
@@ -116,7 +120,7 @@ class StatedAmounts:
         """The intervals of the failure probability under each amount.
 
         Args:
-            draws: The draws.
+            draws: The draws, and which of them failed.
             interval: Interval of the failure probability under the present laws.
             confidence: Confidence of the intervals by the draws' weights.
         """
@@ -124,20 +128,28 @@ class StatedAmounts:
         free = draws.free(draws.names)
         errors = []
         for name, radius in self.within.items():
-            errors.append(StatedError(name, radius, BALLS[name].interval(interval, radius), None))
+            interval_in_ball = BALLS[name].interval(interval, radius)
+            errors.append(StatedError(name, radius, interval_in_ball, weighted_interval=None))  # needs no weights
         if self.shift is not None:
-            weighted = draws.weighted(Shift, confidence).interval_within(self.shift)
-            errors.append(
-                StatedError("mean_shift", self.shift, bounds.interval_after_shift(free, self.shift), weighted)
-            )
+            interval_of_any = bounds.interval_after_shift(free, self.shift)
+            weighted_interval = draws.weighted(Shift, confidence).interval_within(self.shift)
+            errors.append(StatedError("mean_shift", self.shift, interval_of_any, weighted_interval))
         if self.widening is not None:
-            weighted = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
-            errors.append(
-                StatedError("widening", self.widening, bounds.interval_after_widening(free, self.widening), weighted)
-            )
+            interval_of_any = bounds.interval_after_widening(free, self.widening)
+            weighted_interval = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
+            errors.append(StatedError("widening", self.widening, interval_of_any, weighted_interval))
         return errors
 
 
 def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:
-    """Confidence that a single statement needs, which a stopping rule with several looks raises."""
-    return confidence if isinstance(method, Replicated) else method.level(confidence)
+    """Confidence that a statement other than the failure interval needs, to hold with the nominal confidence.
+
+    A stopping rule with several looks raises it, since each look could have been the last.
+
+    Args:
+        method: The method of the intervals.
+        confidence: The nominal confidence.
+    """
+    if isinstance(method, Replicated):
+        return confidence
+    return method.level(confidence)

@@ -33,7 +33,9 @@ from dssc_jax.study import Study, hash_of, stored_study
 
 
 class Store:
-    """A results folder that a run writes; the run holds its lock.
+    """A results folder into which a run writes its blocks; the run holds the folder's lock.
+
+    ``pending`` are the blocks that the run still has to compute.
 
     Args:
         folder: The folder; created if absent.
@@ -47,6 +49,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, study: Study, manifest: Manifest, resume: bool = False) -> None:
+        """Lock the folder, and begin or resume the run in it."""
         self.folder = folder
         self.study = study
         self.values: xr.Dataset | None = None  # all blocks, where this process computes them
@@ -63,19 +66,21 @@ class Store:
         try:
             old = read_manifest(folder) if is_occupied(folder) else None
             if old is not None:
-                require_same_study(folder, old, study, resume)
-            adds_draws = old is not None and asks_for_more_draws(old, study)
+                require_same_study(folder, old, study, resume)  # again, now that no other process writes
             with report_write_errors(folder):
-                if old is None or not resume or not self._resume(old, manifest, adds_draws):
+                is_resumed = old is not None and resume and self._resume(old, manifest)
+                if not is_resumed:
                     self._begin(manifest)
         except BaseException:
             self.close()
             raise
 
     def __enter__(self) -> "Store":
+        """The store itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the store, with or without an exception."""
         self.close()
 
     def close(self) -> None:
@@ -90,7 +95,7 @@ class Store:
 
     @property
     def layout(self) -> Layout:
-        """The blocks; a resumed run keeps its original layout."""
+        """The division of the grid into blocks; a resumed run keeps its original blocks."""
         return self.chunks.layout
 
     def _begin(self, manifest: Manifest) -> None:
@@ -99,30 +104,30 @@ class Store:
             files.delete_tree(self.folder / name, self.folder)
         files.delete(self.folder / SUMMARY)
         files.delete_partials(self.folder)
-        manifest = {name: value for name, value in manifest.items() if name != DIGESTS} | {"schema": SCHEMA}
-        write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is known as one
+        manifest = {name: value for name, value in manifest.items() if name != DIGESTS}
+        manifest["schema"] = SCHEMA
+        write_manifest(self.folder, manifest)  # before the data, so that an interrupted run is recognised
         layout = Layout.from_dict(manifest["layout"])
         self.manifest = manifest
         self.pending = layout.blocks()
         arrays = create_arrays(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held_folder=self.held_folder)
 
-    def _resume(self, old: Manifest, new: Manifest, adds_draws: bool) -> bool:
+    def _resume(self, old: Manifest, new: Manifest) -> bool:
         """Continue an earlier run, perhaps with more draws.
 
         Args:
             old: Manifest of the earlier run.
             new: Content of the manifest of this run.
-            adds_draws: Whether this run has more draws.
 
         Returns:
-            False if the earlier run stopped before it created its arrays, so that there is nothing to continue.
+            Whether the run continues; False if the earlier run stopped before it created its arrays.
         """
         draws = old["study"].get("draws", 1)
         layout = stored_layout(self.folder, self.study, old, draws)
         if not has_all_arrays(self.folder, self.study, layout):
             return False
-        if adds_draws:
+        if asks_for_more_draws(old, self.study):
             self._extend(old, new, layout)
         else:
             files.delete_partials(self.folder)
@@ -148,21 +153,29 @@ class Store:
         """
         require_same_machinery(self.folder, old, new)
         draws = old["study"].get("draws", 1)
-        self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
+        old_layout = Layout((*layout.shape[:-1], draws), layout.block)
+        self._require_sealed(old, old_layout)
         files.delete_partials(self.folder)
         self.manifest = new | {"layout": layout.to_dict()}
-        write_manifest(self.folder, self.manifest)  # before the arrays grow, so that an interrupted run is known as one
+        write_manifest(self.folder, self.manifest)  # before the arrays grow, so that an interrupted run is recognised
         files.delete(self.folder / SUMMARY)
 
     def _require_sealed(self, manifest: Manifest, layout: Layout) -> None:
-        """Require that the digests of a finished run are those recorded in its manifest."""
-        if manifest.get(DIGESTS, digest_of_all(self.folder, layout)) != digest_of_all(self.folder, layout):
+        """Refuse blocks whose digests differ from the digest in the manifest, if it records a finished run."""
+        if DIGESTS in manifest and manifest[DIGESTS] != digest_of_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
 
     def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
-        """Write a pending block, and keep it in memory if this process computes all blocks."""
+        """Write a pending block, and keep it in memory if this process computes all blocks.
+
+        Args:
+            block: The block.
+            results: Metrics, slacks and outcomes of the block, by name.
+            law_values: Drawn numbers of the block's draws, by name.
+        """
         self.chunks.write(block, results, law_values)
-        if self.values is None and self.pending == self.layout.blocks():
+        computes_all = self.pending == self.layout.blocks()
+        if self.values is None and computes_all:
             self.values = in_memory(self.study)
         if self.values is not None:
             copy_block(self.values, block, results, law_values)
@@ -176,17 +189,18 @@ class Store:
         Raises:
             ConfigError: A block reads back differently from how it was written; then nothing is recorded.
         """
-        self._require_sealed(self.manifest, self.layout)  # recomputed blocks equal the original ones
+        self._require_sealed(self.manifest, self.layout)  # blocks computed again equal the original blocks
         self.require_kept()
-        self.manifest = self.manifest | entries | {DIGESTS: digest_of_all(self.folder, self.layout), "complete": True}
+        digest = digest_of_all(self.folder, self.layout)
+        self.manifest = self.manifest | entries | {DIGESTS: digest, "complete": True}
         with report_write_errors(self.folder, self.held_folder):
             write_manifest(self.folder, self.manifest)
 
     def require_kept(self) -> None:
-        """Read the folder again, and require that it holds all blocks as they were written.
+        """Read the folder again, and refuse it unless it holds all blocks as they were written.
 
         Raises:
-            ConfigError: It does not; the message says what is lost and where.
+            ConfigError: Blocks are lost or altered; the message says how much and where.
         """
         self.held_folder.require_in_place()
         pending, _ = Chunks(self.folder, self.study, self.layout).pending()
@@ -198,16 +212,20 @@ class Store:
             raise ConfigError(str(self.folder), rule)
 
     def read(self) -> tuple[xr.Dataset, Manifest]:
-        """Dataset and manifest, once the run is complete.
+        """Dataset and manifest of the complete run, from memory if this process has computed all blocks.
 
         Raises:
-            ConfigError: Another process or an earlier run has written blocks, and the data on disk differ from them.
+            ConfigError: The blocks on disk, which other processes or an earlier run have written, are damaged.
         """
-        values = read_dataset(self.folder, self.study, self.manifest) if self.values is None else self.values
-        return values, self.manifest
+        if self.values is not None:
+            return self.values, self.manifest
+        return read_dataset(self.folder, self.study, self.manifest), self.manifest
 
     def summarise(self, lines: Iterable[str]) -> None:
         """Write summary.json, the last file of a run.
+
+        Args:
+            lines: The text of the file, in pieces.
 
         Raises:
             ConfigError: The folder cannot be written, or it no longer holds the manifest of the finished run.

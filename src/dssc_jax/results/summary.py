@@ -19,7 +19,7 @@ from dssc_jax.statistics import Method, Replicated
 from dssc_jax.statistics.order import at_rank, quantile_ranks, sorted_draws, upper_quantile
 from dssc_jax.study import Study
 
-QUANTILES = (0.05, 0.5, 0.95)
+QUANTILES = (0.05, 0.5, 0.95)  # levels of a metric's quantiles
 BATCH_LANES = 2**20
 """Largest number of lanes that are summarised at a time."""
 BATCH_POINTS = 4096
@@ -27,14 +27,16 @@ BATCH_POINTS = 4096
 FEW_PAIRS = 3
 """Up to this number of pairs of requirements, pairs that no draw violates are shown, too."""
 SummaryRow: TypeAlias = JsonObject
-"""Summary of one point, or of one requirement at a point, for JSON."""
+"""Summary of a point, or of a requirement at a point, for JSON."""
 
 Summary: TypeAlias = JsonObject
 """Summary of a result for JSON; its ``points`` are a list of :data:`SummaryRow`."""
 
 
 class Statements(NamedTuple):
-    """Columns of statistical statements about many points, by one method and with one confidence.
+    """Makes the columns of statistical statements about many points, by the same method and with the same confidence.
+
+    A column has an entry for each point. Columns are returned by name.
 
     Args:
         method: Method of the intervals for this design of the draws.
@@ -45,28 +47,39 @@ class Statements(NamedTuple):
     confidence: float
 
     def failures(self, failed: np.ndarray) -> dict[str, list[object]]:
-        """Columns with number, share and interval of failures, from whether draws failed, shape (points, draws)."""
+        """Columns with number, share and interval of failures.
+
+        Args:
+            failed: Whether each draw failed, shape (points, draws).
+        """
         return frequency(failed, self.method.failure_interval(failed, self.confidence))
 
     def shares(self, happened: np.ndarray) -> dict[str, list[object]]:
-        """Columns with number, share and interval of an event, from whether it happened, shape (points, draws)."""
+        """Columns with number, share and interval of an event.
+
+        Args:
+            happened: Whether each draw has the event, shape (points, draws).
+        """
         return frequency(happened, self.method.interval(happened, self.confidence))
 
     def quantiles(self, values: np.ndarray, missing: float) -> dict[str, list[object]]:
-        """Columns with quantiles and their intervals; None where infinite.
+        """Columns with the quantiles of a metric, such as ``q95``, and their intervals, such as ``q95_interval``.
+
+        An entry that is infinite becomes None. Dependent draws have no intervals.
 
         Args:
             values: Values of a metric, shape (points, draws).
-            missing: The value that stands for NaN, the value of a draw that has none.
+            missing: Replaces NaN, which stands for a draw without a value.
         """
         sorted_values = sorted_draws(values, missing)
         columns = {}
         for level in QUANTILES:
-            columns[f"q{100 * level:g}"] = upper_quantile(sorted_values, level)
+            name = f"q{100 * level:g}"
+            columns[name] = upper_quantile(sorted_values, level)
             if not isinstance(self.method, Replicated):
                 ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.level(self.confidence))
                 ends = [at_rank(sorted_values, rank) for rank in ranks]
-                columns[f"q{100 * level:g}_interval"] = np.stack(ends, axis=-1)
+                columns[f"{name}_interval"] = np.stack(ends, axis=-1)
         return {name: none_if_infinite(column) for name, column in columns.items()}
 
 
@@ -77,10 +90,11 @@ def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[obj
         happened: Whether the event happened in each draw, shape (points, draws).
         intervals: Intervals of its probability, shape (points, 2).
     """
-    failures = np.count_nonzero(happened, axis=-1)
+    counts = np.count_nonzero(happened, axis=-1)
+    draws = happened.shape[-1]
     return {
-        "failures": failures.tolist(),
-        "probability": (failures / happened.shape[-1]).tolist(),
+        "failures": counts.tolist(),
+        "probability": (counts / draws).tolist(),
         "interval": intervals.tolist(),
     }
 
@@ -98,35 +112,37 @@ def point_rows(study: Study, dataset: xr.Dataset, method: Method, confidence: fl
     """
     statements = Statements(method, confidence)
     draws = dataset.sizes["draw"]
-    names = ["outcome", *(r.name for r in study.requirements), *(measure.name for measure in study.measures)]
-    names += ["failed_at", *(r.violation_name for r in study.requirements)]
+    names = ["outcome", "failed_at", *(measure.name for measure in study.measures)]
+    for requirement in study.requirements:
+        names += [requirement.name, requirement.violation_name]
     lanes = {name: dataset[name].transpose(*study.axes, "draw").values.reshape(-1, draws) for name in names}
     count = len(lanes["outcome"])
     grid = np.meshgrid(*study.axes.values(), indexing="ij")
-    at = {name: values.ravel() for name, values in zip(study.axes, grid, strict=True)}
-    has_certificates = "certified" in dataset
-    certified = dataset["certified"].transpose(*study.axes).values.ravel() if has_certificates else np.full(count, None)
-    size = min(max(BATCH_LANES // draws, 1), BATCH_POINTS)
-    for first in range(0, count, size):
-        batch = slice(first, first + size)
-        swept = {name: values[batch].tolist() for name, values in at.items()}
-        lanes_of_batch = {name: values[batch] for name, values in lanes.items()}
-        yield from summary_of_batch(study, lanes_of_batch, swept, certified[batch].tolist(), statements)
+    swept = {name: values.ravel() for name, values in zip(study.axes, grid, strict=True)}
+    certified = np.full(count, None)
+    if "certified" in dataset:
+        certified = dataset["certified"].transpose(*study.axes).values.ravel()
+    batch_size = min(max(BATCH_LANES // draws, 1), BATCH_POINTS)
+    for first in range(0, count, batch_size):
+        batch = slice(first, first + batch_size)
+        swept_in_batch = {name: values[batch].tolist() for name, values in swept.items()}
+        lanes_in_batch = {name: values[batch] for name, values in lanes.items()}
+        yield from summary_of_batch(study, lanes_in_batch, swept_in_batch, certified[batch].tolist(), statements)
 
 
 def summary_of_batch(
     study: Study,
     lanes: Mapping[str, np.ndarray],
-    at: dict[str, list[float]],
+    swept: dict[str, list[float]],
     certified: list[bool | None],
     statements: Statements,
 ) -> list[SummaryRow]:
-    """Summarise a batch of points.
+    """Summarise a batch of points: a row for each point.
 
     Args:
         study: The study.
         lanes: Outcomes, slacks and metrics by name, each of shape (points, draws).
-        at: Value of each swept parameter at each point.
+        swept: Value of each swept parameter at each point, by name.
         certified: Whether Theorem 1 certifies each point; None if it does not apply.
         statements: Method and confidence of the statements.
     """
@@ -135,9 +151,9 @@ def summary_of_batch(
     early = ended_early(outcome)
     violations = {r.label: violated(lanes[r.name]) for r in study.requirements}
     pairs = overlap_rows(violations, early, statements)
-    pairs_of_points = by_point(pairs, count)
+    overlaps = by_point(pairs, count)
     if len(pairs) > FEW_PAIRS:
-        pairs_of_points = [[pair for pair in point if pair["draws"]] for point in pairs_of_points]
+        overlaps = [[pair for pair in pairs_at_point if pair["draws"]] for pairs_at_point in overlaps]
     outcomes = {}
     for code, meaning in outcome_codes(study).items():
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
@@ -146,13 +162,13 @@ def summary_of_batch(
         metrics[measure.name] = rows_of_columns(statements.quantiles(lanes[measure.name], measure.metric.worst))
     return rows_of_columns(
         {
-            **at,
+            **swept,
             "draws": [draws] * count,
             **statements.failures(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
             "requirements": by_point(requirement_rows(study, violations, lanes, statements), count),
-            "overlaps": pairs_of_points,
+            "overlaps": overlaps,
             "outcomes": rows_of_columns(outcomes),
             "metrics": rows_of_columns(metrics),
         }
@@ -160,19 +176,22 @@ def summary_of_batch(
 
 
 def json_lines(summary: Summary) -> Iterator[str]:
-    """A summary as JSON, with a line for each entry and each point, which are read one by one from an iterator."""
-    start = "{"
+    """The text of a summary as JSON, in pieces, with a line for each entry and for each point.
+
+    The points are read one by one from an iterator, so that few points of a large sweep are in memory at a time.
+    """
+    before_entry = "{"
     for name, value in summary.items():
-        yield f"{start}{json.dumps(name)}: "
+        yield f"{before_entry}{json.dumps(name)}: "
         if name == "points":
-            separator = "["
+            before_point = "["
             for point in value:
-                yield f"{separator}\n{json.dumps(point)}"
-                separator = ","
+                yield f"{before_point}\n{json.dumps(point)}"
+                before_point = ","
             yield "]"
         else:
             yield json.dumps(value)
-        start = ",\n"
+        before_entry = ",\n"
     yield "}\n"
 
 
@@ -184,7 +203,8 @@ def requirement_rows(
     ``alone`` counts the completed draws that violate only this requirement, and ``first`` the draws that violate it
     before all others. ``violated_at`` is the median of the times from which on the violation was certain. For a margin,
     ``unstable`` and ``no_operating_point`` count the completed draws that have no margin for this reason. For a metric
-    that may have no value, ``undefined`` counts the completed draws without one, and ``defined_if`` is its condition.
+    that may have no value, ``undefined`` counts the completed draws without a value, and ``defined_if`` is its
+    condition.
 
     Args:
         study: The study.
@@ -201,41 +221,45 @@ def requirement_rows(
     table = []
     for number, requirement in enumerate(study.requirements):
         is_violated = violations[requirement.label]
-        alone_counts = np.count_nonzero(is_violated & (violations_of_draw == 1) & ~early, axis=-1).tolist()
+        violates_alone = is_violated & (violations_of_draw == 1) & ~early
+        violation_times = lanes[requirement.violation_name]
         head = {"name": requirement.label, "text": requirement.text}
         columns = statements.shares(is_violated) | {
-            "alone": alone_counts,
+            "alone": np.count_nonzero(violates_alone, axis=-1).tolist(),
             "first": np.count_nonzero(first == number, axis=-1).tolist(),
-            "violated_at": none_if_infinite(median_without_nan(lanes[requirement.violation_name])),
+            "violated_at": none_if_infinite(median_without_nan(violation_times)),
         }
+        values = lanes[requirement.measure.name]
+        counts_without_value = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
         margin = requirement.measure.metric.margin
-        if margin is not None and not np.isnan(margin.kind.neutral):
-            values = lanes[requirement.measure.name]
+        if margin is not None and not np.isnan(margin.kind.neutral):  # neutral: the margin of an unstable loop
             columns["unstable"] = np.count_nonzero(values == margin.kind.neutral, axis=-1).tolist()
-            columns["no_operating_point"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
+            columns["no_operating_point"] = counts_without_value
         if requirement.measure.metric.defined_if:
-            values = lanes[requirement.measure.name]
-            columns["undefined"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
+            columns["undefined"] = counts_without_value
             head["defined_if"] = requirement.measure.metric.defined_if
         table.append([head | row for row in rows_of_columns(columns)])
     return table
 
 
 def missing_value_texts(point: SummaryRow) -> list[str]:
-    """Sentences on the draws of a point that have no value of a required margin or metric, with the reasons."""
-    names_by_counts: dict[tuple[int, int], list[str]] = {}
+    """Sentences on the draws of a point that have no value of a required margin or metric, with the reasons.
+
+    Requirements of margins with the same counts share a sentence.
+    """
+    texts_by_counts: dict[tuple[int, int], list[str]] = {}  # by (unstable, no operating point)
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)
         if any(counts):
-            names_by_counts.setdefault(counts, []).append(row["text"])
+            texts_by_counts.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, no_operating_point), names in names_by_counts.items():
+    for (unstable, no_operating_point), texts in texts_by_counts.items():
         reasons = []
         if unstable:
             reasons.append(f"in {unstable:,} the loop is unstable")
         if no_operating_point:
             reasons.append(f"in {no_operating_point:,} it has no operating point within the limits")
-        sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
+        sentences.append(f"draws without a margin violate {' and '.join(texts)}: {', '.join(reasons)}")
     for row in point["requirements"]:
         if row.get("undefined"):
             sentences.append(
@@ -247,9 +271,10 @@ def missing_value_texts(point: SummaryRow) -> list[str]:
 def median_without_nan(values: np.ndarray) -> np.ndarray:
     """The median of each row of values over the entries that are not NaN, without a warning; NaN if all are NaN."""
     counts = np.count_nonzero(~np.isnan(values), axis=-1)
-    middle = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=-1)
-    middle = np.minimum(middle, values.shape[-1] - 1)
-    return np.take_along_axis(np.sort(values, axis=-1), middle, -1).mean(-1)
+    middle_places = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=-1)  # the same if the count is odd
+    middle_places = np.minimum(middle_places, values.shape[-1] - 1)
+    sorted_values = np.sort(values, axis=-1)  # NaN last
+    return np.take_along_axis(sorted_values, middle_places, -1).mean(-1)
 
 
 def overlap_rows(
@@ -277,13 +302,14 @@ def overlap_rows(
 
 
 def rows_of_columns(columns: Mapping[str, Sequence[object]]) -> list[SummaryRow]:
-    """Convert the columns of a table, by name, to rows."""
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    """The rows of a table that is given by its columns: dictionaries with the names of the columns."""
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def by_point(parts: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
-    """Transpose lists with an entry for each of ``count`` points to one list for each point."""
-    return [[part[i] for part in parts] for i in range(count)]
+def by_point(lists: Sequence[Sequence[Any]], count: int) -> list[list[Any]]:
+    """For each of ``count`` points, the entries that several lists have for it: the lists, transposed."""
+    return [[entries[point] for entries in lists] for point in range(count)]
 
 
 def none_if_infinite(values: np.ndarray) -> list[object]:
@@ -300,7 +326,7 @@ def extreme_points(points: Sequence[SummaryRow]) -> tuple[SummaryRow, SummaryRow
 
 
 def most_violated(point: SummaryRow) -> str:
-    """The requirement which most draws of a point violate, with their number."""
+    """The requirement which most draws of a point violate with their number, such as ``error_max (12)``."""
     return largest_count({requirement["name"]: requirement["failures"] for requirement in point["requirements"]})
 
 
@@ -328,4 +354,6 @@ def jsonable(content: object) -> Any:
     if isinstance(content, list | tuple):
         return [jsonable(value) for value in content]
     value = content.item() if isinstance(content, np.generic) else content
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

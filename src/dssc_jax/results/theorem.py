@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from dssc_jax.design.certification import Mark
 
 TABLE_1 = "vgsta"
-"""Kind of the functions of Table 1."""
+"""Kind of the functions of Table 1 of the article, in ``[controller.functions]``."""
 
 
 def has_table_1(study: Study) -> bool:
-    """Whether a channel's controller is DSSC with the functions of Table 1."""
+    """Whether the controller of any channel is DSSC with the functions of Table 1, which Theorem 1 concerns."""
     common = study.config.controller
     tables = [common]
     for channel in study.loop.channels:

@@ -62,7 +62,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Share:
-    """The work of a worker in one task.
+    """What a worker did in one task.
 
     Args:
         worker: Address of the worker.
@@ -84,7 +84,7 @@ _device_lock = Lock()
 
 @lru_cache(maxsize=1)
 def prepared(job: Job) -> tuple[Engine, Chunks]:
-    """A worker's engine and its access to the results folder, created once for each job."""
+    """A worker's engine and its access to the results folder, created when the first task of a job arrives."""
     if job.local:
         allow_imports(job.local)
     for native in job.native:
@@ -95,7 +95,11 @@ def prepared(job: Job) -> tuple[Engine, Chunks]:
 
 
 def compute(job: Job, blocks: list[Block]) -> Share:
-    """Run one task on a worker: compute some blocks, and write them."""
+    """Run one task on a worker: compute some blocks, and write them to the results folder.
+
+    Raises:
+        ConfigError: The worker cannot load the study or reach the folder; the message names the worker.
+    """
     from distributed import get_worker
 
     with _device_lock:  # the threads of a worker share one device
@@ -127,14 +131,15 @@ class Cluster:
     """
 
     def __init__(self, client: Any, address: str, notify: Callable[[str], None], local: str | None = None) -> None:
+        """Note which workers are present."""
         self.client = client
         self.address = address
         self.notify = notify
         self.local = local
-        self.lost: list[str] = []
+        self.lost: list[str] = []  # addresses of lost workers
         self._present = self._workers()
-        self._checked_at = time.monotonic()
-        self._seen_at = self._checked_at
+        self._checked_at = time.monotonic()  # of the last check of the workers [s]
+        self._seen_at = self._checked_at  # of the last check that found a worker [s]
 
     def _workers(self) -> set[str]:
         """Addresses of the present workers."""
@@ -150,13 +155,13 @@ class Cluster:
             machines = self.client.run(computing)
         except ImportError as error:
             raise ConfigError(OPTION, f"the workers lack this package: {error}") from error
-        reference, *other_workers = machines
+        first, *other_workers = machines  # addresses
         for worker in other_workers:
-            differences = machinery_differences(machines[reference], machines[worker])
+            differences = machinery_differences(machines[first], machines[worker])
             if differences:
-                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differences)}"
+                text = f"workers {first} and {worker} would not give bit-identical results: {listed(differences)}"
                 raise ConfigError(OPTION, text)
-        return machines[reference]
+        return machines[first]
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a results folder.
@@ -184,14 +189,14 @@ class Cluster:
         return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
     def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
-        """Submit tasks, and yield the share of each one that finishes; raises as :meth:`fill`."""
+        """Submit tasks, and yield the share of each task when it finishes; raises as :meth:`fill`."""
         distributed = importlib.import_module("distributed")
         unfinished = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
         try:
             while unfinished:
                 try:
                     finished, unfinished = distributed.wait(unfinished, timeout=POLL, return_when="FIRST_COMPLETED")
-                except TimeoutError:
+                except TimeoutError:  # no task has finished since
                     finished = set()
                 if time.monotonic() > self._checked_at + POLL or not unfinished:
                     self._check_workers()
@@ -224,9 +229,10 @@ class Cluster:
 
 
 def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
-    """Divide blocks into ranges, one for each task."""
-    size = min(max(len(blocks) // (TASKS * max(workers, 1)), 1), MOST_BLOCKS)
-    return [blocks[i : i + size] for i in range(0, len(blocks), size)]
+    """Divide blocks into ranges, one for each task: about :data:`TASKS` tasks for each worker."""
+    tasks = TASKS * max(workers, 1)
+    size = min(max(len(blocks) // tasks, 1), MOST_BLOCKS)
+    return [blocks[first : first + size] for first in range(0, len(blocks), size)]
 
 
 def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
@@ -237,23 +243,24 @@ def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
         steps: Number of samples of a lane.
         seconds: Duration of the run [s].
     """
-    lanes: dict[str, int] = {}
-    busy: dict[str, float] = {}
+    lanes: dict[str, int] = {}  # by worker
+    busy_seconds: dict[str, float] = {}  # by worker
     for share in shares:
         lanes[share.worker] = lanes.get(share.worker, 0) + share.lanes
-        busy[share.worker] = busy.get(share.worker, 0.0) + share.seconds
+        busy_seconds[share.worker] = busy_seconds.get(share.worker, 0.0) + share.seconds
+    rates = [lanes[worker] * steps / busy for worker, busy in busy_seconds.items() if busy > 0.0]
     return {
         "seconds": seconds,
         "compile_seconds": max((share.compile_seconds for share in shares), default=0.0),
-        "run_seconds": max(busy.values(), default=0.0),
-        "rate": sum(lanes[worker] * steps / busy[worker] for worker in lanes if busy[worker] > 0.0),
+        "run_seconds": max(busy_seconds.values(), default=0.0),
+        "rate": sum(rates),
         "traces": max((share.traces for share in shares), default=0),
     }
 
 
 @contextmanager
 def connected(address: str, notify: Callable[[str], None], local: str | None = None) -> Iterator[Cluster]:
-    """A context with workers: those of a scheduler, or local ones that are started for its duration.
+    """A context with workers: of a scheduler, or local processes that are started for its duration.
 
     Args:
         address: ``tcp://host:port`` of a scheduler, or ``local:N`` for N processes on this machine.
@@ -263,12 +270,13 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
     Raises:
         ConfigError: The address is wrong, there is no answer, or dask.distributed is not installed.
     """
-    count = parsed(address)
+    count = local_processes(address)
     try:
         distributed = importlib.import_module("distributed")
     except ImportError:
         raise ConfigError(OPTION, "needs dask.distributed: pip install 'dssc_jax[cluster]'") from None
-    with ExitStack() as stack:  # one line of ours replaces dask's log of a loss
+    with ExitStack() as stack:
+        # `notify` tells of a lost worker in one line; dask's log would add many
         stack.enter_context(distributed.utils.silence_logging_cmgr(logging.CRITICAL))
         place = stack.enter_context(local_cluster(count)) if count else address
         try:
@@ -279,11 +287,11 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
         yield Cluster(client, address, notify, local)
 
 
-def parsed(address: str) -> int:
-    """Number of processes in ``local:N``; 0 for the address of a scheduler.
+def local_processes(address: str) -> int:
+    """The number of processes N in ``local:N``; 0 for the address of a scheduler.
 
     Raises:
-        ConfigError: The address is of neither form.
+        ConfigError: The address has neither form.
     """
     if address.startswith(LOCAL_SCHEME):
         count = address.removeprefix(LOCAL_SCHEME)
@@ -297,7 +305,8 @@ def parsed(address: str) -> int:
 def local_cluster(count: int) -> Any:
     """A dask cluster of processes on this machine, with local access only.
 
-    They are spawned, because JAX has threads, which a fork would break.
+    The processes are spawned, because JAX has threads, which a fork would break. Each is watched by a process of dask,
+    which starts it again if it dies.
     """
     distributed = importlib.import_module("distributed")
     dask = importlib.import_module("dask")
@@ -307,7 +316,7 @@ def local_cluster(count: int) -> Any:
         **local_access,
         "silence_logs": logging.CRITICAL,
         "nthreads": 1,
-        "memory_limit": 0,
+        "memory_limit": 0,  # none
         "preload": [IGNORE_INTERRUPTS],
     }
     workers = {}
@@ -331,7 +340,7 @@ def worker_environment(index: int, count: int) -> dict[str, str]:
 
 
 def visible_gpus() -> list[str]:
-    """The GPUs that this process may use, found without JAX, which would occupy one."""
+    """Names of the GPUs that this process may use, found without JAX, which would occupy one of them."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name for name in visible.split(",") if name]

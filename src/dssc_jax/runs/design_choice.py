@@ -28,7 +28,7 @@ LEAST_CASES = 50  # failures, and draws without failure, that a run must expect 
 
 
 class DesignWarning(UserWarning):
-    """A draw of a study is not the draw of its run, because the run chooses the design of the draws."""
+    """Warning that a draw is not the draw of the study's run, because the run chooses the design of its draws."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,17 @@ def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
     Args:
         study: The study, with ``sampling = "auto"``.
         folder: The results folder; a choice that it records for the same study is taken again. None: no folder.
-        resume: Whether the study may have more draws than that of the folder.
+        resume: Whether the study may have more draws than the study of the folder.
 
     Raises:
         ConfigError: The folder is damaged.
     """
     request = study.hash, study.config.draws
-    _, size = nets_of(study.config.draws)
+    nets, size = nets_of(study.config.draws)
     if size < LEAST_NET:
-        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", 0, request)
+        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", pilot=0, request=request)
     if not study.laws:
-        return DesignChoice(plain(study), "plain draws: no number is uncertain", 0, request)
+        return DesignChoice(plain(study), "plain draws: no number is uncertain", pilot=0, request=request)
     earlier_choice = recorded_choice(study, folder, resume) if folder else None
     if earlier_choice:
         return earlier_choice
@@ -80,24 +80,24 @@ def chosen_design(study: Study, folder: Path | None, resume: bool) -> DesignChoi
     place = " in the middle of the sweep" if middle else ""
     if is_noisy(engine):
         reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
-        return DesignChoice(plain(study), reason, 2 * PROBES, request)
-    failures = pilot_failures(engine)
-    expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws
+        return DesignChoice(plain(study), reason, pilot=2 * PROBES, request=request)
+    simulations = PILOT + 2 * PROBES
+    failures = count_pilot_failures(engine)
+    expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws  # never 0 nor all of them
     share = f"{failures} of {PILOT} pilot draws fail{place}"
     if min(expected_failures, study.config.draws - expected_failures) < LEAST_CASES:
         rule = f"Sobol points save nothing with fewer than {LEAST_CASES} failures, or draws without"
         reason = f"plain draws: {share}; {rule}"
-        return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, request)
-    nets, size = nets_of(study.config.draws)
+        return DesignChoice(plain(study), reason, simulations, request)
     reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
-    return DesignChoice(sobol(study, nets, size), reason, PILOT + 2 * PROBES, request)
+    return DesignChoice(sobol(study, nets, size), reason, simulations, request)
 
 
 def warn_of_open_choice(study: Study) -> None:
-    """Warn if the draws of a study may be others than those of its run, which may choose Sobol points.
+    """Warn if a run of the study may have other draws, because it may choose Sobol points.
 
     Warns:
-        DesignWarning: the run makes the choice after a pilot.
+        DesignWarning: The run makes the choice after a pilot.
     """
     _, size = nets_of(study.config.draws)
     if study.config.sampling == "auto" and study.laws and size >= LEAST_NET:
@@ -110,35 +110,48 @@ def warn_of_open_choice(study: Study) -> None:
 
 
 def plain(study: Study) -> Study:
-    """The study with independent random draws."""
+    """The study with plain draws: independent random points."""
     return study.override({"sampling": "random"})
 
 
 def sobol(study: Study, nets: int, size: int) -> Study:
-    """The study with ``nets`` Sobol nets of ``size`` points."""
+    """The study with Sobol points as draws: ``nets`` independently scrambled nets of ``size`` points each."""
     return study.override({"sampling": "sobol", "replicates": nets, "draws": nets * size})
 
 
 def nets_of(draws: int) -> tuple[int, int]:
-    """Number of nets, from ``NETS`` to twice as many, and points of each net: together at least ``draws`` draws."""
+    """The number of Sobol nets of a run, from :data:`NETS` to twice as many, and the number of points of each net.
+
+    A net has a power of two of points. Together they are at least ``draws`` points.
+    """
     size = 1 << max(0, (draws // NETS).bit_length() - 1)  # draws / NETS rounded down to a power of two, or 1
     return math.ceil(draws / size), size
 
 
-def pilot_failures(engine: Engine) -> int:
-    """Number of failures among the pilot's draws, Sobol points with scramblings and in-loop noise that no run has."""
+def count_pilot_failures(engine: Engine) -> int:
+    """Simulate the draws of the pilot, and count the failures.
+
+    The draws are Sobol points with scramblings and in-loop noise that no run has, so they are independent of the run.
+    """
     study = engine.study
     size = PILOT // PILOT_NETS
     nets = []
     for net in range(PILOT_NETS):
-        nets.append(sobol_points(len(study.laws), 0, size, (study.config.seed, stream("pilot"), net)))
+        words = (study.config.seed, stream("pilot"), net)
+        nets.append(sobol_points(len(study.laws), start=0, end=size, words=words))
     values = values_at(study, inside_cube(np.concatenate(nets)))
     results = evaluate(engine, values, PILOT_INDEX + np.arange(PILOT))
     return int(np.count_nonzero(results["outcome"] != Outcome.OK))
 
 
 def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | None:
-    """The choice that a folder records for the same study, or for fewer draws of it if it is resumed; else None."""
+    """The choice that a results folder records for the study; None if it records none.
+
+    Args:
+        study: The study, with ``sampling = "auto"``.
+        folder: The folder.
+        resume: Whether a choice for fewer draws of the same study counts, too.
+    """
     if not (folder / MANIFEST).exists():
         return None
     manifest = read_manifest(folder)
@@ -157,6 +170,6 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     if recorded_study["sampling"] == "random":
         return DesignChoice(plain(study), entry["reason"], entry["pilot"], request)
     nets = recorded_study["replicates"]
-    points = math.ceil(study.config.draws / nets)
+    points = math.ceil(study.config.draws / nets)  # of each net
     size = 1 << (points - 1).bit_length()  # rounded up to a power of two, as a Sobol net needs
     return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], request)

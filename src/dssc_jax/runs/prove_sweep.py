@@ -29,7 +29,7 @@ def prove_sweep(
     processes: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SweepProofs:
-    """Prove a study at every point of its sweep.
+    """Prove the statement of a study at every point of its sweep, in parallel processes.
 
     Args:
         study: A study with a sweep; a swept value replaces the law of its parameter.
@@ -43,7 +43,9 @@ def prove_sweep(
         ConfigError: ``boxes`` or ``processes`` is not positive.
         RuntimeError: A process has died.
     """
-    count = (os.cpu_count() or 1) if processes is None else processes
+    count = processes
+    if count is None:
+        count = os.cpu_count() or 1
     for name, value in (("boxes", boxes), ("processes", count)):
         if value < 1:
             raise ConfigError(name, f"must be at least 1, got {value}")
@@ -54,10 +56,10 @@ def prove_sweep(
         if count == 1:
             answers = (prove_point(problem, boxes) for problem in problems)
         else:
-            idle: SimpleQueue[Connection] = SimpleQueue()
+            idle: SimpleQueue[Connection] = SimpleQueue()  # connections to idle processes
             for _ in range(min(count, len(problems))):
                 idle.put(stack.enter_context(worker(boxes)))
-            pool = stack.enter_context(ThreadPoolExecutor(count))
+            pool = stack.enter_context(ThreadPoolExecutor(count))  # each thread waits for one process
             answers = pool.map(lambda problem: ask(idle, problem), problems)
         for answer in answers:
             outcomes.append(answer)
@@ -69,10 +71,15 @@ def prove_sweep(
 
 
 def foreign_points(study: Study, certificates: Sequence[JsonObject]) -> list[int]:
-    """Indices of the sweep points whose certificates belong to another loop."""
+    """Indices of the sweep points whose certificates were made for another loop.
+
+    Args:
+        study: The study.
+        certificates: The certificate of each point of its sweep.
+    """
     indices = []
     for i, (point, certificate) in enumerate(zip(sweep_points(study), certificates, strict=True)):
-        problem = json.loads(json.dumps(problem_of(point).to_dict()))
+        problem = json.loads(json.dumps(problem_of(point).to_dict()))  # as a certificate's file would hold it
         if problem_in(certificate) != problem:
             indices.append(i)
     return indices
@@ -84,7 +91,7 @@ def problem_in(certificate: object) -> object:
 
 
 def prove_point(problem: AnyProblem, boxes: int) -> PointOutcome:
-    """The summary and the certificate of one point."""
+    """Try to prove the statement at one point of a sweep; return its summary and its certificate."""
     from dssc_jax.proofs.prove import prove_problem
 
     outcome = prove_problem(problem, boxes)
@@ -114,7 +121,11 @@ def worker(boxes: int) -> Iterator[Connection]:
 
 
 def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
-    """The outcome of a problem, from an idle process.
+    """Have an idle process prove a problem, and wait for the outcome.
+
+    Args:
+        idle: Connections to idle processes.
+        problem: The problem.
 
     Raises:
         RuntimeError: The process has died.
@@ -130,7 +141,7 @@ def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
 
 
 def sweep_points(study: Study) -> Iterator[Study]:
-    """The study at each point of its sweep."""
+    """The study at each point of its sweep, where swept values replace the laws of their parameters."""
     single = study.without_sweep()
     for values in itertools.product(*study.axes.values()):
         yield single.override(dict(zip(study.axes, values, strict=True)))

@@ -1,5 +1,9 @@
-"""Many draws together with their signals over time, by one compiled program for any values of some numbers."""
+"""Many draws together with their signals over time, by one compiled program.
 
+Some numbers of the study may change from batch to batch, as when a user moves a slider.
+"""
+
+import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -46,15 +50,16 @@ class RecordedDraws:
         samples: int = 300,
         lanes: int = 256,
     ) -> None:
+        """Check the numbers, and make the engine, in whose study they are swept."""
         axes = {name: sorted(set(extent)) for name, extent in live.items()}
         self.study = study.override({"sweep": axes})
         self.signals = tuple(signals)
-        self.every = max(1, -(-study.loop.steps // samples))
+        self.every = max(1, math.ceil(study.loop.steps / samples))  # samples from one recorded sample to the next
         self._engine = Engine(self.study, lanes, program=self._program)
 
     @property
     def times(self) -> np.ndarray:
-        """Times of the recorded samples [s]."""
+        """Times of the recorded samples [s], shape (samples,)."""
         return np.arange(0, self.study.loop.steps, self.every) * self.study.loop.sample_time
 
     def compile(self) -> None:
@@ -73,18 +78,18 @@ class RecordedDraws:
             Results of a batch as of :class:`dssc_jax.engine.evaluation.Evaluator`, and for each :class:`SignalKey` an
             array of shape (lanes, samples), NaN once a draw has ended.
         """
-        values = draw(study, indices)
-        fixed = study.leaves()
+        drawn = draw(study, indices)
+        stated = study.leaves()
         for start in range(0, len(indices), self._engine.lanes):
             batch = slice(start, start + self._engine.lanes)
             count = len(indices[batch])
             columns = {}
             for name in self._engine.names:
-                columns[name] = values[name][batch] if name in values else np.full(count, fixed[name])
+                columns[name] = drawn[name][batch] if name in drawn else np.full(count, stated[name])
             yield self._with_ends(evaluate(self._engine, columns, indices[batch]))
 
     def _with_ends(self, results: Arrays) -> Arrays:
-        """The results, with signals that are NaN from the end of a draw on."""
+        """The results of a batch, with signals that are NaN from the end of their draw on."""
         ends = np.fmin(results["failed_at"], results.get("settled_at", np.inf))
         has_ended = self.times >= ends[:, None]
         if not has_ended.any():
@@ -95,10 +100,11 @@ class RecordedDraws:
         return masked
 
     def _program(self, study: Study) -> Lane:
-        """The program of a lane, whose results include the recorded signals."""
+        """Return the program of a lane, whose results include the recorded signals."""
         simulate = recorded_lane(study, self.every)
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[Any, Any]:
+            """The results of a draw by name, and each recorded signal by its :class:`SignalKey`."""
             run, recorded = simulate(values, index)
             columns = trajectory_columns(study, recorded)
             signals = {SignalKey(name): columns[name] for name in self.signals}

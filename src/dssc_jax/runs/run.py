@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
-    """The manifest of a run at its start.
+    """The manifest of a run at its start: what is computed, by which code and on which machine.
 
     Args:
         study: The study.
@@ -60,14 +60,18 @@ def run_manifest(study: Study, layout: Layout, machinery: Manifest) -> Manifest:
 
 
 def sampling_entry(study: Study) -> dict[str, object]:
-    """The entry of the manifest on the sampling design and on correlations, of ranks and of the normal variables."""
+    """The manifest's entry on the design of the draws and on their correlations.
+
+    Each correlation is stated for the ranks of two numbers, as in the study, and for their normal variables.
+    """
     config = study.config
+    correlations = {}
+    for pair, rank in config.correlation.items():
+        correlations[pair] = {"rank": rank, "normal": normal_correlation(rank)}
     return {
         "kind": config.sampling,
         "replicates": None if config.independent else config.replicates,
-        "correlation": {
-            pair: {"rank": rank, "normal": normal_correlation(rank)} for pair, rank in config.correlation.items()
-        },
+        "correlation": correlations,
     }
 
 
@@ -136,7 +140,7 @@ def run(
         return run_in_memory(study, layout, engine, progress, entries | integration_entry(study, check) | amounts_entry)
     require_startable(Path(out), study, resume)
     this_process = ThisProcess(study, tile, devices)
-    if not resume and not cluster:
+    if not resume and not cluster:  # every block is missing, so the first can start before the folder is made
         this_process.start(layout, layout.blocks())
     with ExitStack() as stack:
         workers: ThisProcess | Cluster = this_process
@@ -159,7 +163,7 @@ def run(
 
 @dataclass
 class ThisProcess:
-    """This process as the only worker of a run; the methods are those of :class:`dssc_jax.runs.cluster.Cluster`.
+    """This process as the only worker of a run, with the same methods as :class:`dssc_jax.runs.cluster.Cluster`.
 
     Args:
         study: The study.
@@ -172,22 +176,32 @@ class ThisProcess:
     devices: int | None
 
     def __post_init__(self) -> None:
+        """Note the time; nothing is computed yet."""
         self.began = time.perf_counter()
         self.block_results: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
     def machinery(self) -> Manifest:
-        """See :func:`dssc_jax.engine.batching.computing`."""
+        """Versions, device and compiler settings of this process, see :func:`dssc_jax.engine.batching.computing`."""
         return computing()
 
     def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        """Start to compute some blocks; see :func:`dssc_jax.engine.batching.execute`."""
+        """Start to compute some blocks in turn; returns the iterator of :func:`dssc_jax.engine.batching.execute`."""
         self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
         self.block_results = execute(self.engine, blocks)
         return self.block_results
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
-        """Compute the missing blocks of a folder; ``advance`` is called with the lanes of each. Returns the times."""
-        for box, results, values in self.block_results or self.start(target.layout, target.pending):
+        """Compute the missing blocks of a results folder.
+
+        Args:
+            target: The folder, locked by this process.
+            advance: Called with the number of lanes of each finished block.
+
+        Returns:
+            The entry ``times`` for the manifest.
+        """
+        block_results = self.block_results or self.start(target.layout, target.pending)
+        for box, results, values in block_results:
             target.write(box, results, values)
             advance(lanes_in(box))
         return {"times": self.engine.times(self.began)}
@@ -203,10 +217,11 @@ class LanesDone:
     """
 
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
+        """Count the lanes that are finished already, and report them."""
         self.progress = progress
         self.total = math.prod(layout.shape)
         self.finished_lanes = self.total - sum(map(lanes_in, pending))
-        self(0)
+        self(0)  # reports without adding a lane
 
     def __call__(self, lanes: int) -> None:
         """Add a number of finished lanes."""
@@ -216,14 +231,20 @@ class LanesDone:
 
 
 def integration_entry(study: Study, check: bool) -> Manifest:
-    """The manifest's entry on the error of integration; empty without a check."""
+    """Measure the error of integration if ``check`` is set; return it as an entry of the manifest, else nothing."""
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 
 def stated_entry(
     study: Study, within: Mapping[str, float] | None, shift: float | None, widening: float | None
 ) -> Manifest:
-    """The manifest's entry with amounts by which the laws may be wrong; empty without any. Arguments as of :func:`run`.
+    """The manifest's entry with the amounts by which the laws may be wrong; empty if no amount is given.
+
+    Args:
+        study: The study.
+        within: As for :func:`run`.
+        shift: As for :func:`run`.
+        widening: As for :func:`run`.
 
     Raises:
         ConfigError: An amount is out of range, or the study does not admit it.
@@ -238,7 +259,15 @@ def stated_entry(
 def run_in_memory(
     study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, entries: Manifest
 ) -> Result:
-    """Run a study in memory; ``entries`` are further entries of the manifest."""
+    """Simulate all lanes of a study, and return the result without writing a file.
+
+    Args:
+        study: The study.
+        layout: The grid and its blocks.
+        engine: The compiled study.
+        progress: Called with the lanes done and all lanes; None: no callback.
+        entries: Further entries of the manifest.
+    """
     began = time.perf_counter()
     blocks = layout.blocks()
     block_results = execute(engine, blocks)

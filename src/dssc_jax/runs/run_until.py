@@ -20,7 +20,7 @@ from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study, takes_file
 
-MOST_DRAWS = 100_000  # by default
+MOST_DRAWS = 100_000  # of a run, unless the caller states another number
 BATCH = 1024  # draws that are computed at once
 UNDECIDED = "undecided"
 
@@ -68,15 +68,15 @@ def run_until(
         require_same_rule(Path(out), longest, rule, most)
     began = time.perf_counter()
     engine = Engine(longest, min(most, BATCH))
-    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in range(0, most, engine.lanes)]
+    starts = range(0, most, engine.lanes)
+    blocks = [(slice(start, min(start + engine.lanes, most)),) for start in starts]  # of draws, without swept numbers
     batches = execute(engine, blocks)
     batches_done: list[Arrays] = []
-    has_failed = np.empty(0, dtype=bool)
-    looks = rule.looks(most)
+    has_failed = np.empty(0, dtype=bool)  # of each draw so far
     past_looks: list[Look] = []
-    counts: list[int] = []
+    counts: list[int] = []  # failures at each look
     verdict = None
-    for look in looks:
+    for look in rule.looks(most):
         while len(has_failed) < look.draws:
             _, results, _ = next(batches)
             batches_done.append(results)
@@ -118,18 +118,24 @@ def run_until(
 
 
 def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
-    """The study, with random draws if it has ``sampling = "auto"``, and the manifest's entry on that choice."""
+    """Take plain draws for a study with ``sampling = "auto"``, as a stopping rule needs them.
+
+    Returns:
+        The study, and the manifest's entry on the choice; any other study as it is, without an entry.
+    """
     if study.config.sampling != "auto":
         return study, {}
     reason = "plain draws: the law of a data-driven stop is known for independent draws only"
-    return plain(study), DesignChoice(study, reason, 0, (study.hash, study.config.draws)).entry
+    request = study.hash, study.config.draws
+    choice = DesignChoice(plain(study), reason, pilot=0, request=request)
+    return choice.study, choice.entry
 
 
 def require_sequential(study: Study) -> None:
-    """Require a study without a sweep and with independent draws.
+    """Require that a study may run under a stopping rule: it has no sweep, and its draws are independent.
 
     Raises:
-        ConfigError: It has a sweep, or its draws are points of a design.
+        ConfigError: It has a sweep, or its draws are points of a Sobol or Latin-hypercube design.
     """
     if study.axes:
         raise ConfigError(study.source, "a data-driven stop is for one point; leave [sweep] aside")
@@ -148,13 +154,15 @@ def require_same_rule(folder: Path, study: Study, rule: StoppingRule, most: int)
     Raises:
         ConfigError: The folder contains something else.
     """
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    is_empty = folder.is_dir() and not any(folder.iterdir())
+    if not folder.exists() or is_empty:
         return
-    manifest: Manifest = read_manifest(folder) if folder.is_dir() else {"study": {}}
+    no_result: Manifest = {"study": {}}
+    manifest = read_manifest(folder) if folder.is_dir() else no_result
     stopping = manifest.get("stopping") or {}
-    same_rule = (stopping.get("rule"), stopping.get("most")) == (rule.text, most)
+    has_same_rule = stopping.get("rule") == rule.text and stopping.get("most") == most
     stored_study = manifest["study"] | {"draws": most}  # in place of the number at which the run stopped
-    if not same_rule or stored_study != study.table:
+    if not has_same_rule or stored_study != study.table:
         raise ConfigError(
             str(folder),
             "is no result of this study under this stopping rule; choose another `out`",

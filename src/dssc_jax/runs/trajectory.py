@@ -1,5 +1,6 @@
 """Trajectories of single draws: ``simulate`` for a study, and ``replay`` for a stored result, which it checks."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, TypeAlias
@@ -44,32 +45,46 @@ SIGNALS = {
 
 
 RecordedLane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Run, Recorded]]
-"""(numbers of the lane by name, draw index) -> the draw's result and its recorded samples."""
+"""``(numbers of the lane by name, draw index) -> the draw's result and its recorded samples``."""
 
 
 def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str, float]:
     """The uncertain and swept numbers of one draw at a point of the sweep.
 
     Raises:
-        ConfigError: The draw is not in the study, or the names in ``point`` are not those of the sweep.
+        ConfigError: The draw is not in the study, or ``point`` does not have the names of the sweep.
     """
     require_draw(study, draw, study.source)
     require_swept(study, point)
     missing = [name for name in study.axes if name not in point]
     if missing:
         raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
-    values = {name: float(column[0]) for name, column in values_of_draws(study, slice(draw, draw + 1)).items()}
+    columns = values_of_draws(study, slice(draw, draw + 1))  # shape (1,) each
+    values = {name: float(column[0]) for name, column in columns.items()}
     return {**values, **point}
 
 
 def require_draw(study: Study, draw: int, source: str) -> None:
-    """Require that a study has a draw, or raise ConfigError about ``source``."""
+    """Require that a study has a draw with this index.
+
+    Args:
+        study: The study.
+        draw: Index of the draw.
+        source: The study's file or the results folder, for the message.
+
+    Raises:
+        ConfigError: It has not.
+    """
     if not 0 <= draw < study.config.draws:
         raise ConfigError(source, f"draw must be in 0 .. {study.config.draws - 1}, got {draw}")
 
 
 def require_swept(study: Study, names: Iterable[str]) -> None:
-    """Require that numbers are swept, or raise ConfigError."""
+    """Require that a study sweeps the numbers with these names.
+
+    Raises:
+        ConfigError: A number is not swept.
+    """
     for name in names:
         if name not in study.axes:
             raise ConfigError(study.source, f"'{name}' is not swept; {nearest(name, study.axes)}")
@@ -83,11 +98,11 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
         study: The study, or its file.
         draw: Index of the draw.
         point: Value of each swept parameter; None: the sweep is ignored.
-        every: Distance of two recorded samples.
+        every: Number of samples from one recorded sample to the next.
 
     Returns:
-        The signals over ``t`` [s]: y, y_dot, y_ref, e, sigma, u, u_total, and those of the controller's and the plant's
-        infos. Attributes contain the drawn values and how the draw ended.
+        The signals over ``t`` [s]: y, y_dot, y_ref, e, sigma, u, u_total, and the signals that controller and plant
+        report. Attributes contain the drawn values and how the draw ended.
 
     Raises:
         ConfigError: ``draw``, ``point`` or ``every`` is out of range.
@@ -96,7 +111,8 @@ def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None =
         DesignWarning: the draw is not that of a run, which chooses the design of its draws (``sampling = "auto"``).
     """
     warn_of_open_choice(study)
-    return recorder(study if point else study.without_sweep(), every)(draw, point or {})
+    record = recorder(study if point else study.without_sweep(), every)
+    return record(draw, point or {})
 
 
 def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int, Mapping[str, float]], xr.Dataset]:
@@ -104,7 +120,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
     Args:
         study: The study, including its sweep.
-        every: Distance of two recorded samples.
+        every: Number of samples from one recorded sample to the next.
         plain: Whether to use plain XLA, independent of the program that computes results.
 
     Returns:
@@ -116,29 +132,35 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
     every = min(every, study.loop.steps)
-    sample_count = -(-study.loop.steps // every)
+    sample_count = math.ceil(study.loop.steps / every)
     if sample_count > MOST_SAMPLES:
         rule = f"a trajectory keeps at most {MOST_SAMPLES} samples, got {sample_count}; raise every"
         raise ConfigError(study.source, rule)
 
-    program = cache(lambda: kernels.compiled_single(recorded_lane(study, every), lane_names(study), plain))
+    @cache
+    def program() -> Callable[..., tuple[Run, Recorded]]:
+        """The program of a lane, compiled for the first trajectory."""
+        return kernels.compiled_single(recorded_lane(study, every), lane_names(study), plain)
+
     margins_at = margin_values(study)
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
+        """The trajectory of a draw at a point of the sweep."""
         values = lane_values(study, draw, point)
         columns = {name: np.array([value]) for name, value in values.items()}
         margins = {name: column[0] for name, column in margins_at(columns, np.array([draw])).items()}
         with arithmetic(study.config.loop.precision):
-            ended, recorded = program()(values | margins, draw)
-        return as_trajectory(study, draw, values, ended, recorded)
+            run, recorded = program()(values | margins, draw)
+        return as_trajectory(study, draw, values, run, recorded)
 
     return record
 
 
 def recorded_lane(study: Study, every: int) -> RecordedLane:
-    """The program of a lane that records every ``every``-th sample."""
+    """Return the program of a lane that records every ``every``-th sample."""
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
+        """The draw's result and its recorded samples."""
         key = draw_key(study.config.seed, index)
         criteria = study.measures, study.requirements
         margins = margins_in(study, values)
@@ -147,23 +169,26 @@ def recorded_lane(study: Study, every: int) -> RecordedLane:
     return lane
 
 
-def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
+def as_trajectory(study: Study, draw: int, values: Mapping[str, float], run: Run, recorded: Recorded) -> xr.Dataset:
     """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended.
 
     Args:
         study: The study.
         draw: Index of the draw.
         values: The draw's uncertain and swept numbers.
-        ended: The draw's result.
+        run: The draw's result.
         recorded: Its recorded samples.
     """
-    has_ended = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # the state is frozen from there on
+    end = np.fmin(run.failed_at, run.settled_at)  # NaN: the draw has its full length
+    has_ended = recorded.instant.t >= end  # from there on the state is frozen
     variables_over_time = {}
     for name, column in trajectory_columns(study, recorded).items():
-        if has_ended.any() or column.dtype == bool:
+        if has_ended.any() or column.dtype == bool:  # a flag becomes a number, as where it has gaps
             column = np.where(has_ended, np.nan, column)
         variables_over_time[name] = (("t",), column, column_attributes(name, study))
-    code = int(ended.outcome)
+    code = int(run.outcome)
+    settled_at = {"settled_at": float(run.settled_at)} if study.loop.settled else {}
+    numbers = {**run.metrics, **run.slacks, **run.violated_at}
     return xr.Dataset(
         variables_over_time,
         coords={"t": (("t",), recorded.instant.t, unit_and_meaning("s", "time"))},
@@ -174,10 +199,10 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             **events_in(study, values),
             "outcome": code,
             "outcome_meaning": outcome_codes(study)[code],
-            "verdict": verdict(study, code, ended.slacks),
-            "failed_at": float(ended.failed_at),
-            **({"settled_at": float(ended.settled_at)} if study.loop.settled else {}),
-            **{name: float(value) for name, value in {**ended.metrics, **ended.slacks, **ended.violated_at}.items()},
+            "verdict": verdict(study, code, run.slacks),
+            "failed_at": float(run.failed_at),
+            **settled_at,
+            **{name: float(value) for name, value in numbers.items()},
         },
     )
 
@@ -194,11 +219,13 @@ def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] 
 
 
 def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:
-    """Every recorded signal over time, by name; those of channels carry the channel's name if it has one."""
+    """Every recorded signal over time, by the name of its column, such as ``x_e`` for the error of channel x."""
     columns = {}
     instant = recorded.instant
-    parts = zip(study.loop.channels, recorded.measurements, recorded.references, instant.channels, strict=True)
-    for channel, measurement, reference, sample in parts:
+    for i, channel in enumerate(study.loop.channels):
+        measurement = recorded.measurements[i]
+        reference = recorded.references[i]
+        sample = instant.channels[i]
         signals = {
             "y": measurement.y,
             "y_dot": measurement.y_dot,
@@ -219,7 +246,14 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
 
 
 def column_attributes(name: str, study: Study) -> dict[str, str]:
-    """Unit and meaning of a trajectory's column; an undeclared signal has an empty unit and its name."""
+    """Unit and meaning of a trajectory's column, as attributes of a dataset's variable.
+
+    A signal that is not declared has an empty unit, and its name as its meaning.
+
+    Args:
+        name: Name of the column, with the channel's name in front if the signal belongs to a channel.
+        study: The study.
+    """
     channel, _, field = name.partition("_")
     has_channel = channel in study.loop.channels and bool(channel) and bool(field)
     signal = field if has_channel else name
@@ -254,7 +288,7 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
         draw: Index of the draw.
         point: Value of each swept parameter, rounded to the nearest value of the sweep; None: the point with the draw's
             smallest slack, or the first point without requirements.
-        every: Distance of two recorded samples.
+        every: Number of samples from one recorded sample to the next.
 
     Returns:
         A trajectory as of :func:`simulate`. The attribute ``agreement`` is the verdict on its metrics (see
@@ -266,7 +300,8 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
     study = result.study
     index = point_of(result, draw, point)
     exact = {name: study.axes[name][i] for name, i in index.items()}
-    trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
+    record = recorder(study if exact else study.without_sweep(), every, plain=True)
+    trajectory = record(draw, exact)
     comparison = agreement_of(result, trajectory)
     trajectory.attrs["deviation"] = float(comparison.deviation[0])
     trajectory.attrs["agreement"] = comparison.verdict
@@ -274,7 +309,12 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
 
 
 def point_of(result: "Result", draw: int, point: Mapping[str, float] | None) -> dict[str, int]:
-    """Index along each axis of the sweep at which :func:`replay` simulates a draw again; arguments as there.
+    """The point of the sweep at which :func:`replay` simulates a draw again: an index along each axis, by its name.
+
+    Args:
+        result: The result.
+        draw: Index of the draw.
+        point: Value of each swept parameter; None or empty: the point is chosen.
 
     Raises:
         ConfigError: ``draw`` or ``point`` is not in the result.
@@ -288,28 +328,37 @@ def point_of(result: "Result", draw: int, point: Mapping[str, float] | None) -> 
 
 
 def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
-    """Compare the metrics of a trajectory with the stored ones of its draw."""
+    """Compare the metrics of a trajectory with the stored metrics of the same draw.
+
+    Args:
+        result: The result.
+        run: The trajectory, whose attributes contain draw, swept values and metrics.
+    """
     study = result.study
-    lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
-    names = (name for name in variables(study) if name in run.attrs)
+    point = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
+    names = [name for name in variables(study) if name in run.attrs]
     trajectory_values = {name: np.array([run.attrs[name]]) for name in names}
     draw = np.array([run.attrs["draw"]])
-    return agreement(study, result.dataset, (*lanes, draw), trajectory_values)
+    return agreement(study, result.dataset, (*point, draw), trajectory_values)
 
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:
-    """Index of the value nearest to the requested one; 0 if that is None."""
+    """Index of the swept value nearest to a requested value; 0 if none is requested (None)."""
     if requested is None:
         return 0
     return int(np.argmin(np.abs(np.asarray(values) - requested)))
 
 
 def worst_point(result: "Result", draw: int) -> dict[str, int]:
-    """Index along each axis of the sweep at which a draw's slack is smallest; 0 without requirements."""
+    """The point of the sweep at which a draw's smallest relative slack is smallest: an index along each axis, by name.
+
+    Without requirements it is the first point.
+    """
     axes = list(result.study.axes)
-    if not axes or not result.study.requirements:
+    requirements = result.study.requirements
+    if not axes or not requirements:
         return dict.fromkeys(axes, 0)
-    slacks = [result.dataset[r.name].isel(draw=draw).values / r.scale for r in result.study.requirements]
-    slack = np.min(slacks, axis=0)
-    index = np.unravel_index(np.argmin(slack), slack.shape)
+    slacks = [result.dataset[rule.name].isel(draw=draw).values / rule.scale for rule in requirements]
+    smallest_slack = np.min(slacks, axis=0)  # of all requirements, at each point
+    index = np.unravel_index(np.argmin(smallest_slack), smallest_slack.shape)
     return dict(zip(axes, map(int, index), strict=True))

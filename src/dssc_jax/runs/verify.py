@@ -15,8 +15,8 @@ from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study.code import code_digests
 
-LANES = 16  # recomputed by default
-MOST_LANES = 16384
+LANES = 16  # recomputed unless the caller states another number
+MOST_LANES = 16384  # that may be recomputed
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,13 @@ class Verification:
         seed: Seed that selected the lanes.
         deviation: Largest deviation of a value, relative to it or to its variable's typical size, whichever is larger;
             infinite if an outcome differs. Lanes that amplify rounding too much are left out, unless all do.
-        worst: Place of that deviation: variable, draw, swept values, stored and computed value; None if all are equal.
+        worst: Where that deviation is: variable, draw, swept values, stored and computed value; None if all values are
+            equal.
         verdict: ``agrees``; ``differs`` if rounding does not explain a deviation; ``undecided`` if every lane amplifies
             rounding so much that none is evidence.
         undecided: Number of lanes that are not evidence.
         otherwise: Differences of versions, device and compiler settings from those of the run.
-        single_precision: The effect of float32 on a result in float32; None for one in float64.
+        single_precision: The effect of float32 on a result in float32; None for a result in float64.
     """
 
     lanes: int
@@ -95,7 +96,8 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     plain_results = recompute(result.study, lanes)
     comparison = agreement(result.study, result.dataset, lanes, plain_results)
     is_compared = comparison.decided if comparison.decided.any() else np.ones_like(comparison.decided)
-    largest = int(np.argmax(np.where(is_compared, comparison.deviation, -1.0)))
+    compared_deviations = np.where(is_compared, comparison.deviation, -1.0)  # -1: below all deviations
+    largest = int(np.argmax(compared_deviations))  # number of the lane
     worst = None
     if comparison.deviation[largest] > 0.0:
         worst = worst_lane(result, lanes, plain_results, comparison, largest)
@@ -113,7 +115,7 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
 
 
 def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: Agreement, at: int) -> JsonObject:
-    """The value with the largest deviation in a lane, and its place, for JSON.
+    """The value of a lane that deviates most, stored and computed, and where it is; for JSON.
 
     Args:
         result: The result.
@@ -123,20 +125,29 @@ def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: 
         at: Number of the lane among the recomputed ones.
     """
     name = str(comparison.variable[at])
-    study = result.study
-    point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
+    *indices_by_axis, draws = lanes
+    point = {}
+    for (axis, values), indices in zip(result.study.axes.items(), indices_by_axis, strict=True):
+        point[axis] = values[indices[at]]
     stored_values = stored_lanes(result.dataset, [name], lanes)[name]
-    values = {"stored": stored_values[at].item(), "computed": plain_results[name][at].item()}
-    return {"variable": name, "draw": int(lanes[-1][at]), **point, **values}
+    both_values = {"stored": stored_values[at].item(), "computed": plain_results[name][at].item()}
+    return {"variable": name, "draw": int(draws[at]), **point, **both_values}
 
 
 def single_precision(result: Result, lanes: Lanes, plain_results: Arrays) -> SinglePrecision:
-    """Compare lanes of a result in float32, recomputed by the plain program, with the same lanes in float64."""
+    """The effect of float32 on a result: compare lanes in float32 with the same lanes in float64.
+
+    Args:
+        result: The result in float32.
+        lanes: The lanes.
+        plain_results: Their variables in float32, by the plain program.
+    """
     study = result.study.override({"loop.precision": 64})
     exact = recompute(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}
     single = {name: plain_results[name].astype(column.dtype) for name, column in exact.items()}
-    gaps = deviations(study, sizes, exact, single)
-    largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)
-    differs = int(np.count_nonzero(exact["outcome"] != plain_results["outcome"]))
-    return SinglePrecision(differs, float(np.median(largest)), float(largest.max()))
+    deviations_by_name = deviations(study, sizes, exact, single)
+    del deviations_by_name["outcome"]  # counted by itself
+    largest = np.max(list(deviations_by_name.values()), axis=0)  # of each lane
+    different_outcomes = int(np.count_nonzero(exact["outcome"] != plain_results["outcome"]))
+    return SinglePrecision(different_outcomes, float(np.median(largest)), float(largest.max()))

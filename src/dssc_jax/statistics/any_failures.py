@@ -29,9 +29,10 @@ class AnyFailures:
     interval: tuple[float, float]
 
     def unit_shift_length(self, free: np.ndarray) -> float:
-        """Largest Euclidean length, in independent scores, of a shift by one standard deviation.
+        """Largest Euclidean length, in independent scores, of shifts by one standard deviation in every changed law.
 
-        Exact without correlations, and an upper bound with them.
+        The squared length is s' P s, with the signs s of the shifts and the precision matrix P. The sum of |P_ij| is
+        its largest value without correlations, and an upper bound with them.
         """
         precision = self.precision[np.ix_(free, free)]
         return float(np.sqrt(np.abs(precision).sum()))
@@ -43,13 +44,15 @@ class AnyFailures:
 
     def largest_shift(self, free: np.ndarray, limit: float) -> float:
         """Largest shift [standard deviations] under which the failure probability cannot exceed the limit."""
-        return largest_distance(self.interval[1], limit) / self.unit_shift_length(free)
+        _, high = self.interval
+        return largest_distance(high, limit) / self.unit_shift_length(free)
 
     def largest_widening(self, free: np.ndarray, limit: float) -> float | None:
         """Largest relative width at which the failure probability cannot exceed the limit; None if correlated."""
         if not self.is_uncorrelated(free):
             return None
-        return largest_width(self.interval[1], limit, int(free.sum()))
+        _, high = self.interval
+        return largest_width(high, limit, int(free.sum()))
 
     def interval_after_shift(self, free: np.ndarray, shift: float) -> tuple[float, float]:
         """Interval of the failure probability after any shift of at most this size [standard deviations]."""
@@ -63,4 +66,5 @@ class AnyFailures:
             return None
         low, high = self.interval
         numbers = int(free.sum())
-        return 1.0 - worst_when_widened(1.0 - low, width, numbers), worst_when_widened(high, width, numbers)
+        most_passes = worst_when_widened(1.0 - low, width, numbers)
+        return 1.0 - most_passes, worst_when_widened(high, width, numbers)

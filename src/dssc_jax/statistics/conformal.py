@@ -1,6 +1,6 @@
 """Conformal prediction of the next flight, and a test of a study against several flights; no law is assumed.
 
-Each flight yields one number, by a formula that was fixed before the flights. If n + 1 flights are exchangeable, the
+Each flight yields a number, by a formula that was fixed before the flights. If n + 1 flights are exchangeable, the
 rank of the last number among all is uniform. So it is at most the k-th smallest of the others with a probability of at
 least k/(n + 1) (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World (2005), chapter 2).
 
@@ -28,7 +28,7 @@ FEWEST_DRAWS = math.ceil(1.0 / TAIL_SHARE) - 1
 
 
 def conformal_rank(flights: int, probability: float) -> int | None:
-    """Rank k whose number, the k-th smallest of n, bounds that of the next flight with a probability.
+    """Rank k such that the k-th smallest of n flights' numbers bounds the next flight's number with a probability.
 
     Args:
         flights: Number n of flights so far.
@@ -46,9 +46,9 @@ def conformal_rank(flights: int, probability: float) -> int | None:
 
 
 def least_flights(probability: float) -> int:
-    """Fewest flights whose largest number bounds that of the next flight with a probability.
+    """Fewest flights whose largest number bounds the next flight's number with a probability.
 
-    The largest of n numbers does so with the probability n/(n + 1), so n must be at least p/(1 - p).
+    The largest of n numbers bounds it with the probability n/(n + 1), so n must be at least p/(1 - p).
 
     Args:
         probability: Probability p, in (0, 1).
@@ -94,25 +94,29 @@ def count_probabilities(flights: ArrayLike, counts: np.ndarray, draws: int) -> n
         draws: Number of draws that give the line.
     """
     rank = line_rank(draws)
-    within = np.maximum(np.subtract(flights, counts), 0)
-    logarithm = (
+    within = np.maximum(np.subtract(flights, counts), 0)  # flights that do not lie beyond the line
+    log_probability = (
         -np.log(np.add(flights, 1.0))
-        - special.betaln(counts + 1.0, within + 1.0)
+        - special.betaln(counts + 1.0, within + 1.0)  # with the line before: ln of the binomial coefficient
         + special.betaln(counts + rank, within + draws + 1.0 - rank)
         - special.betaln(rank, draws + 1.0 - rank)
     )
-    return np.where(counts <= np.asarray(flights), np.exp(logarithm), 0.0)
+    return np.where(counts <= np.asarray(flights), np.exp(log_probability), 0.0)
 
 
 @lru_cache(maxsize=8)
 def beyond_tails(draws: int) -> np.ndarray:
-    """Table of the probability that at least x of n flights lie beyond the line, shape (n, x).
+    """Table of the probability that at least x of n flights lie beyond the line.
 
     The rows are n = 1 .. :data:`MOST_FLIGHTS`, the columns x = 0 .. :data:`MOST_FLIGHTS` + 1.
+
+    Args:
+        draws: Number of draws that give the line.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)[:, None]
-    probabilities = count_probabilities(flights, np.arange(MOST_FLIGHTS + 2)[None], draws)
-    return np.cumsum(probabilities[:, ::-1], axis=1)[:, ::-1]
+    probabilities = count_probabilities(flights, np.arange(MOST_FLIGHTS + 2)[None], draws)  # of exactly x
+    sums_from_the_end = np.cumsum(probabilities[:, ::-1], axis=1)
+    return sums_from_the_end[:, ::-1]
 
 
 def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) -> int | None:
@@ -127,8 +131,8 @@ def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) 
         None if :data:`MOST_FLIGHTS` do not suffice.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)
-    critical = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1)
-    power = np.where(critical <= flights, special.bdtrc(critical - 1.0, flights, share), 0.0)
+    refuting_counts = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1)  # fewest flights that refute
+    power = np.where(refuting_counts <= flights, special.bdtrc(refuting_counts - 1.0, flights, share), 0.0)
     return first_flights(power >= confidence)
 
 
@@ -144,11 +148,15 @@ def flights_to_confirm(share: float, draws: int, confidence: float = CONFIDENCE)
         None if :data:`MOST_FLIGHTS` do not suffice.
     """
     flights = np.arange(1, MOST_FLIGHTS + 1)
-    most_likely = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1) - 1
-    high = clopper_pearson(np.minimum(most_likely, flights), flights, confidence)[:, 1]
-    return first_flights(high <= share)
+    most_expected = np.argmax(beyond_tails(draws) <= 1.0 - confidence, axis=1) - 1  # flights beyond, if it is right
+    intervals = clopper_pearson(np.minimum(most_expected, flights), flights, confidence)
+    return first_flights(intervals[:, 1] <= share)
 
 
 def first_flights(condition: np.ndarray) -> int | None:
-    """Smallest number n of flights whose condition, at index n - 1, is true; None if none is."""
+    """Smallest number of flights that meets a condition; None if no number does.
+
+    Args:
+        condition: Whether 1, 2, ... flights meet it, shape (:data:`MOST_FLIGHTS`,).
+    """
     return int(np.argmax(condition)) + 1 if condition.any() else None

@@ -1,8 +1,8 @@
 """Likelihood of noise that is correlated in time and observed at any times, and least squares under such noise.
 
 Noise of unit variance is the sum of white noise and a correlated part with the share c of the variance. The correlated
-part is the output of a first-order or second-order system driven by white noise, or the integral of the former. Its
-correlation over a lag tau, or its equation, is
+part is the output of a first-order or second-order system driven by white noise, or the integral of first-order noise.
+Its correlation over a lag tau, or its equation, is
 
     exp(-tau/T)                                                                        first order
     exp(-zeta w) (cos(nu w) + zeta sin(nu w)/nu), w = tau/T, nu^2 = 1 - zeta^2         second order
@@ -45,7 +45,7 @@ class FirstOrder(NamedTuple):
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrices of the state over gaps [s], and the variances they add; shape (n, 1, 1) each."""
-        w = (gaps / self.time)[:, None, None]
+        w = (gaps / self.time)[:, None, None]  # gaps in time constants
         return np.exp(-w), -np.expm1(-2.0 * w)
 
     def correlation(self, lags: np.ndarray) -> np.ndarray:
@@ -67,26 +67,36 @@ class SecondOrder(NamedTuple):
     damping: float
 
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrices of the state over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
+        """Transition matrices of the state over gaps [s], and the covariances they add; shape (n, 2, 2) each.
+
+        The covariance is 1 - F F' with the transition F. Over short gaps this cancels; there it is the integral of
+        4 zeta r r' over the gap, by Gauss and Legendre, where r is the response of the state to an impulse.
+        """
         w = gaps / self.time
         transition = self.transition_over(w)
         covariance = np.eye(2) - transition @ transition.transpose(0, 2, 1)
         short = w < SHORT
         if short.any():
             half = 0.5 * w[short, None]
-            response = self.transition_over((half * (1.0 + NODES)).ravel())[:, :, 1].reshape(-1, len(NODES), 2)
+            nodes = half * (1.0 + NODES)  # shape (short gaps, nodes)
+            response = self.transition_over(nodes.ravel())[:, :, 1].reshape(*nodes.shape, 2)
             weights = 4.0 * self.damping * half * WEIGHTS
             covariance[short] = np.einsum("nk,nki,nkj->nij", weights, response, response)
         return transition, covariance
 
     def transition_over(self, w: np.ndarray) -> np.ndarray:
-        """Transition matrices of the state over w time constants T, shape (n,) to (n, 2, 2)."""
+        """Transition matrices of the state over w time constants T, shape (n, 2, 2).
+
+        Args:
+            w: Shape (n,).
+        """
         cosine, sine = self.oscillation(w)
-        rows = [[cosine + self.damping * sine, sine], [-sine, cosine - self.damping * sine]]
-        return np.array(rows).transpose(2, 0, 1)
+        output = [cosine + self.damping * sine, sine]
+        rate = [-sine, cosine - self.damping * sine]
+        return np.array([output, rate]).transpose(2, 0, 1)
 
     def oscillation(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, shape (n,) each."""
+        """The functions exp(-zeta w) cos(nu w) and exp(-zeta w) sin(nu w)/nu of w time constants, of its shape each."""
         nu = math.sqrt((1.0 - self.damping) * (1.0 + self.damping))
         decay = np.exp(-self.damping * w)
         return decay * np.cos(nu * w), decay * w * np.sinc(nu * w / np.pi)
@@ -98,10 +108,10 @@ class SecondOrder(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """Noise whose correlated part is the integral of first-order noise, which starts at 0.
+    """Noise whose correlated part p, the drift, is the integral of first-order noise v, both starting at 0.
 
-    Noise inside a velocity loop drives the position like this. The variance grows with time, and its mean over the span
-    is 1. For a short T the drift is a random walk.
+    Noise inside a velocity loop drives the position like this. The variance of p grows with time; p is scaled so that
+    the mean of its variance over the span is 1. For a short T the drift is a random walk.
 
     Args:
         share: Share c of the variance in the drift, in [0, 1).
@@ -116,23 +126,23 @@ class Drift(NamedTuple):
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrices of the state (p, v) over gaps [s], and the covariances they add; shape (n, 2, 2) each."""
         w = gaps / self.time
-        decay = np.exp(-w)
+        p_scale = 1.0 / math.sqrt(self.mean_square)
         transition = np.zeros((len(w), 2, 2))
         transition[:, 0, 0] = 1.0
-        transition[:, 0, 1] = -np.expm1(-w)
-        transition[:, 1, 1] = decay
-        # v is driven by white noise of intensity 2: integrals of 2 (1 - exp(-s))^2 and so on over 0 < s < w
-        position = drift_variance(w)
-        position_speed = np.expm1(-w) ** 2
-        speed = -np.expm1(-2.0 * w)
-        covariance = np.stack([np.stack([position, position_speed], -1), np.stack([position_speed, speed], -1)], -1)
-        scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
-        transition[:, 0, 1] *= scale[0]
+        transition[:, 0, 1] = -np.expm1(-w) * p_scale
+        transition[:, 1, 1] = np.exp(-w)
+        # v is driven by white noise of intensity 2, so the entries are integrals over 0 < s < w
+        covariance = np.empty((len(w), 2, 2))
+        covariance[:, 0, 0] = drift_variance(w)  # of 2 (1 - exp(-s))^2
+        covariance[:, 0, 1] = np.expm1(-w) ** 2  # of 2 (1 - exp(-s)) exp(-s)
+        covariance[:, 1, 0] = covariance[:, 0, 1]
+        covariance[:, 1, 1] = -np.expm1(-2.0 * w)  # of 2 exp(-2 s)
+        scale = np.array([p_scale, 1.0])
         return transition, covariance * np.outer(scale, scale)
 
     @property
     def mean_square(self) -> float:
-        """Mean over the span of the variance of p before it is scaled, where v has the variance 1."""
+        """Mean over the span of the variance of p before it is scaled, where v tends to the variance 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
@@ -145,14 +155,17 @@ class Drift(NamedTuple):
 
 
 def drift_variance(w: np.ndarray) -> np.ndarray:
-    """Variance 2 w - 3 + 4 exp(-w) - exp(-2 w) of an unscaled drift after w time constants; a series for small w."""
+    """Variance 2 w - 3 + 4 exp(-w) - exp(-2 w) of an unscaled drift after w time constants, of the shape of w.
+
+    For small w the terms cancel, and their power series takes their place.
+    """
     decay = np.exp(-w)
     coefficients = [2.0 / 3.0, -1.0 / 2.0, 7.0 / 30.0, -1.0 / 12.0, 31.0 / 1260.0, -1.0 / 160.0]
     series = w**3 * np.polynomial.polynomial.polyval(w, coefficients)
     return np.where(w < SHORT, series, 2.0 * w - 3.0 + 4.0 * decay - decay**2)
 
 
-WHITE = FirstOrder(0.0, 1.0)
+WHITE = FirstOrder(share=0.0, time=1.0)  # without a correlated part, the time constant does not matter
 Noise = FirstOrder | SecondOrder | Drift | SimulatedNoise
 
 
@@ -170,25 +183,27 @@ def correlation_time(noise: Noise) -> float:
         times = noise.span - lags
         sizes = np.sqrt(noise.covariance(times, times) * noise.covariance(noise.span, noise.span))
         has_decayed = noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes
-        return float(lags[np.argmax(has_decayed)])
+        return float(lags[np.argmax(has_decayed)])  # the first True
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
     has_decayed = noise.correlation(lags) <= math.exp(-1.0)
     return float(lags[np.argmax(has_decayed)])
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
-    """Effective sample size: independent samples that would give the noise's variance as precisely as these n.
+    """Effective sample size: the number of independent samples that tell the noise's variance as precisely as these n.
+
+    It is (tr S)^2/tr(S^2) with the covariance S of the noise.
 
     Args:
         noise: Noise of unit variance.
         times: Times of observation [s], shape (n,).
-        limit: Largest number of columns of the covariance matrix to compute; evenly spaced ones stand for all.
+        limit: Largest number of columns of S to compute; evenly spaced columns stand for all.
     """
     if noise.share == 0.0 or len(times) < 2:
         return float(len(times))
     if isinstance(noise, SimulatedNoise):
         return noise.independent_samples
-    stride = -(-len(times) // limit)
+    stride = math.ceil(len(times) / limit)
     white = 1.0 - noise.share
     if isinstance(noise, Drift):
         from_start = times - times[0] + np.median(np.diff(times))
@@ -205,7 +220,7 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
 def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray) -> tuple[np.ndarray, float, int]:
     """Precision matrix of the states of the correlated part at all times together, for a variance of 1.
 
-    A drift starts at 0 one median gap before the first time.
+    A drift starts at 0 a median gap before the first time.
 
     Args:
         noise: The noise; its share does not matter.
@@ -219,11 +234,14 @@ def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray)
     gaps = np.diff(times)
     median_gap = np.array([np.median(gaps)])
     if np.ptp(gaps) <= EQUAL_GAPS * gaps[0]:
-        gaps = gaps[:1]  # one transition serves all gaps
+        gaps = gaps[:1]  # the same transition serves all gaps
     transition, covariance = noise.transition(gaps)
     size = transition.shape[-1]
-    initial_covariance = noise.transition(median_gap)[1][0] if isinstance(noise, Drift) else np.eye(size)
-    # each gap adds the square of (next state - transition state), weighted by the inverse of its covariance
+    initial_covariance = np.eye(size)
+    if isinstance(noise, Drift):
+        _, added_covariances = noise.transition(median_gap)
+        initial_covariance = added_covariances[0]
+    # each gap adds the square of (next state - transition @ state), weighted by the inverse of its covariance
     inverse = np.linalg.inv(covariance)
     subdiagonal = -inverse @ transition
     diagonal = np.tile(np.linalg.inv(initial_covariance), (len(times), 1, 1))
@@ -237,6 +255,8 @@ def precision_matrix(noise: FirstOrder | SecondOrder | Drift, times: np.ndarray)
 
 def lower_bands(diagonal: np.ndarray, subdiagonal: np.ndarray) -> np.ndarray:
     """Lower bands of a symmetric block-tridiagonal matrix, as SciPy stores them, shape (2 p, n p).
+
+    Row k of the bands has the elements k places below the diagonal.
 
     Args:
         diagonal: Blocks on the diagonal, shape (n, p, p).
@@ -253,7 +273,7 @@ def lower_bands(diagonal: np.ndarray, subdiagonal: np.ndarray) -> np.ndarray:
 
 
 def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, float]:
-    """Products C' S^-1 C of columns C, weighted by the covariance S of the noise.
+    """Products C' S^-1 C of columns C, weighted by the inverse of the noise's covariance S, by banded matrices.
 
     Args:
         noise: Noise of unit variance.
@@ -270,18 +290,20 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
         return plain, 0.0
     white = 1.0 - noise.share
     bands, log_det_precision, size = precision_matrix(noise, times)
+    # with H that reads the outputs from the states, of precision P: S^-1 = (1 - H (H' H + white/share P)^-1 H')/white
     bands *= white / noise.share
     bands[0, ::size] += 1.0
     factor = cholesky_banded(bands, lower=True, check_finite=False)
-    spread = np.zeros((len(times), size, columns.shape[1]))
-    spread[:, 0] = columns
-    solution = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
+    state_columns = np.zeros((len(times), size, columns.shape[1]))
+    state_columns[:, 0] = columns  # the first of a state is its output
+    state_rows = state_columns.reshape(-1, columns.shape[1])
+    solution = cho_solve_banded((factor, True), state_rows, check_finite=False)[::size]
     log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - log_det_precision
     return (plain - columns.T @ solution) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
 
 
 class NoiseFit(NamedTuple):
-    """Generalised least squares of a channel's residual under one kind of noise.
+    """Generalised least squares of a channel's residual under a kind of noise.
 
     Args:
         log_likelihood: Logarithm of the restricted likelihood, in which the p fitted numbers and the variance of the
@@ -299,7 +321,7 @@ class NoiseFit(NamedTuple):
 
 
 def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> NoiseFit:
-    """Restricted likelihood of a residual under a noise, and the normal equations of its least squares.
+    """Generalised least squares of a residual under a noise: restricted likelihood and normal equations.
 
     The fitted numbers and the variance of the noise are integrated out, with flat priors of the numbers and of the
     logarithm of the variance. Directions in which the residual does not depend on the numbers are left out. The
@@ -312,13 +334,13 @@ def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float
         floor: Lower limit of the variance.
     """
     products, log_det = weighted_products(noise, times, columns)
-    information = products[1:, 1:]
+    information = products[1:, 1:]  # up to the variance, as the gradient
     gradient = products[1:, 0]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     is_determined = values > RANK * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, bool)
     projections = vectors[:, is_determined].T @ (gradient / scale)
-    square = float(products[0, 0] - np.sum(projections**2 / values[is_determined]))
+    square = float(products[0, 0] - np.sum(projections**2 / values[is_determined]))  # weighted sum after the fit
     freedom = len(times) - int(is_determined.sum())
     square = max(square, floor * freedom, 1e-300)
     log_det += float(np.log(values[is_determined]).sum()) + 2.0 * float(np.log(scale).sum())

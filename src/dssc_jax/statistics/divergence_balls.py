@@ -1,6 +1,6 @@
 """Worst failure probability over all laws within a divergence of the assumed law, and the divergence a limit allows.
 
-Let P be the assumed law of a draw, Q the true one, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
+Let P be the assumed law of a draw, Q the true law, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
 grows when a draw is reduced to "fails or not": D(Ber(q), Ber(p)) <= D(Q, P). A law whose density relative to P is q/p
 on F and (1-q)/(1-p) elsewhere attains the bound. So the worst case over all laws within D(Q, P) <= r, of any number of
 uncertain numbers, is a problem in one dimension: the largest q with D(Ber(q), Ber(p)) <= r.
@@ -29,14 +29,18 @@ HALVINGS = 80  # halvings of [p, 1]: the last digit of any probability above 1e-
 
 @dataclass(frozen=True)
 class DivergenceBall(ABC):
-    """The laws within a radius of the assumed law, measured by a divergence."""
+    """A divergence, which measures how far a true law is from the assumed law, and the bounds that follow from it.
+
+    The ball of a radius contains all laws within this divergence of the assumed law. Methods give the extreme failure
+    probabilities in such a ball.
+    """
 
     title: ClassVar[str]
     """Name of the divergence in words."""
 
     @abstractmethod
     def divergence(self, q: float, p: float) -> float:
-        """Least divergence D(Ber(q), Ber(p)) of a law with failure probability q from one with p."""
+        """Least divergence D(Ber(q), Ber(p)) from a law with failure probability p to a law with q."""
 
     @abstractmethod
     def worst(self, p: float, radius: float) -> float:
@@ -51,11 +55,16 @@ class DivergenceBall(ABC):
         """
 
     def best(self, p: float, radius: float) -> float:
-        """Smallest failure probability of any law within the radius; arguments as of :meth:`worst`."""
+        """Smallest failure probability of any law within the radius: the complement of the most likely passing.
+
+        Args:
+            p: Failure probability of the assumed law, in [0, 1].
+            radius: Largest divergence, >= 0.
+        """
         return 1.0 - self.worst(1.0 - p, radius)
 
     def interval(self, interval: tuple[float, float], radius: float) -> tuple[float, float]:
-        """Interval of the failure probability of any law within the radius.
+        """Interval that contains the failure probability of every law within the radius.
 
         Args:
             interval: Confidence interval of the failure probability of the assumed law.
@@ -106,7 +115,7 @@ class TotalVariation(DivergenceBall):
 
 
 class KullbackLeibler(DivergenceBall):
-    """Kullback-Leibler divergence of the true law from the assumed one, the mean of ln dQ/dP under Q [nat]."""
+    """Kullback-Leibler divergence of the true law Q from the assumed law P: the mean of ln dQ/dP under Q [nat]."""
 
     title = "Kullback-Leibler divergence"
 
@@ -119,14 +128,14 @@ class KullbackLeibler(DivergenceBall):
         require_ball(p, radius)
         if p in (0.0, 1.0) or radius == 0.0:
             return p
-        if radius >= -math.log(p):
+        if radius >= -math.log(p):  # the divergence of q = 1
             return 1.0
-        _, upper = bisect(lambda q: self.divergence(float(q), p) <= radius, p, 1.0, HALVINGS)
+        _, upper = bisect(lambda q: self.divergence(float(q), p) <= radius, inside=p, outside=1.0, halvings=HALVINGS)
         return float(upper)
 
 
 class ChiSquare(DivergenceBall):
-    """Chi-square divergence of the true law from the assumed one: the variance of dQ/dP under P."""
+    """Chi-square divergence of the true law Q from the assumed law P: the variance of dQ/dP under P."""
 
     title = "chi-square divergence"
 
@@ -134,7 +143,9 @@ class ChiSquare(DivergenceBall):
         """Divergence (q - p)^2 / (p (1 - p)) between the outcomes, fails or not."""
         if q == p:
             return 0.0
-        return (q - p) ** 2 / (p * (1.0 - p)) if 0.0 < p < 1.0 else math.inf
+        if p in (0.0, 1.0):
+            return math.inf
+        return (q - p) ** 2 / (p * (1.0 - p))
 
     def worst(self, p: float, radius: float) -> float:
         """Largest failure probability min(1, p + sqrt(r p (1 - p))) within the radius r."""
@@ -151,10 +162,13 @@ BALLS: dict[str, DivergenceBall] = {
 
 
 def require_probability(**probabilities: float) -> None:
-    """Require that each probability lies in [0, 1].
+    """Refuse a probability outside [0, 1].
+
+    Args:
+        probabilities: Probabilities by name, for the message.
 
     Raises:
-        ValueError: One does not.
+        ValueError: A probability lies outside.
     """
     for name, value in probabilities.items():
         if not 0.0 <= value <= 1.0:
@@ -162,10 +176,10 @@ def require_probability(**probabilities: float) -> None:
 
 
 def require_ball(p: float, radius: float) -> None:
-    """Require a probability in [0, 1] and a radius >= 0.
+    """Refuse a probability outside [0, 1] and a negative radius.
 
     Raises:
-        ValueError: One is out of range.
+        ValueError: An argument is out of range.
     """
     require_probability(p=p)
     if not radius >= 0.0:

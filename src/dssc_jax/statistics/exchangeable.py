@@ -1,4 +1,4 @@
-"""A rank test of one curve against n independent curves, exact for any law of the curves.
+"""A rank test of a curve against n independent curves, exact for any law of the curves.
 
 A statistic of each curve is computed in a way that does not depend on the order of the n + 1 curves. If the tested
 curve has the law of the others, the n + 1 statistics are exchangeable, so that its rank among them is uniform (G. A.
@@ -6,9 +6,9 @@ Barnard, J. Royal Statistical Society B 25 (1963) 294; for curves, M. Myllymäki
 B 79 (2017) 381-404). Nothing is assumed of how the values of a curve depend on each other.
 
 A curve has several signals over time. The statistic is the extreme rank length of the same article, with signals in
-place of points: a curve is extreme if few others depart as far in one of its signals. So all signals count alike, even
-beside one in which all curves have spikes. With many signals, many curves are the most extreme in one of them. The gap
-to the second curve then decides between them (U. Hahn, Scandinavian Journal of Statistics 42 (2015) 1060-1083:
+place of points: a curve is extreme if few others depart as far in any of its signals. So all signals count alike, even
+beside a signal in which all curves have spikes. With many signals, many curves are the most extreme in some signal. The
+gap to the second curve then decides between them (U. Hahn, Scandinavian Journal of Statistics 42 (2015) 1060-1083:
 continuous ranks).
 """
 
@@ -22,10 +22,10 @@ ROUNDING = 1e-12  # share of the largest signal's size below which a signal coun
 
 
 def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
-    """Whether at least two of all n + 1 curves differ from their pointwise median in each signal.
+    """Whether each signal has spread: at least two of all n + 1 curves differ from their pointwise median in it.
 
-    Without two such curves, or if a signal is rounding beside the other signals, rounding alone would decide the rank.
-    The selection does not depend on the order of the curves, so the test remains exact.
+    Otherwise, or if a signal is rounding beside the other signals, rounding alone would decide the rank. The selection
+    does not depend on the order of the curves, so the test remains exact.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended.
@@ -45,13 +45,17 @@ def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
 
 
 def median_sizes(curves: np.ndarray) -> np.ndarray:
-    """Median over the curves of the largest absolute value over time, from (n, signals, times) to (signals,)."""
+    """Size of each signal: median over the curves of the largest absolute value over time, shape (signals,).
+
+    Args:
+        curves: Shape (n, signals, times); values that are not finite do not count.
+    """
     finite = np.where(np.isfinite(curves), np.abs(curves), 0.0)
     return np.median(finite.max(axis=2), axis=0)
 
 
 def distances_from_median(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, float]:
-    """Distances of all n + 1 curves of one signal from their pointwise median.
+    """Distances of all n + 1 curves of a signal from their pointwise median, and the size of the median.
 
     Args:
         curves: Curves of the draws, shape (n, times); not finite after a curve's end.
@@ -73,7 +77,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     """Largest departure of each curve in each signal, and all departures of the tested curve.
 
     A departure is the distance from the pointwise median, in units of the pointwise median absolute deviation, or of
-    a floor where the curves hardly differ. Medians are those of all n + 1 curves, which makes the test exact. Signals
+    a floor where the curves hardly differ. Medians are taken over all n + 1 curves, which makes the test exact. Signals
     without spread (:func:`spread_signals`) are left out.
 
     Args:
@@ -93,14 +97,17 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     largest = np.full((len(curves) + 1, len(tested)), np.nan)
     departures_of_tested = np.full(tested.shape, np.nan)
     for signal in np.flatnonzero(spread_signals(curves, tested)):
-        at = is_measured[signal]
-        distance, size = distances_from_median(curves[:, signal, at], tested[signal, at])
+        times = is_measured[signal]
+        distance, size = distances_from_median(curves[:, signal, times], tested[signal, times])
         finite = np.where(np.isinf(distance), np.nan, distance)
         spread = np.nanmedian(finite, axis=0)
-        scale = np.sqrt(np.mean(spread**2)) or np.sqrt(np.nanmean(finite**2))
-        departures = distance / np.maximum(spread, max(FLOOR * scale, LEAST_SPREAD * size))
+        scale = np.sqrt(np.mean(spread**2))
+        if scale == 0.0:  # most curves are equal at every time
+            scale = np.sqrt(np.nanmean(finite**2))
+        floor = max(FLOOR * scale, LEAST_SPREAD * size)
+        departures = distance / np.maximum(spread, floor)
         largest[:, signal] = departures.max(axis=1)
-        departures_of_tested[signal, at] = departures[-1]
+        departures_of_tested[signal, times] = departures[-1]
     return largest, departures_of_tested
 
 
@@ -115,8 +122,9 @@ def departure_ranks(largest: np.ndarray) -> np.ndarray:
     """
     columns = []
     for departures in columns_with_spread(largest):
-        columns.append(len(departures) - np.searchsorted(np.sort(departures), departures))
-    return np.array(columns, int).reshape(len(columns), len(largest)).T
+        nearer = np.searchsorted(np.sort(departures), departures)  # curves that depart less
+        columns.append(len(departures) - nearer)
+    return np.array(columns, int).reshape(len(columns), len(largest)).T  # also without a column
 
 
 def columns_with_spread(largest: np.ndarray) -> list[np.ndarray]:
@@ -125,9 +133,11 @@ def columns_with_spread(largest: np.ndarray) -> list[np.ndarray]:
 
 
 def continuous_ranks(largest: np.ndarray) -> np.ndarray:
-    """Ranks of :func:`departure_ranks`, but exp(-g) instead of 1 for a curve that is alone at the first rank.
+    """Ranks of the curves in each signal, in which the most extreme curve ranks below 1 by its lead.
 
-    Here g is the gap from the first to the second curve, relative to the distance from the second to the last one.
+    They are the ranks of :func:`departure_ranks`, except for a curve that is alone at the first rank. Its rank is
+    exp(-g), where g is the gap from the first to the second curve, relative to the distance from the second to the
+    last.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
@@ -138,25 +148,24 @@ def continuous_ranks(largest: np.ndarray) -> np.ndarray:
     ranks = departure_ranks(largest).astype(float)
     for column, departures in enumerate(columns_with_spread(largest)):
         first = int(np.argmax(departures))
-        second = float(np.max(np.delete(departures, first)))
-        if ranks[first, column] == 1.0:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                gap = (departures[first] - second) / (second - float(departures.min()))
-            ranks[first, column] = np.exp(-gap) if np.isfinite(gap) else 0.0
+        if ranks[first, column] != 1.0:
+            continue
+        second_departure = float(np.max(np.delete(departures, first)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gap = (departures[first] - second_departure) / (second_departure - float(departures.min()))
+        ranks[first, column] = np.exp(-gap) if np.isfinite(gap) else 0.0
     return ranks
 
 
 def extremeness(largest: np.ndarray) -> np.ndarray:
-    """Statistic of each curve for the rank test, larger for a more extreme curve.
+    """Statistic of each curve for the rank test, larger for a more extreme curve, shape (n + 1,).
 
-    Curves are ordered by their sorted continuous ranks, the smallest rank first. Curves with equal ranks are ordered by
-    their largest departure.
+    Curves are compared by their smallest continuous rank over the signals, then by their second smallest, and so on;
+    curves with equal ranks, by their largest departure. The statistic is the place in this order, 0 for the least
+    extreme curve; NaN if no signal has spread.
 
     Args:
         largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
-
-    Returns:
-        Places in this order, 0 for the least extreme curve, shape (n + 1,); NaN if no signal has spread.
 
     Example:
         >>> extremeness(np.array([[1.0, 9.0], [3.0, 7.0], [2.0, 8.0]]))
@@ -166,12 +175,12 @@ def extremeness(largest: np.ndarray) -> np.ndarray:
     if not ranks.shape[1]:
         return np.full(len(largest), np.nan)
     keys = np.column_stack([ranks, -np.nanmax(largest, axis=1)])
-    _, order = np.unique(keys, axis=0, return_inverse=True)
-    return float(order.max()) - order.reshape(-1)
+    _, place = np.unique(keys, axis=0, return_inverse=True)  # 0: the most extreme
+    return float(place.max()) - place.reshape(-1)
 
 
 def rank_p_value(statistics: np.ndarray) -> float:
-    """P-value of the last of n + 1 exchangeable statistics: the share that is at least as large.
+    """P-value of the last of n + 1 exchangeable statistics: the share of all that are at least as large.
 
     Example:
         >>> rank_p_value(np.array([1.0, 5.0, 2.0, 4.0]))
@@ -193,7 +202,11 @@ class Yardstick(NamedTuple):
 
     @classmethod
     def of(cls, curves: np.ndarray) -> "Yardstick":
-        """Yardstick of curves, shape (n, signals, times); at least one must be finite at each time."""
+        """Median and spread of curves.
+
+        Args:
+            curves: Shape (n, signals, times); at least one must be finite at each time.
+        """
         finite = np.where(np.isfinite(curves), curves, np.nan)
         middle = np.nanmedian(finite, axis=0)
         distance = np.abs(finite - middle)
@@ -202,8 +215,8 @@ class Yardstick(NamedTuple):
         floor = FLOOR * np.sqrt(np.mean(spread**2, axis=1, keepdims=True))
         spread = np.maximum(spread, np.maximum(floor, LEAST_SPREAD * size))
         threshold = np.maximum(LEAST_SPREAD * size[:, 0], ROUNDING * median_sizes(curves).max())
-        constant = np.nanmax(distance, axis=(0, 2)) <= threshold
-        spread[constant] = np.nan
+        has_no_spread = np.nanmax(distance, axis=(0, 2)) <= threshold
+        spread[has_no_spread] = np.nan
         return cls(middle, spread)
 
     def largest_departure(self, curve: np.ndarray, is_measured: np.ndarray) -> float:

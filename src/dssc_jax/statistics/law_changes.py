@@ -1,7 +1,7 @@
 """Changes of the law of the scores, and the density of the changed law relative to the law of the draws.
 
-The score of a number is the standard normal quantile at the level of its value. Together the scores of a draw have the
-law N(0, R), with the correlation matrix R of the Gaussian copula. A change has one amount for each number.
+The score c of a number is the standard normal quantile at the level of its value. Together the scores of a draw have
+the law N(0, R), with the correlation matrix R of the Gaussian copula. A change has an amount for each number.
 """
 
 import math
@@ -14,7 +14,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Change(ABC):
-    """A family of changed laws of the scores.
+    """A family of changed laws of the scores, such as all shifted laws.
+
+    Its size is the largest amount of a change.
 
     Args:
         precision: Inverse of the correlation matrix R, shape (numbers, numbers).
@@ -27,7 +29,7 @@ class Change(ABC):
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """Size in the unit of answers: a shift in standard deviations, or a relative width."""
+        """The size of a change in the unit of answers: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:
@@ -35,7 +37,7 @@ class Change(ABC):
 
     @abstractmethod
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight: its changed density relative to the unchanged one.
+        """Logarithm of each draw's importance weight: its density under the changed law over its present density.
 
         Args:
             amounts: Amount of the change of each number, shape (numbers,).
@@ -60,7 +62,13 @@ class Change(ABC):
 
     @abstractmethod
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """Logarithm of the mean squared weight under the unchanged law; infinite if that mean is infinite."""
+        """Logarithm of the mean squared weight under the unchanged law, shape (); infinite if the mean is infinite.
+
+        It tells how uneven the weights are: n draws are worth n/(mean squared weight) draws of the changed law.
+
+        Args:
+            amounts: Amount of the change of each number, shape (numbers,).
+        """
 
     @abstractmethod
     def second_moment_bound(self, size: float, free: np.ndarray) -> float:
@@ -73,14 +81,19 @@ class Change(ABC):
 
     @abstractmethod
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Map scores of the unchanged law to scores of the changed law, both of shape (n, numbers)."""
+        """Turn scores of draws into scores under the changed law, shape (n, numbers).
+
+        Args:
+            amounts: Amount of the change of each number, shape (numbers,).
+            scores: Scores under the unchanged law, shape (n, numbers).
+        """
 
 
 @dataclass(frozen=True)
 class Shift(Change):
     """Shifted means: the law N(d, R), with the amounts d in standard deviations.
 
-    The weight w of scores c has the logarithm c' R^-1 d - d' R^-1 d / 2.
+    The importance weight of a draw with the scores c has the logarithm c' R^-1 d - d' R^-1 d / 2.
     """
 
     name = "mean_shift"
@@ -94,7 +107,7 @@ class Shift(Change):
         return -size, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight, shape (n,)."""
+        """Logarithm c' R^-1 d - d' R^-1 d / 2 of each draw's importance weight, shape (n,)."""
         weighted_amounts = self.precision @ amounts
         return scores @ weighted_amounts - 0.5 * amounts @ weighted_amounts
 
@@ -103,11 +116,11 @@ class Shift(Change):
         return (shares @ scores - amounts) @ self.precision
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """The value d' R^-1 d."""
+        """Logarithm d' R^-1 d of the mean squared weight."""
         return float(amounts @ self.precision @ amounts)
 
     def second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Squared size times the sum of all |R^-1| of the free numbers; attained without correlations."""
+        """Upper bound of d' R^-1 d: the squared size times the sum of all |R^-1| of the free numbers."""
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -119,7 +132,8 @@ class Shift(Change):
 class Widening(Change):
     """Multiplied widths: the law N(0, D R D) with D = diag(exp(amounts)).
 
-    The weight w of scores c has the logarithm -sum(amounts) - (y' R^-1 y - c' R^-1 c) / 2, where y = D^-1 c.
+    The importance weight of a draw with the scores c has the logarithm -sum(amounts) - (y' R^-1 y - c' R^-1 c) / 2,
+    where y = D^-1 c.
     """
 
     name = "widening"
@@ -133,27 +147,32 @@ class Widening(Change):
         return 0.0, size
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Logarithm of each draw's importance weight, shape (n,)."""
-        shrunk = scores * np.exp(-amounts)
+        """Logarithm of each draw's importance weight, shape (n,), from the scores c and y = D^-1 c; see the class."""
+        shrunk = scores * np.exp(-amounts)  # y
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """Weighted mean of the gradient in the amounts, diag(y) R^-1 y - 1 with y = D^-1 c, shape (numbers,)."""
-        shrunk = scores * np.exp(-amounts)
-        moments = (shrunk * shares[:, None]).T @ shrunk
+        shrunk = scores * np.exp(-amounts)  # y
+        moments = (shrunk * shares[:, None]).T @ shrunk  # weighted mean of y y'
         return np.sum(self.precision * moments, axis=1) - 1.0
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """Logarithm of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""
-        inverse = np.exp(-amounts)
-        moment_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
-        if np.linalg.eigvalsh(moment_precision)[0] <= 0.0:
+        """Logarithm of the mean squared weight det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2.
+
+        The mean is an integral of a normal density with the precision 2 D^-1 R^-1 D^-1 - R^-1. It is infinite unless
+        this matrix is positive definite.
+        """
+        inverse_widths = np.exp(-amounts)
+        moment_precision = 2.0 * self.precision * np.outer(inverse_widths, inverse_widths) - self.precision
+        smallest_eigenvalue = np.linalg.eigvalsh(moment_precision)[0]
+        if smallest_eigenvalue <= 0.0:
             return np.inf
         log_determinant_ratio = np.linalg.slogdet(moment_precision)[1] - np.linalg.slogdet(self.precision)[1]
         return float(-2.0 * amounts.sum() - 0.5 * log_determinant_ratio)
 
     def second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """The value at the largest widening of all free numbers."""
+        """Logarithm of the mean squared weight at the largest widening of all free numbers, which no other exceeds."""
         return self.log_second_moment(size * free)
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

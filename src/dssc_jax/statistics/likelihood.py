@@ -1,7 +1,7 @@
 """Likelihood of a draw, from its standard normal scores.
 
 The score of a value is the standard normal quantile at the level of the value in its law. So scores have the standard
-normal law, whatever the laws of the numbers; those of correlated numbers are made independent. The draws within a
+normal law, whatever the laws of the numbers; the scores of correlated numbers are made independent. The draws within a
 distance k of the median draw form the smallest region of the scores with its probability.
 """
 
@@ -12,7 +12,7 @@ from scipy import special
 
 
 class Likelihood(NamedTuple):
-    """Likelihood of a draw, by the distance of its scores from the most likely draw.
+    """How likely a draw is, by the distance of its scores from the most likely draw, which has the score 0 everywhere.
 
     Args:
         distance: Euclidean norm k of the independent standard normal scores; the draw lies "at k sigma".
@@ -34,10 +34,22 @@ class Likelihood(NamedTuple):
 
 
 def mass_within(distance: np.ndarray | float, numbers: int) -> np.ndarray:
-    """Probability that independent standard normal scores have a norm of at most a distance (chi-square law)."""
+    """Probability that independent standard normal scores have at most a distance from 0, by the chi-square law.
+
+    Args:
+        distance: Largest Euclidean norm of the scores, any shape.
+        numbers: Number of scores.
+    """
     return special.gammainc(0.5 * numbers, 0.5 * np.square(distance))
 
 
 def distance_of_mass(mass: float, numbers: int) -> float:
-    """Distance that the norm of independent standard normal scores does not exceed with probability ``mass``."""
+    """Distance from 0 within which independent standard normal scores lie with probability ``mass``.
+
+    It is the inverse of :func:`mass_within`.
+
+    Args:
+        mass: Probability, in [0, 1).
+        numbers: Number of scores.
+    """
     return float(np.sqrt(2.0 * special.gammaincinv(0.5 * numbers, mass)))

@@ -5,9 +5,9 @@ least `upper` failures. These two boundaries are fixed in advance for every look
 every failure probability p, and its inversion gives an exact interval.
 
 Stops are ordered from few failures to many. First come the stops at the lower boundary in the order of their looks,
-then those at the upper boundary in the reverse order; stops at one look are ordered by the number of failures. If fewer
-draws fail, a test stops no later in this order. So the probability of stopping at or before a stop falls with p, and
-both limits are unique.
+then the stops at the upper boundary in the reverse order; stops at the same look are ordered by the number of failures.
+If fewer draws fail, a test stops no later in this order. So the probability of stopping at or before a stop falls with
+p, and both limits are unique.
 
 Reference:
     C. Jennison, B. W. Turnbull, "Confidence intervals for a binomial parameter following a multistage test with
@@ -28,7 +28,7 @@ BRACKET = 0.05  # half-width of the first bracket around the single-look limit, 
 
 
 class Look(NamedTuple):
-    """One look of a multistage test: its number of draws and its boundaries.
+    """A look of a multistage test, at which failures are counted: its number of draws and its boundaries.
 
     Args:
         draws: Number of draws n at which failures are counted.
@@ -42,7 +42,9 @@ class Look(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Probabilities of consecutive numbers of failures.
+    """Law of a number of failures: the probabilities of consecutive numbers.
+
+    They add up to less than 1 where tests have stopped already, or where negligible probabilities are left out.
 
     Args:
         first: Smallest number of failures.
@@ -66,11 +68,13 @@ class Counts(NamedTuple):
     def plus(self, independent: "Counts") -> "Counts":
         """Law of the sum with an independent number of failures, without negligible ends."""
         probabilities = signal.convolve(self.probabilities, independent.probabilities)
-        (notable,) = np.nonzero(probabilities > NEGLIGIBLE)
         first = self.first + independent.first
+        notable = np.flatnonzero(probabilities > NEGLIGIBLE)
         if not notable.size:
-            return Counts(first, probabilities[:0])
-        return Counts(first + int(notable[0]), probabilities[notable[0] : notable[-1] + 1])
+            return Counts(first, np.empty(0))
+        start = int(notable[0])
+        end = int(notable[-1]) + 1
+        return Counts(first + start, probabilities[start:end])
 
 
 def binomial(draws: int, probability: float) -> Counts:
@@ -83,17 +87,18 @@ def binomial(draws: int, probability: float) -> Counts:
 
 
 def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
-    """Probability that the test stops at or before a stop that is not at the upper boundary, in the module's order.
+    """Probability that the test stops at or before a given stop, in the order of stops from few failures to many.
 
-    These are the stops at the lower boundary of earlier looks, and those at the last look with at most ``failures``.
+    The given stop is at the last look, and not at the upper boundary. At or before it are the stops at the lower
+    boundary of earlier looks, and the stops at the last look with at most ``failures``.
 
     Args:
-        looks: All looks up to that of the stop.
+        looks: All looks up to the look of the stop.
         failures: Number of failures at the stop.
         probability: Failure probability of a draw, in (0, 1).
     """
     stopped = 0.0
-    running = Counts(0, np.ones(1))
+    running = Counts(0, np.ones(1))  # failures of tests that go on; none before the first draw
     draws = 0
     for look in looks[:-1]:
         running = running.plus(binomial(look.draws - draws, probability))
@@ -110,7 +115,7 @@ def multistage_interval(looks: Sequence[Look], failures: int, confidence: float)
     """Exact interval of the failure probability after a multistage test.
 
     Args:
-        looks: All looks up to the one at which the test stopped.
+        looks: All looks up to the look at which the test stopped.
         failures: Number of failures at the last look.
         confidence: Coverage, in (0, 1).
 
@@ -122,7 +127,13 @@ def multistage_interval(looks: Sequence[Look], failures: int, confidence: float)
 
 
 def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
-    """Failure probability above which a stop at or before this one has less probability than ``tail``."""
+    """Failure probability above which a stop at or before the observed stop is less probable than ``tail``.
+
+    Args:
+        looks: All looks up to the observed stop.
+        failures: Number of failures at the last look.
+        tail: Probability, half the error of the interval.
+    """
     draws = looks[-1].draws
     if stopped_high(looks, failures):
         return 1.0 - lower_limit(mirror(looks), draws - failures, tail)
@@ -133,7 +144,13 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
-    """Failure probability below which a stop at or after this one has less probability than ``tail``."""
+    """Failure probability below which a stop at or after the observed stop is less probable than ``tail``.
+
+    Args:
+        looks: All looks up to the observed stop.
+        failures: Number of failures at the last look.
+        tail: Probability, half the error of the interval.
+    """
     draws = looks[-1].draws
     if stopped_high(looks, failures):
         return 1.0 - upper_limit(mirror(looks), draws - failures, tail)
@@ -144,18 +161,18 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:
-    """Whether the test stopped at the upper boundary."""
+    """Whether the test stopped at the upper boundary of its last look."""
     final = looks[-1]
     return failures >= final.upper and failures > final.lower
 
 
 def mirror(looks: Sequence[Look]) -> list[Look]:
-    """The looks of the same test if it counts passes instead of failures."""
-    return [Look(look.draws, look.draws - look.upper, look.draws - look.lower) for look in looks]
+    """The looks of the same test if it counts passes instead of failures: the boundaries change places."""
+    return [Look(look.draws, lower=look.draws - look.upper, upper=look.draws - look.lower) for look in looks]
 
 
 def zero_near(function: Callable[[float], float], probability: float, draws: int) -> float:
-    """Zero of a falling function of a probability, bracketed around a first guess.
+    """Zero of a falling function of a probability, from a bracket that grows around a first guess.
 
     Args:
         function: Function of a probability, positive at 0 and negative at 1.
@@ -163,7 +180,7 @@ def zero_near(function: Callable[[float], float], probability: float, draws: int
         draws: Number of draws, which sets the width of the first bracket.
     """
     deviation = math.sqrt(probability * (1.0 - probability) / draws)
-    smallest = RESOLUTION / draws
+    smallest = RESOLUTION / draws  # the bracket stays that far from 0 and 1
     step = BRACKET * deviation
     while probability - step > smallest and function(probability - step) <= 0.0:
         step *= 4.0

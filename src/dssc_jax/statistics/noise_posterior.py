@@ -1,6 +1,6 @@
 """Bayesian model of a residual's correlated noise: the posterior law over kinds of noise and their parameters.
 
-A residual seldom identifies its correlation well, a sparse one hardly at all. Results that depend on the noise are
+A residual seldom identifies its correlation well, a sparse residual hardly at all. Results that depend on the noise are
 therefore averaged over all plausible noises, with their posterior probabilities, instead of computed for the most
 likely one. Numbers have been fitted to the residual; the restricted likelihood accounts for that.
 
@@ -30,7 +30,7 @@ from dssc_jax.statistics.correlated_noise import (
 )
 from dssc_jax.statistics.simulated_noise import NoiseShape, SimulatedNoise
 
-WHITE_PRIOR = 0.1  # prior probability of white noise; the kinds of correlated noise share the rest
+WHITE_PRIOR = 0.1  # prior probability of white noise; the kinds of correlated noise share the remainder
 SHARE_WIDTH = 2.0  # prior standard deviation of logit c: one deviation either side is 12 to 88 %
 DAMPING_MIDDLE = 1.0  # prior mean of logit zeta
 DAMPING_WIDTH = 1.5  # prior standard deviation of logit zeta: 14 to 92 %
@@ -41,7 +41,7 @@ PROPOSAL_WIDTH = 1.2  # width of the proposal law relative to the posterior law 
 MODE_STARTS = (-1.2, 0.0, 1.2)  # starts of the search for the mode, in each coordinate
 LARGEST_LOGIT = 13.8  # bound of |logit c|: a share and its complement are at least 1e-6
 LEAST_GAP = 0.2  # least gap between two times, as a share of the median gap
-LONGEST = 1000.0  # longest time constant of the second order in median gaps; longer ones are lost in rounding
+LONGEST = 1000.0  # longest time constant of the second order in median gaps; longer time constants are lost in rounding
 ROUNDING_VARIANCE = 10.0  # multiple of the least variance below which a residual counts as rounding, and as white
 LEAST_DAMPING = 0.02
 MOST_DAMPING = 0.98
@@ -78,7 +78,7 @@ class NoisePosterior(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """Laplace's normal approximation of the posterior law of one kind of noise, around its mode.
+    """Laplace's normal approximation of the posterior law of a kind of noise, around its mode.
 
     Args:
         point: Coordinates of the mode, whose prior law is standard normal, shape (k,).
@@ -98,12 +98,12 @@ class Mode(NamedTuple):
 
 
 def sigmoid(x: float) -> float:
-    """Inverse of the logit, of a logit limited to +-:data:`LARGEST_LOGIT`."""
+    """The share with a given logit, which is limited to +-:data:`LARGEST_LOGIT`."""
     return float(special.expit(np.clip(x, -LARGEST_LOGIT, LARGEST_LOGIT)))
 
 
 def logit(share: float) -> float:
-    """Logit of a share, limited to +-:data:`LARGEST_LOGIT`."""
+    """Logit ln(c/(1 - c)) of a share c, limited to +-:data:`LARGEST_LOGIT`."""
     return float(np.clip(special.logit(share), -LARGEST_LOGIT, LARGEST_LOGIT))
 
 
@@ -119,7 +119,10 @@ class TimeScale(NamedTuple):
     span: float
 
     def time_constant_at(self, score: float) -> float:
-        """Time constant [s] at a standard normal score of its prior law, log-normal within 0.1 gap .. 3 span."""
+        """Time constant [s] at a standard normal score of its prior law.
+
+        The law is log-normal, with its median at the geometric mean of gap and span, within 0.1 gap and 3 span.
+        """
         middle = 0.5 * math.log(self.gap * self.span)
         width = math.log(self.span / self.gap) / TIME_WIDTHS
         shortest = math.log(0.1 * self.gap)
@@ -128,21 +131,42 @@ class TimeScale(NamedTuple):
 
 
 def first_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """First-order noise at the scores (time constant, share), shape (2,)."""
-    return FirstOrder(sigmoid(SHARE_WIDTH * point[1]), scale.time_constant_at(point[0]))
+    """First-order noise whose time constant and share have given scores of their prior laws.
+
+    Args:
+        point: Standard normal scores of the time constant and of the share, shape (2,).
+        scale: Gap and span of the times of observation.
+    """
+    time_score, share_score = point
+    return FirstOrder(sigmoid(SHARE_WIDTH * share_score), scale.time_constant_at(time_score))
 
 
 def second_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """Second-order noise at the scores (time constant, share, damping), shape (3,)."""
-    damping = min(max(sigmoid(DAMPING_MIDDLE + DAMPING_WIDTH * point[2]), LEAST_DAMPING), MOST_DAMPING)
-    time = min(scale.time_constant_at(point[0]), LONGEST * scale.gap)
-    return SecondOrder(sigmoid(SHARE_WIDTH * point[1]), time, damping)
+    """Second-order noise whose time constant, share and damping have given scores of their prior laws.
+
+    Args:
+        point: Standard normal scores of the time constant, of the share and of the damping ratio, shape (3,).
+        scale: Gap and span of the times of observation.
+    """
+    time_score, share_score, damping_score = point
+    damping = sigmoid(DAMPING_MIDDLE + DAMPING_WIDTH * damping_score)
+    return SecondOrder(
+        share=sigmoid(SHARE_WIDTH * share_score),
+        time=min(scale.time_constant_at(time_score), LONGEST * scale.gap),
+        damping=min(max(damping, LEAST_DAMPING), MOST_DAMPING),
+    )
 
 
 def drift_noise(point: np.ndarray, scale: TimeScale) -> Noise:
-    """Drift at the scores (time constant, share), shape (2,)."""
-    span = scale.span + scale.gap
-    return Drift(sigmoid(SHARE_WIDTH * point[1]), min(scale.time_constant_at(point[0]), span), span)
+    """Drift whose time constant and share have given scores of their prior laws.
+
+    Args:
+        point: Standard normal scores of the time constant and of the share, shape (2,).
+        scale: Gap and span of the times of observation.
+    """
+    time_score, share_score = point
+    span = scale.span + scale.gap  # the drift starts a gap before the first time
+    return Drift(sigmoid(SHARE_WIDTH * share_score), min(scale.time_constant_at(time_score), span), span)
 
 
 NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = (
@@ -150,18 +174,19 @@ NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = 
     (second_order_noise, 3),
     (drift_noise, 2),
 )
-"""Kinds of correlated noise: the noise at a point of scores, and the number of scores."""
+"""Kinds of correlated noise: (function that makes the noise at a point of scores, number of scores)."""
 
 
 def noise_of_share(simulated: SimulatedNoise, point: np.ndarray, scale: TimeScale) -> Noise:
-    """A simulated noise with another share: at a score of the law of logit c, whose mean is the simulated one.
+    """A simulated noise with another share c, at a score of a prior law of logit c around the simulated share.
 
     Args:
         simulated: The noise of simulations.
-        point: The score, shape (1,).
+        point: The standard normal score, shape (1,).
         scale: The time scale, on which a simulated shape does not depend.
     """
-    return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * point[0]))
+    (share_score,) = point
+    return simulated._replace(share=sigmoid(logit(simulated.share) + SHARE_WIDTH * share_score))
 
 
 def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float) -> tuple[SimulatedNoise, float] | None:
@@ -181,27 +206,54 @@ def noise_of_simulations(times: np.ndarray, simulated: np.ndarray, white: float)
 
 
 def separate_times(times: np.ndarray) -> np.ndarray:
-    """Times [s], shape (n,), spread so that no gap is shorter than :data:`LEAST_GAP` median gaps."""
+    """Times [s] at which no gap is shorter than :data:`LEAST_GAP` median gaps: shorter gaps are stretched, shape (n,).
+
+    Args:
+        times: Times, rising [s], shape (n,).
+    """
     gaps = np.diff(times)
-    return times[0] + np.concatenate([[0.0], np.cumsum(np.maximum(gaps, LEAST_GAP * np.median(gaps)))])
+    stretched = np.maximum(gaps, LEAST_GAP * np.median(gaps))
+    return times[0] + np.concatenate([[0.0], np.cumsum(stretched)])
 
 
 def find_mode(density: Callable[[np.ndarray], float], size: int) -> Mode:
-    """Maximise a log density of ``size`` coordinates, and approximate it there.
+    """Find the maximum of a log density, and the normal law that approximates the density there.
 
-    Nelder and Mead's simplex starts from the best point of a grid. The curvature follows from finite differences, whose
-    steps are halved until the density falls by at most 2.
+    Nelder and Mead's simplex starts from the best point of a grid.
+
+    Args:
+        density: (point, shape (k,)) -> log density.
+        size: Number k of coordinates.
     """
-    begin = max((np.array(point) for point in product(MODE_STARTS, repeat=size)), key=density)
-    simplex = np.vstack([begin, begin + 0.6 * np.eye(size)])
+    grid = [np.array(point) for point in product(MODE_STARTS, repeat=size)]
+    start = max(grid, key=density)
+    simplex = np.vstack([start, start + 0.6 * np.eye(size)])
     options = {"xatol": 0.02, "fatol": 0.02, "maxfev": 80 * size, "initial_simplex": simplex}
-    result = optimize.minimize(lambda point: -density(point), begin, method="Nelder-Mead", options=options)
-    point = result.x
+    result = optimize.minimize(lambda point: -density(point), start, method="Nelder-Mead", options=options)
     top = -float(result.fun)
+    curvature = curvature_at(density, result.x, top)
+    values, vectors = np.linalg.eigh(curvature)
+    spread = vectors / np.sqrt(np.maximum(values, 0.25))  # a standard deviation of at most 2, twice the prior law's
+    return Mode(result.x, spread, top)
+
+
+def curvature_at(density: Callable[[np.ndarray], float], point: np.ndarray, top: float) -> np.ndarray:
+    """Negative second derivatives of a log density at its maximum, by finite differences, shape (k, k).
+
+    The steps are halved until the density falls by at most 2. A derivative that is not finite is replaced by 1, the
+    curvature of the prior law.
+
+    Args:
+        density: (point, shape (k,)) -> log density.
+        point: The maximum, shape (k,).
+        top: Log density there.
+    """
+    size = len(point)
     steps = np.full(size, 0.5)
     for axis, move in enumerate(np.eye(size)):
         while steps[axis] > 1e-3:
-            lower, upper = (density(point + sign * steps[axis] * move) for sign in (-1, 1))
+            lower = density(point - steps[axis] * move)
+            upper = density(point + steps[axis] * move)
             if top - min(lower, upper) <= 2.0:
                 break
             steps[axis] *= 0.5
@@ -214,37 +266,37 @@ def find_mode(density: Callable[[np.ndarray], float], size: int) -> Mode:
             along = density(point + moves[i] + moves[j]) + density(point - moves[i] - moves[j])
             across = density(point + moves[i] - moves[j]) + density(point - moves[i] + moves[j])
             curvature[i, j] = curvature[j, i] = (across - along) / (4.0 * steps[i] * steps[j])
-    curvature = np.nan_to_num(curvature, nan=1.0, posinf=1.0, neginf=1.0)
-    values, vectors = np.linalg.eigh(curvature)
-    return Mode(point, vectors / np.sqrt(np.maximum(values, 0.25)), top)
+    return np.nan_to_num(curvature, nan=1.0, posinf=1.0, neginf=1.0)
 
 
 def draw_points(mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-    """Draw points around a mode from a Student's t law.
+    """Draw points around a mode from a Student's t law, whose tails are longer than the posterior law's.
 
     Returns:
         Points, shape (n, k), and the logarithm of the law's density at each, shape (n,).
     """
     size = len(mode.point)
     uniform = stats.qmc.Sobol(size + 1, rng=np.random.default_rng(0)).random(NOISE_SAMPLES)
-    radii = np.sqrt(FREEDOM / special.chdtri(FREEDOM, uniform[:, -1]))
+    radii = np.sqrt(FREEDOM / special.chdtri(FREEDOM, uniform[:, -1]))  # make Student's t of normal scores
     scores = np.asarray(special.ndtri(uniform[:, :-1])) * radii[:, None]
     squares = np.sum(scores**2, axis=1)
+    _, log_determinant = np.linalg.slogdet(PROPOSAL_WIDTH * mode.spread)
     constant = math.lgamma(0.5 * (FREEDOM + size)) - math.lgamma(0.5 * FREEDOM)
-    constant -= 0.5 * size * math.log(FREEDOM * math.pi) + float(np.linalg.slogdet(PROPOSAL_WIDTH * mode.spread)[1])
+    constant -= 0.5 * size * math.log(FREEDOM * math.pi) + float(log_determinant)
     log_density = constant - 0.5 * (FREEDOM + size) * np.log1p(squares / FREEDOM)
     return mode.point + PROPOSAL_WIDTH * scores @ mode.spread.T, log_density
 
 
 class NoiseSearch:
-    """Search for the noise of one channel's residual.
+    """Search for the noise of a channel's residual, from which :meth:`posterior` draws samples.
 
     Args:
         times: Times of observation, rising [s], shape (n,).
         columns: Residual, and derivatives of the prediction by each of p numbers, shape (n, 1 + p).
         floor: Lower limit of the variance.
-        least_white: Lower limit of the variance of the white part, such as that of a sensor. It applies after the noise
-            has been estimated. Without it a smooth model error would count as readings of high precision.
+        least_white: Lower limit of the variance of the white part, such as the variance of a sensor's noise. It applies
+            after the noise has been estimated. Without it a smooth model error would count as readings of high
+            precision.
         simulated: Simulations of what disturbs the readings, shape (m, n), whose shape is another kind of noise; None:
             nothing is known to disturb them.
         only_simulated: Whether that is the only kind.
@@ -259,6 +311,7 @@ class NoiseSearch:
         simulated: np.ndarray | None = None,
         only_simulated: bool = False,
     ) -> None:
+        """Find the mode of the posterior law of each kind of noise."""
         self.times = separate_times(times)
         self.columns = columns
         self.floor = floor
@@ -266,20 +319,28 @@ class NoiseSearch:
         self.white = fit_noise(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
         self.kinds = NOISE_KINDS
-        disturbance = None if simulated is None else noise_of_simulations(times, simulated, least_white)
-        if disturbance is not None:
-            simulated_kind = (partial(noise_of_share, disturbance[0]), 1)
+        noise_and_variance = None if simulated is None else noise_of_simulations(times, simulated, least_white)
+        if noise_and_variance is not None:
+            simulated_noise, _ = noise_and_variance
+            simulated_kind = (partial(noise_of_share, simulated_noise), 1)
             self.kinds = (simulated_kind,) if only_simulated else (*NOISE_KINDS, simulated_kind)
-        if self.white.variance <= ROUNDING_VARIANCE * floor:
+        is_rounding = self.white.variance <= ROUNDING_VARIANCE * floor
+        if is_rounding:
             self.kinds = ()
         self.modes = [find_mode(partial(self.log_density, kind), size) for kind, size in self.kinds]
 
     def log_density(self, kind: Callable[..., Noise], point: np.ndarray) -> float:
-        """Logarithm of the posterior density of a kind of noise at a point of scores, up to a constant."""
-        return self.fit_at(kind, point)[0]
+        """Logarithm of the posterior density of a kind of noise at a point of scores, relative to white noise."""
+        log_density, _ = self.fit_at(kind, point)
+        return log_density
 
     def fit_at(self, kind: Callable[..., Noise], point: np.ndarray) -> tuple[float, NoiseFit]:
-        """The log density of :meth:`log_density`, relative to white noise's likelihood, and the least squares there."""
+        """Fit the residual under a kind of noise at a point of scores.
+
+        Returns:
+            The logarithm of prior density times likelihood, less white noise's log likelihood; -inf if the least
+            squares are singular. Then the least squares.
+        """
         try:
             fit = fit_noise(kind(point, self.scale), self.times, self.columns, self.floor)
         except np.linalg.LinAlgError:
@@ -291,14 +352,15 @@ class NoiseSearch:
         """Noise at the mode of the likeliest kind, and the least squares of the residual under it."""
         if not self.kinds:
             return self.with_least_white(WHITE, self.white)
-        share = (1.0 - WHITE_PRIOR) / len(self.kinds)
-        evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
-        if max(evidence) <= 0.0:
+        prior = (1.0 - WHITE_PRIOR) / len(self.kinds)
+        log_odds = [mode.evidence + math.log(prior / WHITE_PRIOR) for mode in self.modes]  # against white noise
+        if max(log_odds) <= 0.0:
             return self.with_least_white(WHITE, self.white)
-        best = int(np.argmax(evidence))
+        best = int(np.argmax(log_odds))
         kind, _ = self.kinds[best]
         point = self.modes[best].point
-        return self.with_least_white(kind(point, self.scale), self.fit_at(kind, point)[1])
+        _, fit = self.fit_at(kind, point)
+        return self.with_least_white(kind(point, self.scale), fit)
 
     def with_least_white(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
         """Raise the white part of a noise to its least variance, and repeat the least squares with that noise."""
@@ -307,23 +369,28 @@ class NoiseSearch:
             return noise, fit
         variance = fit.variance + shortage
         noise = noise._replace(share=noise.share * fit.variance / variance)
-        products = weighted_products(noise, self.times, self.columns)[0] / variance
+        products, _ = weighted_products(noise, self.times, self.columns)
+        products = products / variance
         return noise, fit._replace(variance=variance, information=products[1:, 1:], gradient=products[1:, 0])
 
     def posterior(self) -> NoisePosterior:
-        """Posterior law of the noise, by importance sampling around the mode of each kind."""
+        """Posterior law of the noise: white noise, and samples around the mode of each kind, with their weights.
+
+        The weight of a sample is its posterior density over the density of the law from which it was drawn.
+        """
         log_weights = [math.log(WHITE_PRIOR)]
-        log_prior = math.log((1.0 - WHITE_PRIOR) / max(len(self.kinds), 1) / NOISE_SAMPLES)
         fits = [self.with_least_white(WHITE, self.white)]
+        log_prior_of_sample = math.log((1.0 - WHITE_PRIOR) / max(len(self.kinds), 1) / NOISE_SAMPLES)
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, log_proposals = draw_points(mode)
-            for point, log_proposed in zip(points, log_proposals, strict=True):
+            for point, log_proposal in zip(points, log_proposals, strict=True):
                 log_density, fit = self.fit_at(kind, point)
-                log_weights.append(log_prior + log_density - log_proposed)
+                log_weights.append(log_prior_of_sample + log_density - log_proposal)
                 fits.append(self.with_least_white(kind(point, self.scale), fit))
         weights = np.exp(np.array(log_weights) - max(log_weights))
         weights /= weights.sum()
         candidates = []
         for weight, (noise, fit) in zip(weights.tolist(), fits, strict=True):
             candidates.append(Candidate(noise, weight, fit))
-        return NoisePosterior(*self.likeliest(), float(weights[0]), tuple(candidates))
+        likeliest, fit_of_likeliest = self.likeliest()
+        return NoisePosterior(likeliest, fit_of_likeliest, white=float(weights[0]), candidates=tuple(candidates))

@@ -1,12 +1,12 @@
-"""Worst probability of a set of scores when their normal law is moved or widened, over all sets of one probability.
+"""Worst probability of a set of scores when their normal law is moved or widened, over all sets of a given probability.
 
-The scores of a draw have the standard normal law, and the set is that of the failing draws. Let the true law of the
-scores be N(d, I), at the distance s = |d|. Of all sets of probability p, the half space in direction d gains most
-(Neyman and Pearson): its probability becomes Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with
+The scores of a draw have the standard normal law, and the set contains the scores of the failing draws. Let the true
+law of the scores be N(d, I), at the distance s = |d|. Of all sets of probability p, the half space in direction d gains
+most (Neyman and Pearson): its probability becomes Phi(Phi^-1(p) + s). If the true law is N(0, k^2 I) in n numbers with
 k >= 1, the outside of a ball gains most. So the bounds hold for any set, and these sets attain them.
 
 A smaller distance, or widths between 1 and k, cannot be worse. The same rescaling with added noise turns N(0, I) into
-itself and the law with s or k into the milder one, and no processing makes two laws easier to tell apart.
+itself and the law with s or k into the milder law, and no processing makes two laws easier to tell apart.
 
 References:
     J. Neyman, E. S. Pearson, Philosophical Transactions A 231 (1933) 289-337.
@@ -33,7 +33,9 @@ def worst_when_moved(p: float, distance: float) -> float:
 
 
 def largest_distance(p: float, limit: float) -> float:
-    """Largest distance of a move under which a set of probability p cannot exceed a limit.
+    """Largest distance of a move under which the probability of a set, p before, cannot exceed a limit.
+
+    It is the inverse of :func:`worst_when_moved`.
 
     Args:
         p: Probability of the set before the move, in [0, 1].
@@ -53,6 +55,8 @@ def largest_distance(p: float, limit: float) -> float:
 def worst_when_widened(p: float, width: float, numbers: int) -> float:
     """Largest probability of a set once the width of each score is multiplied by at most k.
 
+    It is the probability outside a ball of the scores that has the probability p outside before the widening.
+
     Args:
         p: Probability of the set before the widening, in [0, 1].
         width: Largest relative width k, >= 1.
@@ -64,12 +68,15 @@ def worst_when_widened(p: float, width: float, numbers: int) -> float:
     require_probability(p=p)
     if not width >= 1.0:
         raise ValueError(f"width must be at least 1, got {width!r}")
-    half = 0.5 * numbers
-    return float(special.gammaincc(half, special.gammainccinv(half, p) / width**2))
+    half = 0.5 * numbers  # half the squared radius of the ball has a gamma law of this shape
+    half_square = special.gammainccinv(half, p)
+    return float(special.gammaincc(half, half_square / width**2))
 
 
 def largest_width(p: float, limit: float, numbers: int) -> float:
-    """Largest relative width of the scores at which a set of probability p cannot exceed a limit.
+    """Largest relative width of the scores at which the probability of a set, p before, cannot exceed a limit.
+
+    It is the inverse of :func:`worst_when_widened`.
 
     Args:
         p: Probability of the set before the widening, in [0, 1].
@@ -81,5 +88,5 @@ def largest_width(p: float, limit: float, numbers: int) -> float:
     """
     require_probability(p=p)
     half = 0.5 * numbers
-    ratio = special.gammainccinv(half, p) / special.gammainccinv(half, limit)
-    return max(1.0, math.sqrt(float(ratio)))
+    squared_width = special.gammainccinv(half, p) / special.gammainccinv(half, limit)
+    return max(1.0, math.sqrt(float(squared_width)))

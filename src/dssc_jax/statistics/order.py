@@ -15,7 +15,7 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
 
     SciPy's inverse may be off by one through rounding, so the result is corrected by the distribution function itself.
     """
-    k = max(0, int(np.ceil(special.bdtrik(level, draws, probability))))
+    k = max(0, int(np.ceil(special.bdtrik(level, draws, probability))))  # bdtr: the distribution function
     while k > 0 and special.bdtr(k - 1, draws, probability) >= level:
         k -= 1
     while k < draws and special.bdtr(k, draws, probability) < level:
@@ -24,9 +24,9 @@ def binomial_quantile(level: float, draws: int, probability: float) -> int:
 
 
 def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
-    """Smallest integer from ``start`` on that meets a condition; all larger ones must meet it too.
+    """Smallest integer from ``start`` on that meets a condition, which all larger integers must meet, too.
 
-    Steps that double find an integer that meets the condition, and bisection finds the first one.
+    Steps that double find an integer that meets the condition. Bisection then finds the first.
     """
     if condition(start):
         return start
@@ -45,12 +45,17 @@ def first_integer(condition: Callable[[int], bool], start: int = 1) -> int:
 
 
 def sorted_draws(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
-    """Values in ascending order along the last axis (of the draws); ``missing`` replaces NaN."""
+    """Values in ascending order along the last axis, the draws; ``missing`` replaces NaN."""
     return np.sort(np.where(np.isnan(values), missing, values))
 
 
 def at_rank(sorted_values: np.ndarray, rank: int) -> np.ndarray:
-    """Order statistic X_(rank) along the last axis, with ranks from 1; infinite if the rank is out of range."""
+    """The value at a rank along the last axis, from 1, the smallest; -inf below the range of ranks, inf above it.
+
+    Args:
+        sorted_values: Values from :func:`sorted_draws`, shape (..., n).
+        rank: Rank; values exist at 1 to n.
+    """
     if 1 <= rank <= sorted_values.shape[-1]:
         return sorted_values[..., rank - 1]
     return np.full(sorted_values.shape[:-1], -np.inf if rank < 1 else np.inf)
@@ -59,26 +64,34 @@ def at_rank(sorted_values: np.ndarray, rank: int) -> np.ndarray:
 def upper_quantile(sorted_values: np.ndarray, level: float) -> np.ndarray:
     """Smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
 
-    It is an order statistic, so a finite value is never averaged with an infinite one.
+    It is the value of a draw, so a finite value is never averaged with an infinite value.
 
     Args:
         sorted_values: Values from :func:`sorted_draws`.
         level: Level of the quantile, in [0, 1].
     """
-    return at_rank(sorted_values, max(1, math.ceil(level * sorted_values.shape[-1])))
+    rank = max(1, math.ceil(level * sorted_values.shape[-1]))
+    return at_rank(sorted_values, rank)
 
 
 def upper_quantiles(values: np.ndarray, levels: Sequence[float], missing: float = np.inf) -> np.ndarray:
-    """Values of :func:`upper_quantile` at several levels, shape (levels, ...); ``missing`` replaces NaN."""
+    """Quantiles along the last axis at several levels, shape (levels, ...), as :func:`upper_quantile` defines them.
+
+    Args:
+        values: The draws, shape (..., n).
+        levels: Levels of the quantiles, in [0, 1].
+        missing: Replaces NaN.
+    """
     sorted_values = sorted_draws(values, missing)
     return np.stack([upper_quantile(sorted_values, level) for level in levels])
 
 
 @lru_cache
 def quantile_ranks(draws: int, level: float, confidence: float = CONFIDENCE) -> tuple[int, int]:
-    """Ranks r and s of the order statistics that enclose a quantile of any law.
+    """Ranks r and s of the draws whose values enclose a quantile of any law with a confidence.
 
-    With B ~ Bin(n, p), they satisfy P(B < r) <= a/2 and P(B >= s) <= a/2.
+    The number B of draws below the quantile of a continuous law has the law Bin(n, p). The ranks satisfy
+    P(B < r) <= a/2 and P(B >= s) <= a/2.
 
     Args:
         draws: Number n of draws, >= 1.
@@ -127,18 +140,18 @@ def quantile_interval(values: np.ndarray, level: float, confidence: float = CONF
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
     """Confidence that tolerance limits from order statistics contain at least the share ``content`` of the law.
 
-    The limit is the k-th largest (or smallest) of n draws for one side, and both k-th extremes for two sides. The
-    confidence is 1 - sum_i C(n, i) (1-p)^i p^(n-i) over i < k sides.
+    The limit is the k-th largest or the k-th smallest of n draws for one side, and both for two sides. The confidence
+    is 1 - sum_i C(n, i) (1-p)^i p^(n-i) over all i < k times the number of sides.
 
     Args:
         draws: Number n of draws.
         content: Share p of the law within the limits, in (0, 1).
         order: Order k of the extremes.
-        sides: 1 or 2.
+        sides: 1 for a lower or an upper limit, 2 for both at once.
     """
     if draws < order * sides:
         return 0.0
-    return float(special.bdtrc(order * sides - 1, draws, 1.0 - content))
+    return float(special.bdtrc(order * sides - 1, draws, 1.0 - content))  # P(more draws outside than this number)
 
 
 def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, sides: int = 1) -> int:
@@ -167,9 +180,13 @@ def wilks_draws(content: float, confidence: float = CONFIDENCE, order: int = 1, 
 
 
 def wilks_order(draws: int, content: float, confidence: float = CONFIDENCE, sides: int = 1) -> int:
-    """Highest order k whose extremes of n draws are tolerance limits; 0 if n is too small.
+    """Highest order k for which the k-th extremes of n draws are tolerance limits; 0 if n is too small.
 
-    Arguments as of :func:`wilks_draws`.
+    Args:
+        draws: Number n of draws.
+        content: Share of the law within the limits, in (0, 1).
+        confidence: Confidence level, in (0, 1).
+        sides: 1 for a lower or an upper limit, 2 for both at once.
     """
     require_share(content=content, confidence=confidence)
     order = binomial_quantile(1.0 - confidence, draws, 1.0 - content) // sides + 1
@@ -203,8 +220,12 @@ def tolerance_limits(
         raise ValueError(f"side must be lower, upper or both, got '{side}'")
     order = wilks_order(len(values), content, confidence, sides=2 if side == "both" else 1)
     sorted_values = sorted_draws(values)
-    low = float(at_rank(sorted_values, order)) if order and side != "upper" else -np.inf
-    high = float(at_rank(sorted_values, len(values) + 1 - order)) if order and side != "lower" else np.inf
+    low = -np.inf
+    high = np.inf
+    if order and side in ("lower", "both"):
+        low = float(at_rank(sorted_values, order))
+    if order and side in ("upper", "both"):
+        high = float(at_rank(sorted_values, len(values) + 1 - order))
     return low, high
 
 

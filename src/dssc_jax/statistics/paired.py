@@ -11,11 +11,11 @@ from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
 STAKES = np.geomspace(0.003, 0.97, 16)
 """Stakes of the bets, as shares of the largest possible stake."""
-DISCORDANCE = 0.2  # share of the error for how often the two systems differ; the rest is for which of them fails
+DISCORDANCE = 0.2  # share of the error for how often the two systems differ; the remainder is for which of them fails
 
 
 class FailureDifference(NamedTuple):
-    """Estimated difference of two failure probabilities, that of a minus that of b, on the same draws.
+    """Difference P(a fails) - P(b fails) of two systems a and b, estimated on the same draws.
 
     Args:
         only_a: Number of draws on which a alone failed.
@@ -35,7 +35,7 @@ class FailureDifference(NamedTuple):
 
 
 class MetricDifference(NamedTuple):
-    """Estimated quantile of the draw-by-draw difference of a metric, a minus b.
+    """Quantile of the difference of a metric between two systems, a minus b, on the same draws.
 
     Args:
         level: Level of the quantile; 1/2 is the median.
@@ -55,7 +55,9 @@ class MetricDifference(NamedTuple):
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
-    """Two-sided p-value of the exact McNemar test: under the hypothesis, discordant draws are fair coin tosses.
+    """Two-sided p-value of the exact McNemar test of the hypothesis that two systems fail equally often.
+
+    A draw is discordant if only one of them fails. Under the hypothesis, discordant draws are fair coin tosses.
 
     Args:
         only_a: Number of draws on which a alone failed.
@@ -83,10 +85,11 @@ def difference_interval(
 ) -> np.ndarray:
     """Interval of P(a fails) - P(b fails) from paired draws; its coverage is at least ``confidence``, for every n.
 
-    The difference is theta (2 pi - 1), where theta is the probability that exactly one of the two fails, and pi the
-    probability that it is a. Both get exact (Clopper-Pearson) intervals, that of pi conditional on the number of
-    discordant draws, and together they err with a probability of at most 1 - confidence (Bonferroni). If the two hardly
-    differ, pi matters most, so it receives the larger share of the error.
+    A draw is discordant if exactly one of the two systems fails. The difference is theta (2 pi - 1), where theta is the
+    probability of a discordant draw, and pi the probability that it is a that fails in such a draw. Both get exact
+    (Clopper-Pearson) intervals, pi conditional on the number of discordant draws. Together they err with a probability
+    of at most 1 - confidence (Bonferroni). If the two systems hardly differ, pi matters most, so it receives the larger
+    share of the error.
 
     Args:
         only_a: Number of draws on which a alone failed, any shape.
@@ -108,18 +111,20 @@ def difference_interval(
     if np.any(a < 0) or np.any(b < 0) or np.any(a + b > n):
         raise ValueError(f"needs only_a, only_b >= 0 and only_a + only_b <= draws, got {only_a}, {only_b}, {draws}")
     error = 1.0 - confidence
-    discordant_interval = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
-    only_a_if_discordant = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
-    only_a_if_discordant = np.where((a + b == 0)[..., None], [0.0, 1.0], only_a_if_discordant)
-    least, most = np.moveaxis(discordant_interval, -1, 0)
-    side_low, side_high = np.moveaxis(2.0 * only_a_if_discordant - 1.0, -1, 0)
-    low = np.where(side_low >= 0.0, least, most) * side_low
-    high = np.where(side_high >= 0.0, most, least) * side_high
+    discordant = a + b
+    theta = clopper_pearson(discordant, n, 1.0 - DISCORDANCE * error)
+    pi = clopper_pearson(a, np.maximum(discordant, 1), 1.0 - (1.0 - DISCORDANCE) * error)
+    pi = np.where((discordant == 0)[..., None], [0.0, 1.0], pi)  # nothing is known of pi
+    least, most = theta[..., 0], theta[..., 1]
+    balance = 2.0 * pi - 1.0  # interval of the difference in a discordant draw
+    balance_low, balance_high = balance[..., 0], balance[..., 1]
+    low = np.where(balance_low >= 0.0, least, most) * balance_low
+    high = np.where(balance_high >= 0.0, most, least) * balance_high
     return np.stack([low, high], axis=-1)
 
 
 def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: float = CONFIDENCE) -> FailureDifference:
-    """Compare the failures of two systems on the same independent draws.
+    """Difference of the failure probabilities of two systems on the same independent draws, with interval and p-value.
 
     Args:
         failed_a: Whether a failed on each draw, shape (n,).
@@ -148,7 +153,7 @@ def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: flo
 def compare_metrics(
     a: np.ndarray, b: np.ndarray, level: float = 0.5, confidence: float = CONFIDENCE
 ) -> MetricDifference:
-    """Compare a metric of two systems on the same independent draws, by a quantile of the difference a - b.
+    """Quantile of the difference a - b of a metric of two systems on the same independent draws, with its interval.
 
     No draw is dropped. A system without a value, because the draw ended early, is infinitely worse; if both have none,
     they tie. Order statistics handle infinite values and any law; a mean with Student's t handles neither.
@@ -167,7 +172,8 @@ def compare_metrics(
     missing_a = ~np.isfinite(a)
     missing_b = ~np.isfinite(b)
     difference = np.where(missing_a, np.inf, a) - np.where(missing_b, 0.0, b)
-    difference = np.where(missing_b, np.where(missing_a, 0.0, -np.inf), difference)
+    difference[missing_b] = -np.inf
+    difference[missing_a & missing_b] = 0.0
     return MetricDifference(
         level=level,
         difference=float(np.quantile(difference, level, method="inverted_cdf")),
@@ -185,7 +191,7 @@ def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike,
     With a stake s, a draw multiplies the capital by 1 - s (1 - margin) if a alone fails, by 1 + s (1 + margin) if b
     alone fails, and by 1 + s margin otherwise. The result is the mean capital over the stakes :data:`STAKES`. If the
     difference is at least ``margin``, the capital is a supermartingale, so it ever exceeds 1/e with a probability of at
-    most e (Ville), however often one looks.
+    most e (Ville), however often it is computed.
 
     Args:
         only_a: Number of draws on which a alone failed, any shape.
@@ -210,8 +216,8 @@ def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike,
     if not 0.0 <= margin < 1.0:
         raise ValueError(f"margin must be in [0, 1), got {margin}")
     a, b, n = np.broadcast_arrays(np.asarray(only_a, float), np.asarray(only_b, float), np.asarray(draws, float))
-    log_sum = np.full(a.shape, -np.inf)
-    for stake in STAKES / (1.0 - margin):
+    log_sum = np.full(a.shape, -np.inf)  # logarithm of the sum of the capitals
+    for stake in STAKES / (1.0 - margin):  # at the largest stake, the capital is lost if a alone fails
         discordant_gain = a * np.log1p(-stake * (1.0 - margin)) + b * np.log1p(stake * (1.0 + margin))
         log_capital = discordant_gain + (n - a - b) * np.log1p(stake * margin)
         log_sum = np.logaddexp(log_sum, log_capital)

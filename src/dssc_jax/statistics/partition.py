@@ -22,14 +22,14 @@ LEAST_IN_PART = 5
 
 
 class PartInformation(NamedTuple):
-    """Value of the information in which part of its law a number lies.
+    """What it is worth to know in which part of its law a number lies.
 
     Args:
         parts: Number B of parts; fewer if few draws failed.
         removed: Share of the variance of "fails or not" that the information removes; the estimate may be negative.
         removed_interval: Interval of ``removed``.
-        changes: Probability that the information changes the decision: that the failure probability of the part lies on
-            the other side of the limit than that of all draws.
+        changes: Probability that the information changes the decision: the failure probability within the part is above
+            the limit and the failure probability of all draws is not, or the reverse.
         changes_interval: Interval of ``changes``.
     """
 
@@ -43,7 +43,7 @@ class PartInformation(NamedTuple):
 def part_information(
     levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float = CONFIDENCE
 ) -> PartInformation | None:
-    """Estimate the value of the information in which part of its law a number lies.
+    """Estimate what it is worth to know in which part of its law a number lies.
 
     The interval of the removed share is Student's t, with B - 1 degrees of freedom and the variance of a mean over
     pairs. The interval of the probability of another decision counts the parts that certainly, or possibly, lie on the
@@ -65,22 +65,24 @@ def part_information(
     part_of_draw = np.minimum((levels * parts).astype(int), parts - 1)
     counts = np.bincount(part_of_draw[failed], minlength=parts)
     sizes = np.bincount(part_of_draw, minlength=parts)
-    removed, interval = removed_share(counts, len(failed), confidence)
-    passes = failures <= limit * len(failed)
+    removed, removed_interval = removed_share(counts, len(failed), confidence)
     intervals = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
-    exceeds = counts > limit * sizes
+    is_above = counts > limit * sizes
     surely_above = intervals[:, 0] > limit
     possibly_above = intervals[:, 1] > limit
-    if passes:
-        shares = exceeds.mean(), surely_above.mean(), possibly_above.mean()
+    all_below = failures <= limit * len(failed)
+    if all_below:  # parts above the limit change the decision
+        changes, low, high = is_above.mean(), surely_above.mean(), possibly_above.mean()
     else:
-        shares = (~exceeds).mean(), (~possibly_above).mean(), (~surely_above).mean()
-    changes, low, high = map(float, shares)
-    return PartInformation(parts, removed, interval, changes, (low, high))
+        changes, low, high = (~is_above).mean(), (~possibly_above).mean(), (~surely_above).mean()
+    return PartInformation(parts, removed, removed_interval, float(changes), (float(low), float(high)))
 
 
 def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[float, tuple[float, float]]:
-    """Share of the variance of "fails or not" that the information removes, and its interval.
+    """Share of the variance of "fails or not" that the part of a number removes, and its interval.
+
+    The share is (B sum q_b^2 - 1) p/(1 - p), as the module derives it. The sum is the probability that two failed draws
+    lie in the same part, estimated by the share of such pairs.
 
     Args:
         counts: Number of failed draws in each part, shape (B,).
@@ -92,14 +94,14 @@ def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[fl
     """
     parts = len(counts)
     failures = int(counts.sum())
-    pairs = failures * (failures - 1.0)
-    same_part = float(np.sum(counts * (counts - 1.0))) / pairs
-    shares = counts / failures
-    second = float(np.sum(shares**2))
-    third = float(np.sum(shares**3))
-    variance = (2.0 * (second - second**2) + 4.0 * (failures - 2.0) * (third - second**2)) / pairs
-    odds = failures / max(draws - failures, 1)
-    share_removed = odds * (parts * same_part - 1.0)
-    spread = np.hypot(odds * parts * np.sqrt(variance), share_removed / np.sqrt(failures))
-    reach = float(special.stdtrit(parts - 1, 0.5 * (1.0 + confidence)) * spread)
-    return share_removed, (share_removed - reach, share_removed + reach)
+    ordered_pairs = failures * (failures - 1.0)
+    same_part = float(np.sum(counts * (counts - 1.0))) / ordered_pairs
+    q = counts / failures  # q_b: share of the failed draws in each part
+    squares = float(np.sum(q**2))
+    cubes = float(np.sum(q**3))
+    variance = (2.0 * (squares - squares**2) + 4.0 * (failures - 2.0) * (cubes - squares**2)) / ordered_pairs
+    odds = failures / max(draws - failures, 1)  # p/(1 - p)
+    share = odds * (parts * same_part - 1.0)
+    deviation = np.hypot(odds * parts * np.sqrt(variance), share / np.sqrt(failures))  # of the pairs, and of the odds
+    half = float(special.stdtrit(parts - 1, 0.5 * (1.0 + confidence)) * deviation)
+    return share, (share - half, share + half)

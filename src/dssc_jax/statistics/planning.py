@@ -11,14 +11,14 @@ from dssc_jax.statistics.conformal import TAIL_SHARE, flights_to_confirm, flight
 from dssc_jax.statistics.order import first_integer, wilks_draws
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require_share
 
-LINE_DRAWS = 999  # draws of the study that flights are compared with
+LINE_DRAWS = 999  # draws of the study with which flights are compared
 DEPARTING = 0.5  # share of flights beyond the line, for the plan of a verdict
 ORDERS = {1: (1, 2, 3, 4, 5), 2: (1, 2, 3)}  # Wilks orders in a plan, by number of sides
 NEGLIGIBLE = 1e-9  # total probability of the counts that a sum leaves out
 
 
 class Answer(NamedTuple):
-    """One row of a plan.
+    """A row of a plan: the number of draws that answers a question.
 
     Args:
         question: Question, in words.
@@ -32,7 +32,9 @@ class Answer(NamedTuple):
 
 
 def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws whose share is within an error e of any probability: n >= ln(2/d)/(2 e^2), confidence 1 - d.
+    """Number of draws whose share of failures is within an error of the failure probability, whatever it is.
+
+    With the error e and the confidence 1 - d, it is the least n >= ln(2/d)/(2 e^2).
 
     Example:
         >>> chernoff_draws(0.01, 0.99)
@@ -47,10 +49,10 @@ def chernoff_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws whose worst value is exceeded with probability at most e: n >= ln(1/d)/ln(1/(1-e)).
+    """Number of draws whose worst value a further draw exceeds with a probability of at most ``error``.
 
-    The statement has the confidence 1 - d. If none of these draws fails, they also demonstrate a failure probability of
-    at most e.
+    With the error e and the confidence 1 - d, it is the least n >= ln(1/d)/ln(1/(1-e)). If none of these draws fails,
+    they also demonstrate a failure probability of at most e.
 
     Example:
         >>> worst_case_draws(0.01, 0.99)
@@ -64,7 +66,13 @@ def worst_case_draws(error: float, confidence: float = CONFIDENCE) -> int:
 
 
 def half_length(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Larger of the distances of both ends of the exact interval from the share of failures, any shape."""
+    """Distance of the farther end of the exact interval from the share of failures, any shape.
+
+    Args:
+        failures: Number of failures, any shape.
+        draws: Number of draws, broadcastable.
+        confidence: Confidence of the interval.
+    """
     share = np.asarray(failures) / np.asarray(draws)
     distances = np.abs(clopper_pearson(failures, draws, confidence) - share[..., None])
     return distances.max(-1)
@@ -86,10 +94,10 @@ def reach_probability(draws: int, error: float, probability: float, confidence: 
 
 
 def expected_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws after which the exact interval reaches at most an error, at the expected number of failures.
+    """Number of draws after which the exact interval reaches at most ``error``, if failures come as expected.
 
-    The expected number, probability times draws, need not be an integer here. In about half of all cases there are
-    more failures and the interval reaches further; :func:`assured_draws` accounts for them.
+    The expected number of failures, probability times draws, need not be an integer here. In about half of all cases
+    there are more failures and the interval reaches further; :func:`assured_draws` accounts for them.
 
     Raises:
         ValueError: An argument is out of range.
@@ -103,11 +111,12 @@ def expected_draws(error: float, probability: float, confidence: float = CONFIDE
 
 
 def assured_draws(error: float, probability: float, confidence: float = CONFIDENCE) -> int:
-    """Number of draws after which the exact interval reaches at most an error with the probability ``confidence``.
+    """Number of draws after which the exact interval reaches at most ``error`` with the probability ``confidence``.
 
     Let n_k be the least number of draws with which the interval is short enough at every number of failures up to k.
-    From n_k to n_(k+1) - 1 draws the probability of such a number falls, and at n_(k+1) it jumps up, like a sawtooth.
-    The answer is the first n_k after which every tooth ends high enough. (Some smaller numbers may also suffice.)
+    The probability of at most k failures falls from n_k to n_(k+1) - 1 draws. At n_(k+1) draws a further failure is
+    allowed, so the probability jumps up: over the draws it is a sawtooth. The answer is the first n_k after which every
+    tooth ends high enough. Some smaller numbers may also suffice.
 
     Args:
         error: Largest half-length of the interval, in (0, 1).
@@ -124,10 +133,11 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
     require_share(error=error, probability=probability, confidence=confidence)
 
     def draws_for(failures: int) -> int:
-        """Return n_k; near one half the longest interval is that of slightly fewer failures."""
+        """The number n_k of draws for k = ``failures``."""
 
         def is_short(draws: int) -> bool:
-            margin = 4 * math.isqrt(draws) if 3 * failures > draws else 0
+            """Whether the interval is short enough at every number of failures up to k."""
+            margin = 4 * math.isqrt(draws) if 3 * failures > draws else 0  # near 1/2, fewer failures may be the worst
             counts = np.arange(max(failures - margin, 0), failures + 1)
             return bool(half_length(counts, draws, confidence).max() <= error)
 
@@ -138,12 +148,12 @@ def assured_draws(error: float, probability: float, confidence: float = CONFIDEN
         draws = draws_for(failures + 1) - 1
         return reach_probability(draws, error, rarer, confidence) >= confidence
 
-    rarer = min(probability, 1.0 - probability)
+    rarer = min(probability, 1.0 - probability)  # failures and passes have the same intervals
     return draws_for(first_integer(ends_high, 0))
 
 
 def plan(error: float, confidence: float = CONFIDENCE, probability: float | None = None) -> list[Answer]:
-    """Number of draws that each type of question needs.
+    """Numbers of draws or flights that answer each of several types of questions.
 
     Args:
         error: Accuracy of a probability, or share of the law that may lie beyond a limit; in (0, 1).
@@ -197,19 +207,24 @@ def tolerance_answers(error: float, confidence: float) -> list[Answer]:
     for sides, orders in ORDERS.items():
         for order in orders:
             extreme = {1: "largest", 2: "second largest", 3: "third largest"}.get(order, f"{order}-th largest")
-            limit = f"the {extreme} value leaves" if sides == 1 else f"the {extreme} and smallest values leave"
+            if sides == 1:
+                limits = "tolerance limit"
+                values_leave = f"the {extreme} value leaves"
+            else:
+                limits = "tolerance limits, two-sided"
+                values_leave = f"the {extreme} and smallest values leave"
             answers.append(
                 Answer(
-                    f"tolerance limit{'s, two-sided' if sides == 2 else ''}, order {order} (Wilks)",
+                    f"{limits}, order {order} (Wilks)",
                     wilks_draws(1.0 - error, confidence, order, sides),
-                    f"{limit} at most {error:g} of the law outside with confidence {confidence:g}",
+                    f"{values_leave} at most {error:g} of the law outside with confidence {confidence:g}",
                 )
             )
     return answers
 
 
 def flight_answers(error: float, confidence: float) -> list[Answer]:
-    """Number of flights for a set that contains the next flight, and for a verdict on the study.
+    """Number of flights for a set that contains the next flight, and for a verdict of flights on the study.
 
     Args:
         error: Probability that the next flight leaves the set, in (0, 1).

@@ -13,10 +13,13 @@ CONFIDENCE = 0.95
 
 
 def require_share(**shares: float) -> None:
-    """Require that each share lies in (0, 1).
+    """Refuse a share outside (0, 1).
+
+    Args:
+        shares: Shares by name, for the message.
 
     Raises:
-        ValueError: One does not.
+        ValueError: A share lies outside.
     """
     for name, value in shares.items():
         if not 0.0 < value < 1.0:
@@ -26,8 +29,9 @@ def require_share(**shares: float) -> None:
 def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
     """Exact two-sided interval of a failure probability from independent, identically distributed draws.
 
-    With a = 1 - confidence, the bounds are quantiles of beta laws: L = B^-1(a/2; k, n-k+1) and
-    U = B^-1(1-a/2; k+1, n-k). Exceptions are L = 0 at k = 0 and U = 1 at k = n.
+    With a = 1 - confidence, the lower bound is the quantile of the beta law (k, n-k+1) at a/2, and the upper bound the
+    quantile of the beta law (k+1, n-k) at 1-a/2. Exceptions are the lower bound 0 at k = 0 and the upper bound 1 at
+    k = n.
 
     Args:
         failures: Number k of failures, any shape.
@@ -57,12 +61,17 @@ def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = C
 
 
 def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Upper limit ln(2/a)/n of the probability of an event that none of n independent draws has shown."""
+    """Upper limit ln(2/a)/n of the probability of an event that none of n independent draws has shown.
+
+    Args:
+        draws: Number n of draws, any shape.
+        confidence: Confidence 1 - a of a two-sided interval, of which this is the upper end.
+    """
     return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
 
 
 class FixedCount(NamedTuple):
-    """The intervals for independent draws whose number was fixed in advance: Clopper-Pearson."""
+    """The intervals of probabilities for independent draws whose number was fixed in advance: Clopper-Pearson."""
 
     @property
     def independent(self) -> bool:
@@ -75,11 +84,16 @@ class FixedCount(NamedTuple):
         return "Clopper-Pearson"
 
     def level(self, confidence: float) -> float:
-        """Confidence of a statement on anything but failure: the nominal one."""
+        """Confidence of a statement on anything but failure: the nominal confidence."""
         return confidence
 
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2)."""
+        """Interval of the probability of an event, shape (..., 2).
+
+        Args:
+            happened: Whether each draw has the event, shape (..., n).
+            confidence: Coverage, in (0, 1).
+        """
         return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
 
     def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -91,10 +105,10 @@ FIXED = FixedCount()
 
 
 class DataDriven(NamedTuple):
-    """The intervals for independent draws that a stopping rule ended: exact after a multistage test.
+    """The intervals of probabilities for independent draws that a stopping rule ended: exact after a multistage test.
 
     Args:
-        looks: Looks up to the one at which the rule stopped.
+        looks: Looks up to the look at which the rule stopped.
         stops: Number of looks at which the rule can stop.
     """
 
@@ -130,7 +144,7 @@ class DataDriven(NamedTuple):
 
 
 class Replicated(NamedTuple):
-    """The intervals for independent replicates of a design with dependent draws: Student's t over the replicates.
+    """The intervals of probabilities for independent replicates of dependent draws: Student's t over the replicates.
 
     Draw i belongs to replicate i mod R.
 
@@ -155,8 +169,8 @@ class Replicated(NamedTuple):
     def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
         """Interval of the probability of an event from booleans of shape (..., n), shape (..., 2).
 
-        Student's t over the replicates' shares is widened on both sides by :func:`unseen`. If all replicates agree, for
-        example on no failure, t alone has width 0.
+        Student's t over the replicates' shares is widened on both sides by :func:`unseen`, since it has the width 0 if
+        all replicates agree, for example on no failure.
         """
         low, high = np.moveaxis(replicate_interval(happened, self.replicates, confidence), -1, 0)
         widening = unseen(happened.shape[-1], confidence)
@@ -168,7 +182,7 @@ class Replicated(NamedTuple):
 
 
 Method: TypeAlias = FixedCount | DataDriven | Replicated
-"""The intervals of probabilities for one kind of sampling; ``happened`` tells the draws with the event."""
+"""The intervals of probabilities for a kind of sampling."""
 
 
 def replicate_interval(values: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> np.ndarray:
@@ -195,10 +209,10 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
 
 
 class DesignEffect(NamedTuple):
-    """Gain of a replicated design over independent draws, for the probability of one event.
+    """Gain of a replicated design over independent draws, for the probability of an event.
 
     Args:
-        variance_ratio: Variance of the estimate relative to that from as many independent draws.
+        variance_ratio: Variance of the estimate, divided by the variance from as many independent draws.
         ratio_interval: Interval of ``variance_ratio``, if the replicates' shares are normal.
         plain_draws: Number of independent draws whose exact interval would be as wide.
     """
@@ -216,12 +230,14 @@ def draws_as_narrow(share: float, width: float) -> int:
         width: Upper minus lower limit of the interval, in (0, 1).
     """
 
-    def excess(logarithm: float) -> float:
-        count = math.exp(logarithm)
+    def excess_width(log_count: float) -> float:
+        """Width of the interval from a number of draws, given by its logarithm, less the wanted width."""
+        count = math.exp(log_count)
         low, high = clopper_pearson(share * count, count)
         return float(high - low) - width
 
-    return math.ceil(math.exp(optimize.root_scalar(excess, bracket=(0.0, math.log(1e15))).root))
+    log_count = optimize.root_scalar(excess_width, bracket=(0.0, math.log(1e15))).root
+    return math.ceil(math.exp(log_count))
 
 
 def design_effect(happened: np.ndarray, replicates: int) -> DesignEffect | None:
@@ -238,13 +254,18 @@ def design_effect(happened: np.ndarray, replicates: int) -> DesignEffect | None:
     if not 0.0 < share < 1.0:
         return None
     draws = len(happened)
-    variance = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
+    replicate_shares = happened.reshape(-1, replicates).mean(0)
+    variance = float(replicate_shares.var(ddof=1)) / replicates
     ratio = variance * draws / (share * (1.0 - share))
     freedom = replicates - 1
     tail = 0.5 * (1.0 - CONFIDENCE)
-    low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
-    ends = Replicated(replicates, "").interval(happened, CONFIDENCE)
-    return DesignEffect(ratio, (float(low), float(high)), draws_as_narrow(share, float(ends[1] - ends[0])))
+    ratio_low, ratio_high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
+    low, high = Replicated(replicates, design="").interval(happened, CONFIDENCE)  # the name does not matter
+    return DesignEffect(
+        variance_ratio=ratio,
+        ratio_interval=(float(ratio_low), float(ratio_high)),
+        plain_draws=draws_as_narrow(share, float(high - low)),
+    )
 
 
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -271,16 +292,22 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
     logarithms = np.log(positive)
     variance = logarithms.var(ddof=1)
     tail = 0.5 * (1.0 - confidence)
-    location = special.stdtrit(count - 1, 1.0 - tail) * math.sqrt(variance / count)
-    spread = 0.5 * variance * ((count - 1) / special.chdtri(count - 1, [tail, 1.0 - tail]) - 1.0)
-    low, high = logarithms.mean() + 0.5 * variance + np.hypot(location, spread) * [-1.0, 1.0]
+    mean_distance = special.stdtrit(count - 1, 1.0 - tail) * math.sqrt(variance / count)  # of each limit of m
+    variance_distances = 0.5 * variance * ((count - 1) / special.chdtri(count - 1, [tail, 1.0 - tail]) - 1.0)
+    below, above = np.hypot(mean_distance, variance_distances)
+    log_mean = logarithms.mean() + 0.5 * variance
     positive_share = clopper_pearson(count, len(values), confidence)[0] if count < len(values) else 1.0
     with np.errstate(over="ignore"):
-        return float(positive_share * np.exp(low)), float(np.exp(high))
+        return float(positive_share * np.exp(log_mean - below)), float(np.exp(log_mean + above))
 
 
 def rounded_probability(probability: float) -> str:
-    """A probability as text with three digits, or with two digits of its complement where three would make it 1."""
+    """A probability as text with three digits; near 1, with two digits of its complement, so that it does not read 1.
+
+    Example:
+        >>> rounded_probability(0.12345), rounded_probability(0.99996)
+        ('0.123', '0.99996')
+    """
     short = f"{probability:.3g}"
     if short != "1" or probability >= 1.0:
         return short
@@ -289,7 +316,7 @@ def rounded_probability(probability: float) -> str:
 
 
 def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence: float = CONFIDENCE) -> str:
-    """One line on a failure probability and its interval; no failure in n draws gives an upper bound, never 0.
+    """A line on a failure probability and its interval, for reports; no failure in n draws gives a bound, never 0.
 
     Args:
         failed: Whether each draw failed, shape (n,).

@@ -17,7 +17,7 @@ from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require
 
 FIRST = 100  # draws of the first look
 RATIO = 1.1  # draws of a look, relative to the look before it
-SPARSE_RATIO = 1.5  # the same for a test that is valid for any times of the looks
+SPARSE_RATIO = 1.5  # the same for Wald's test, which is valid for any times of the looks
 
 
 def look_draws(limit: int, ratio: float) -> list[int]:
@@ -45,13 +45,14 @@ class UntilWidth:
 
     Reference:
         J. Frey, "Fixed-width sequential confidence intervals for a proportion", The American Statistician 64 (2010)
-        242-249, on rules of this kind; the interval is that of Jennison and Turnbull.
+        242-249, on rules of this kind; the interval is due to Jennison and Turnbull.
     """
 
     width: float
     confidence: float = CONFIDENCE
 
     def __post_init__(self) -> None:
+        """Refuse arguments outside (0, 1)."""
         require_share(width=self.width, confidence=self.confidence)
 
     @property
@@ -65,15 +66,20 @@ class UntilWidth:
         return f"width-{self.width:g}"
 
     def looks(self, limit: int) -> Iterator[Look]:
-        """The looks that can stop the run, up to one that surely does, or to ``limit`` draws."""
+        """The looks that can stop the run, up to a look that surely stops it, or to ``limit`` draws.
+
+        The boundaries are symmetric in failures and passes.
+        """
         earlier: list[Look] = []
         for draws in look_draws(limit, RATIO):
             lower = self.lower_boundary(earlier, draws)
-            if lower >= 0 or draws == limit:
+            can_stop = lower >= 0
+            if can_stop or draws == limit:
                 look = Look(draws, lower, draws - lower)
                 yield look
                 earlier.append(look)
-            if 2 * lower >= draws - 1:
+            surely_stops = 2 * lower >= draws - 1  # the boundaries meet
+            if surely_stops:
                 break
 
     def stops(self, limit: int) -> int:
@@ -84,19 +90,24 @@ class UntilWidth:
         """Largest number of failures, up to half the draws, after which the interval is narrow; -1 if there is none.
 
         The search starts from the boundary for a fixed number of draws, and lowers it until the exact interval after
-        all looks is narrow too.
+        all looks is narrow, too.
 
         Args:
-            earlier: Looks before this one.
+            earlier: Looks before this look.
             draws: Number of draws at this look.
         """
+        half = draws // 2
 
         def is_wide(failures: int) -> bool:
-            low, high = clopper_pearson(min(failures, draws // 2), draws, self.confidence)
-            return failures > draws // 2 or bool(high - low > self.width)
+            """Whether so many failures among a fixed number of draws leave the interval wide, or are above half."""
+            low, high = clopper_pearson(min(failures, half), draws, self.confidence)
+            return failures > half or bool(high - low > self.width)
 
         lower = first_integer(is_wide, 0) - 1
-        while lower >= 0 and self.width_after([*earlier, Look(draws, lower, draws - lower)], lower) > self.width:
+        while lower >= 0:
+            looks = [*earlier, Look(draws, lower, draws - lower)]
+            if self.width_after(looks, lower) <= self.width:
+                break
             lower -= 1
         return lower
 
@@ -107,7 +118,8 @@ class UntilWidth:
 
     def verdict(self, look: Look, failures: int) -> str | None:
         """The verdict ``narrow`` if the rule stops at a look with so many failures; None to continue."""
-        return "narrow" if failures <= look.lower or failures >= look.upper else None
+        stops = failures <= look.lower or failures >= look.upper
+        return "narrow" if stops else None
 
 
 @dataclass(frozen=True)
@@ -115,7 +127,8 @@ class AcceptReject:
     """Stopping rule: Wald's sequential test of a failure probability p <= ``accept`` against p >= ``reject``.
 
     The likelihood ratio of the two hypotheses is compared with 1/a and a, where a = 1 - confidence. So the probability
-    of a wrong acceptance, and that of a wrong rejection, is at most a for any times of the looks (Ville).
+    of a wrong acceptance is at most a, and so is the probability of a wrong rejection, for any times of the looks
+    (Ville).
 
     Args:
         accept: Acceptable failure probability, in (0, reject).
@@ -134,6 +147,7 @@ class AcceptReject:
     confidence: float = CONFIDENCE
 
     def __post_init__(self) -> None:
+        """Refuse probabilities that are out of range or in the wrong order."""
         require_share(accept=self.accept, reject=self.reject, confidence=self.confidence)
         if not self.accept < self.reject:
             raise ValueError(f"accept must be below reject, got {self.accept:g} and {self.reject:g}")
@@ -152,15 +166,19 @@ class AcceptReject:
         return f"accept-{self.accept:g}-reject-{self.reject:g}"
 
     def looks(self, limit: int) -> Iterator[Look]:
-        """The looks up to ``limit`` draws, with the boundaries at which the likelihood ratio decides."""
+        """The looks up to ``limit`` draws, with the boundaries at which the likelihood ratio decides.
+
+        Each failed draw adds its log likelihood ratio of ``reject`` to ``accept``, and each pass adds its own. The test
+        decides where the sum reaches -ln(1/a) or ln(1/a).
+        """
         log_ratio_of_failure = math.log(self.reject / self.accept)
         log_ratio_of_pass = math.log1p(-self.reject) - math.log1p(-self.accept)
         bound = -math.log(1.0 - self.confidence)
-        slope = log_ratio_of_failure - log_ratio_of_pass
+        slope = log_ratio_of_failure - log_ratio_of_pass  # of the sum over the failures
         for draws in look_draws(limit, SPARSE_RATIO):
             lower = math.floor((-bound - draws * log_ratio_of_pass) / slope)
             upper = math.ceil((bound - draws * log_ratio_of_pass) / slope)
-            yield Look(draws, max(lower, -1), min(upper, draws + 1))
+            yield Look(draws, max(lower, -1), min(upper, draws + 1))  # -1 and draws + 1: no stop
 
     def stops(self, limit: int) -> int:
         """Number of looks in a run of ``limit`` draws."""

@@ -20,11 +20,12 @@ MOST_DRAWS = 10**8  # most draws of a stratum
 def stratified_interval(
     weights: np.ndarray, failures: np.ndarray, draws: np.ndarray, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
-    """Interval of a failure probability sum_k W_k p_k over strata k.
+    """Interval of a failure probability sum_k W_k p_k over strata k with known weights W_k.
 
-    A stratum with at least ``DENSE`` failures and passes has exact limits (Clopper-Pearson). In all other strata either
-    failures or passes are rare, and the weighted sum of these rare events has limits of its own (Fay and Feuer). The
-    uncertainty of the weights is Student's t over the nets. The squares of all distances add up.
+    A stratum with at least :data:`DENSE` failures and passes has exact limits (Clopper-Pearson). In all other strata
+    either failures or passes are rare, and the weighted sum of these rare events has limits of its own (Fay and Feuer).
+    The uncertainty of the weights is Student's t over the nets. The squares of the distances of all limits from their
+    estimates add up.
 
     Args:
         weights: Probability W_k of each stratum, estimated from each of R independent nets, shape (R, strata).
@@ -45,16 +46,17 @@ def stratified_interval(
     has_few_passes = ~dense & (failures > passes)
     has_few_failures = ~dense & ~has_few_passes
     event_weights = mean / draws
-    lower, upper = limit_distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
-    squares_below += lower**2
-    squares_above += upper**2
-    lower, upper = limit_distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
-    squares_below += upper**2
-    squares_above += lower**2
-    by_net = weights @ shares
-    nets = len(by_net)
-    half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * by_net.std(ddof=1) / np.sqrt(nets)
-    estimate = by_net.mean()
+    below, above = limit_distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
+    squares_below += below**2
+    squares_above += above**2
+    below, above = limit_distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
+    squares_below += above**2  # more passes: fewer failures
+    squares_above += below**2
+    estimate_of_net = weights @ shares
+    nets = len(estimate_of_net)
+    net_deviation = estimate_of_net.std(ddof=1)
+    half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * net_deviation / np.sqrt(nets)
+    estimate = estimate_of_net.mean()
     low = estimate - np.sqrt(squares_below + half**2)
     high = estimate + np.sqrt(squares_above + half**2)
     return float(max(0.0, low)), float(min(1.0, high))
@@ -71,15 +73,17 @@ def limit_distances(weights: np.ndarray, counts: np.ndarray, confidence: float) 
     if not len(weights):
         return 0.0, 0.0
     events = np.repeat(weights, counts)
-    low, high = weighted_interval(events, 1, float(weights.max()), confidence)
+    low, high = weighted_interval(events, draws=1, largest=float(weights.max()), confidence=confidence)
     total = float(events.sum())
     return total - low, high - total
 
 
 def allocate_draws(weights: np.ndarray, shares: np.ndarray, width: float, limit: int) -> np.ndarray:
-    """Fewest draws in each stratum for an expected width of the interval.
+    """Number of draws in each stratum: as few as possible for an expected width of the interval.
 
-    A Lagrange multiplier trades draws against the squared distances of the limits; it is found by bisection.
+    For a Lagrange multiplier m, every stratum takes the number of draws n that minimises n + m d^2, with the distances
+    d of the limits from the estimate. A larger m gives more draws and a narrower interval. Bisection finds the smallest
+    m at which the interval is narrow enough.
 
     Args:
         weights: Probability of each stratum, shape (strata,).
@@ -90,25 +94,27 @@ def allocate_draws(weights: np.ndarray, shares: np.ndarray, width: float, limit:
     Returns:
         Integers, shape (strata,).
     """
-    numbers = np.unique(np.geomspace(LEAST_DRAWS, MOST_DRAWS, 400).round())
+    numbers = np.unique(np.geomspace(LEAST_DRAWS, MOST_DRAWS, 400).round())  # of draws, to choose from
     limits = clopper_pearson(shares[:, None] * numbers, numbers)
     squares_below = np.square(weights[:, None] * (shares[:, None] - limits[..., 0]))
     squares_above = np.square(weights[:, None] * (limits[..., 1] - shares[:, None]))
     strata = np.arange(len(weights))
 
-    def best_columns(log_multiplier: float) -> np.ndarray:
+    def cheapest_columns(log_multiplier: float) -> np.ndarray:
+        """Index of the best number of draws of each stratum, shape (strata,)."""
         return np.argmin(numbers + np.exp(log_multiplier) * (squares_below + squares_above), axis=1)
 
-    def needs_more(log_multiplier: float) -> float:
-        columns = best_columns(log_multiplier)
-        lower = np.sqrt(squares_below[strata, columns].sum())
-        upper = np.sqrt(squares_above[strata, columns].sum())
-        is_wide = lower + upper > width
+    def needs_more_draws(log_multiplier: float) -> float:
+        """1 if the interval is too wide and draws are left, otherwise -1, for a search of the change of sign."""
+        columns = cheapest_columns(log_multiplier)
+        below = np.sqrt(squares_below[strata, columns].sum())
+        above = np.sqrt(squares_above[strata, columns].sum())
+        is_wide = below + above > width
         return 1.0 if is_wide and numbers[columns].sum() < limit else -1.0
 
-    cheapest = -20.0
-    narrowest = 80.0
-    if needs_more(cheapest) < 0.0:
-        return numbers[best_columns(cheapest)].astype(int)
-    log_multiplier = optimize.root_scalar(needs_more, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
-    return numbers[best_columns(log_multiplier)].astype(int)
+    low = -20.0  # logarithms of multipliers
+    high = 80.0
+    if needs_more_draws(low) < 0.0:
+        return numbers[cheapest_columns(low)].astype(int)
+    log_multiplier = optimize.root_scalar(needs_more_draws, bracket=(low, high), method="bisect", xtol=1e-3).root
+    return numbers[cheapest_columns(log_multiplier)].astype(int)

@@ -1,4 +1,4 @@
-"""Probability of an event under another law than that of the draws, from weighted independent draws."""
+"""Probability of an event under another law than the draws have, from weighted independent draws."""
 
 import numpy as np
 from scipy import special
@@ -11,14 +11,14 @@ def weighted_interval(
 ) -> tuple[float, float]:
     """Interval of a probability from the importance weights of the draws in which the event happened.
 
-    The sum of the weights is a compound Poisson variable in the limit of rare events. Its law is approximated by that
-    of a scaled chi-square variable with the same mean and variance; for the upper limit one more event of the largest
-    weight is added. With equal weights the interval is the exact one of a Poisson count.
+    The sum of the weights is a compound Poisson variable in the limit of rare events. A scaled chi-square variable with
+    the same mean and variance approximates it. For the upper limit, an event of the largest weight is added. With equal
+    weights the interval is the exact interval of a Poisson count.
 
     Args:
-        weights: Density of the other law relative to that of the draws, at each draw with the event, shape (k,).
+        weights: Density of the other law over the density of the draws' law, at each draw with the event, shape (k,).
         draws: Number n of all draws.
-        largest: Largest weight that a draw with the event could have had: that of all draws.
+        largest: Largest weight of all draws, which a further event could have had.
         confidence: Coverage, in (0, 1).
 
     Returns:
@@ -40,7 +40,9 @@ def weighted_interval(
 
 
 def effective_size(weights: np.ndarray) -> float:
-    """Kish's effective sample size (sum w)^2 / sum w^2: so many equal weights would be as precise; 0 without weights.
+    """Effective sample size (sum w)^2 / sum w^2 of weights w by Kish: that many equal weights would be as precise.
+
+    It is 0 without weights, or if all weights are 0.
 
     Args:
         weights: Weights >= 0, shape (n,).

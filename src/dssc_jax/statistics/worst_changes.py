@@ -4,7 +4,7 @@ The failure probability under a changed law is the sum of the weights of the fai
 draws. Its logarithm has a gradient in closed form, and a search from several starts finds its largest value over the
 changes within a size. If the failing draws form a convex set, it is concave in a shift and has a single maximum.
 
-**What the limits claim.** For one change that is fixed in advance, the upper limit U of the weighted mean is above the
+**What the limits claim.** For a change that is fixed in advance, the upper limit U of the weighted mean is above the
 true probability with its confidence. The worst change is such a change, although it is unknown. The largest U over all
 changes is at least U there, so it bounds the worst probability with the same confidence. The lower limit of the best
 change follows in the same way. In place of the largest U, the code takes U where the weighted probability is largest;
@@ -54,10 +54,10 @@ class WeightedChange:
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Draws, to be weighted for changes of their laws.
+    """Draws that are weighted, so that they tell the failure probability under changed laws.
 
     Args:
-        change: Family of the changes.
+        change: Family of the changes, such as shifts.
         scores: Standard normal scores of each draw, shape (n, numbers).
         failed: Whether each draw failed, shape (n,).
         free: Which numbers change, bool of shape (numbers,).
@@ -74,28 +74,31 @@ class WeightedDraws:
         """Failure probability under the change with these amounts, shape (numbers,)."""
         draws = len(self.scores)
         weights = np.exp(self.change.log_weights(amounts, self.scores))
-        failing = weights[self.failed]
-        interval = weighted_interval(failing, draws, float(weights.max()), self.confidence)
-        effective = draws * np.exp(-self.change.log_second_moment(amounts))
-        probability = min(1.0, float(failing.sum()) / draws)
-        return WeightedChange(amounts, probability, interval, float(effective), effective_size(failing))
+        failing_weights = weights[self.failed]
+        return WeightedChange(
+            amounts=amounts,
+            probability=min(1.0, float(failing_weights.sum()) / draws),
+            interval=weighted_interval(failing_weights, draws, float(weights.max()), self.confidence),
+            effective=float(draws * np.exp(-self.change.log_second_moment(amounts))),
+            failing=effective_size(failing_weights),
+        )
 
     def is_trusted(self, size: float) -> bool:
         """Whether the weights of every change within this size are even enough for an estimate.
 
-        The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law, and that of failing
-        draws at least :data:`LEAST_FAILING` under the law with the most failures.
+        The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law. The effective
+        number of failing draws must be at least :data:`LEAST_FAILING` under the law with the most failures.
         """
         effective = len(self.scores) * np.exp(-self.change.second_moment_bound(size, self.free))
         return bool(effective >= LEAST_EFFECTIVE) and self.worst(size).failing >= LEAST_FAILING
 
     def worst(self, size: float) -> WeightedChange:
         """The change within this size with the largest weighted failure probability."""
-        return self.at(self.extreme(size, 1.0))
+        return self.at(self.extreme(size, sign=1.0))
 
     def best(self, size: float) -> WeightedChange:
         """The change within this size with the smallest weighted failure probability."""
-        return self.at(self.extreme(size, -1.0))
+        return self.at(self.extreme(size, sign=-1.0))
 
     def interval_within(self, size: float) -> tuple[float, float] | None:
         """Interval of the failure probability over all changes within this size; None if the weights are too uneven."""
@@ -104,10 +107,14 @@ class WeightedDraws:
         return self.best(size).interval[0], self.worst(size).interval[1]
 
     def extreme(self, size: float, sign: float) -> np.ndarray:
-        """Amounts within a size that maximise (sign 1) or minimise (sign -1) the weighted failure probability.
+        """Amounts within a size that make the weighted failure probability extreme, shape (numbers,).
+
+        Args:
+            size: Largest size of the change.
+            sign: 1 for the largest probability, -1 for the smallest.
 
         Returns:
-            Shape (numbers,); 0 for numbers that do not change.
+            The amounts; 0 for numbers that do not change.
         """
         unmoved = np.zeros(self.scores.shape[1])
         failing = self.scores[self.failed]
@@ -117,8 +124,9 @@ class WeightedDraws:
         bounds = [(low, high) if is_free else (0.0, 0.0) for is_free in self.free]
 
         def cost(amounts: np.ndarray) -> tuple[float, np.ndarray]:
+            """Logarithm of the sum of the failing draws' weights, with the sign that a minimum needs, and its slope."""
             logarithms = self.change.log_weights(amounts, failing)
-            largest = logarithms.max()
+            largest = logarithms.max()  # keeps the exponential finite
             weights = np.exp(logarithms - largest)
             log_sum = float(largest + np.log(weights.sum()))
             slope = self.change.mean_slope(amounts, failing, weights / weights.sum())
@@ -127,10 +135,18 @@ class WeightedDraws:
         minima = []
         for start in self._starts(failing, sign, low, high):
             minima.append(optimize.minimize(cost, start * self.free, jac=True, bounds=bounds, method="L-BFGS-B"))
-        return np.asarray(min(minima, key=lambda result: result.fun).x)
+        best = min(minima, key=lambda result: result.fun)
+        return np.asarray(best.x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
-        """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws."""
+        """Starts of the search: no change, the corner along the gradient there, and corners towards failing draws.
+
+        Args:
+            failing: Scores of the failing draws, shape (failures, numbers).
+            sign: 1 for the largest probability, -1 for the smallest.
+            low: Least amount of each number.
+            high: Greatest amount of each number.
+        """
         chosen = np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)
         directions = [failing.mean(axis=0), *failing[chosen]]
         corners = [np.where(sign * direction > 0.0, high, low) for direction in directions]
@@ -145,9 +161,9 @@ class LargestChange:
     """Size of a change up to which the failure probability keeps a limit.
 
     Args:
-        bound: Size by the upper limits of the intervals, with their confidence; 0 if the interval without a change
-            exceeds the limit already.
-        estimate: Size by the estimated probabilities; None if no trusted change reaches the limit.
+        bound: Size up to which the upper limits of the intervals keep the limit, with their confidence; 0 if the
+            interval without a change exceeds the limit already.
+        estimate: Size up to which the estimated probabilities keep the limit; None if no trusted change exceeds it.
         explored: Largest size at which the weights are trusted; 0 if they are not even without a change.
         worst: Worst change of the size ``estimate``, or ``explored`` without an estimate.
     """
@@ -181,23 +197,29 @@ def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
     """
     worst = lru_cache(draws.worst)
     if not draws.is_trusted(0.0):
-        return LargestChange(0.0, None, 0.0, worst(0.0))
+        return LargestChange(bound=0.0, estimate=None, explored=0.0, worst=worst(0.0))
+
+    def keeps_limit_surely(size: float) -> bool:
+        """Whether the upper limit of the failure probability keeps the limit under every change of this size."""
+        _, high = worst(size).interval
+        return high <= limit
+
     explored = largest_size(draws.is_trusted, LARGEST_SIZE)
-    bound = largest_size(lambda size: worst(size).interval[1] <= limit, explored)
-    estimate = None
-    if worst(explored).probability > limit:
-        estimate = largest_size(lambda size: worst(size).probability <= limit, explored)
-    return LargestChange(bound, estimate, explored, worst(explored if estimate is None else estimate))
+    bound = largest_size(keeps_limit_surely, explored)
+    if worst(explored).probability <= limit:
+        return LargestChange(bound, None, explored, worst(explored))
+    estimate = largest_size(lambda size: worst(size).probability <= limit, explored)
+    return LargestChange(bound, estimate, explored, worst(estimate))
 
 
 def largest_size(condition: Callable[[float], bool], end: float) -> float:
-    """Largest size from 0 to ``end`` that meets a condition, by bisection; 0 if none does.
+    """Largest size from 0 to ``end`` that meets a condition, by bisection; 0 if no size meets it.
 
-    All sizes below one that meets the condition must meet it too.
+    If a size meets the condition, all smaller sizes must meet it, too.
     """
     if not condition(0.0):
         return 0.0
     if condition(end):
         return end
-    inside, _ = bisect(lambda size: condition(float(size)), 0.0, end, HALVINGS)
+    inside, _ = bisect(lambda size: condition(float(size)), inside=0.0, outside=end, halvings=HALVINGS)
     return float(inside)

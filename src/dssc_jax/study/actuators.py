@@ -1,4 +1,7 @@
-"""The chain of actuators ``[[actuator]]``: its tables and its elements in each channel; the kinds of parts in words."""
+"""The chain of actuators ``[[actuator]]`` between command and plant, and the kinds of parts in words.
+
+A chain fills the slot ``unmodelled`` of the loop, in place of the section ``[unmodelled]`` with a single actuator.
+"""
 
 from collections.abc import Mapping
 
@@ -18,9 +21,12 @@ from dssc_jax.study.table_errors import first_error
 from dssc_jax.study.tables import PARAMETERS
 
 ACTUATOR = "actuator"
+"""Section of the study file with the elements of a chain."""
 SLOT = "unmodelled"
 """Slot of the loop that a chain fills."""
 MOST_ELEMENTS = 12
+ABSENT_ACTUATOR: TomlTable = {"kind": "none"}
+"""Table of a channel without an actuator: the command reaches the plant unchanged."""
 
 
 class ActuatorTable(BaseModel):
@@ -36,16 +42,16 @@ class ActuatorTable(BaseModel):
 
 
 ELEMENT_FIELDS = tuple(ActuatorTable.model_fields)
-"""Fields of an element besides those of its kind."""
+"""Fields that an element of any kind may have, ``name`` and ``channel``."""
 
 
 def kind_fields(table: Mapping[str, object]) -> TomlTable:
-    """The kind of an element, and the fields of that kind."""
+    """Table of an element without its name and channel, as it would stand in ``[unmodelled]``."""
     return {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
 
 
-def labels_of(tables: list[TomlTable]) -> list[str]:
-    """Name of each element of a chain, or its index if it has none.
+def element_labels(tables: list[TomlTable]) -> list[str]:
+    """Name of each element of a chain, or its index if it has no name; dotted names of its numbers contain it.
 
     Raises:
         ConfigError: A name or a channel is not valid, or a name occurs twice.
@@ -53,26 +59,49 @@ def labels_of(tables: list[TomlTable]) -> list[str]:
     labels: list[str] = []
     for index, table in enumerate(tables):
         place = f"{ACTUATOR}.{index}"
+        element_table = {field: table[field] for field in ELEMENT_FIELDS if field in table}
         with errors_under(place):
             try:
-                label = ActuatorTable.model_validate({key: table[key] for key in ELEMENT_FIELDS if key in table}).name
+                name = ActuatorTable.model_validate(element_table).name
             except ValidationError as error:
                 raise first_error(error, ELEMENT_FIELDS) from None
-        if label in labels:
-            raise ConfigError(f"{place}.name", f"'{label}' names two elements")
-        labels.append(label or str(index))
+        if name in labels:
+            raise ConfigError(f"{place}.name", f"'{name}' names two elements")
+        labels.append(name or str(index))
     return labels
 
 
 def in_channel(table: Mapping[str, object], channel: str) -> bool:
-    """Whether an element acts in a channel."""
-    return table.get("channel", channel) == channel
+    """Whether an element acts in a channel: in its ``channel``, or in every channel if its table states none."""
+    return "channel" not in table or table["channel"] == channel
+
+
+def require_channel(table: Mapping[str, object], path: str, channels: tuple[str, ...]) -> None:
+    """Require that the ``channel`` of an element, if its table states one, is a channel of the plant.
+
+    Args:
+        table: Table of the element.
+        path: Dotted path of the table, for messages.
+        channels: Names of the channels; one empty name for a plant with one channel.
+
+    Raises:
+        ConfigError: The plant has no such channel.
+    """
+    channel = table.get("channel", "")
+    if not channel or channel in channels:
+        return
+    hint = "the plant has one channel without a name" if channels == ("",) else nearest(str(channel), channels)
+    raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {hint}")
 
 
 def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Component]:
-    """Parse the tables ``[[actuator]]`` into the chain of each channel.
+    """Parse the tables ``[[actuator]]`` into one component for each channel: the chain of the channel's elements.
 
-    An element without ``channel`` acts in every channel, where its numbers are shared.
+    An element without ``channel`` acts in every channel; all these channels share its numbers, and so their draws.
+
+    Args:
+        tables: Tables of the elements, from the command to the plant.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: An element is not valid, or cannot act at its position.
@@ -80,12 +109,9 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
     if len(tables) > MOST_ELEMENTS:
         raise ConfigError(ACTUATOR, f"has at most {MOST_ELEMENTS} elements, got {len(tables)}")
     elements = []
-    for label, table in zip(labels_of(tables), tables, strict=True):
+    for label, table in zip(element_labels(tables), tables, strict=True):
         path = f"{ACTUATOR}.{label}"
-        channel = table.get("channel", "")
-        if channel and channel not in channels:
-            hint = nearest(str(channel), channels) if any(channels) else "the plant has one channel without a name"
-            raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {hint}")
+        require_channel(table, path, channels)
         elements.append((path, table, parse_component(kind_fields(table), UNMODELLED, path)))
     components = []
     for index, channel in enumerate(channels):
@@ -98,7 +124,9 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
 
 
 def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tuple[Element, Params]]:
-    """The actuators of a study with one channel, in their order, with their parameters.
+    """The actuators of a study with one channel, each with its parameters, from the command to the plant.
+
+    The parameters may contain laws and expressions. An actuator of kind ``none`` is left out.
 
     Args:
         table: Table of the study.
@@ -107,17 +135,17 @@ def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tup
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     elements = []
     for element_table in parameters.resolved(tables_of(config, SLOT), SLOT):
-        element = parse_component(kind_fields(element_table), UNMODELLED, SLOT)
-        if element.kind != "none":
-            elements.append((Element(element.kind, element.model), element.params))
+        part = parse_component(kind_fields(element_table), UNMODELLED, SLOT)
+        if part.kind != "none":
+            elements.append((Element(part.kind, part.model), part.params))
     return elements
 
 
 def series_component(elements: list[tuple[str, Component]], place: str) -> Component:
-    """Combine the elements of one channel, in series, into one component.
+    """Combine the elements of one channel into one component, in which they act one after the other.
 
     Args:
-        elements: Path in the study and component of each element, in their order.
+        elements: Path in the study and component of each element, from the command to the plant.
         place: Path of the chain in the loop's parameters.
 
     Returns:
@@ -127,9 +155,9 @@ def series_component(elements: list[tuple[str, Component]], place: str) -> Compo
         ConfigError: An element cannot act at its position.
     """
     if not elements:
-        return parse_component({"kind": "none"}, UNMODELLED, ACTUATOR)
+        return parse_component(ABSENT_ACTUATOR, UNMODELLED, ACTUATOR)
     if len(elements) == 1:
-        ((path, part),) = elements
+        path, part = elements[0]
         return part.under(place, path)
     numbers: list[Number] = []
     for index, (path, part) in enumerate(elements):
@@ -140,23 +168,24 @@ def series_component(elements: list[tuple[str, Component]], place: str) -> Compo
     try:
         model = chain(series)
     except ConfigError as error:
-        index, _, field = error.where.partition(".")
-        raise ConfigError(f"{elements[int(index)][0]}.{field}", error.rule) from None
-    return Component(kind, model, params, tuple(numbers), series)
+        index, _, field = error.where.partition(".")  # such as "1.delay", for the second element
+        path_of_element, _ = elements[int(index)]
+        raise ConfigError(f"{path_of_element}.{field}", error.rule) from None
+    return Component(kind, model, params, tuple(numbers), elements=series)
 
 
 def require_one_form(config: StudyTable) -> None:
-    """Require that a study states a chain ``[[actuator]]`` or ``[unmodelled]``, but not both.
+    """Require that a study does not state both a chain ``[[actuator]]`` and the single actuator ``[unmodelled]``.
 
     Raises:
         ConfigError: It states both.
     """
-    if config.actuator and config.unmodelled != {"kind": "none"}:
+    if config.actuator and config.unmodelled != ABSENT_ACTUATOR:
         raise ConfigError(SLOT, "is the chain of one element; beside [[actuator]], make it one of its elements")
 
 
 def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTable]:
-    """Tables of the parts in a slot: one for each element of a chain or a sum, otherwise a single one.
+    """Tables of the parts in a slot: one for each element of a chain or summand of a sum, otherwise a single one.
 
     Args:
         config: Tables of the study.
@@ -170,11 +199,15 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
     if isinstance(table, list):
         return table
     override = table.get(channel) if channel else None
-    return [table | override if isinstance(override, Mapping) else table]
+    if isinstance(override, Mapping):
+        return [table | override]
+    return [table]
 
 
 def kind_in(config: StudyTable, slot: str, channel: str = "") -> str:
-    """Kind of the part in a slot, in words: the kinds of a chain or a sum, or that each channel has a part.
+    """Kind of the part in a slot, in words, such as ``dssc``; ``delay + lag`` for a chain; ``none`` for an empty one.
+
+    If only the tables of the channels state a kind, the common table's is ``by channel``.
 
     Args:
         config: Tables of the study.
@@ -182,16 +215,19 @@ def kind_in(config: StudyTable, slot: str, channel: str = "") -> str:
         channel: Name of a channel; empty for the common table.
     """
     usual = usual_kind(config, slot) or "by channel"
-    return " + ".join(str(table.get("kind", usual)) for table in tables_of(config, slot, channel)) or "none"
+    kinds = [str(table.get("kind", usual)) for table in tables_of(config, slot, channel)]
+    return " + ".join(kinds) if kinds else "none"
 
 
 def usual_kind(config: StudyTable, slot: str) -> str | None:
-    """Kind of a slot whose table states none; None if there is no default."""
+    """Kind of the part in a slot whose table states no kind; None for a slot without a default."""
     if slot == "sensor" and MEASURES in config.sensor:
         return USUAL_SENSOR
-    return "zero" if slot == "reference" else None
+    if slot == "reference":
+        return "zero"
+    return None
 
 
 def section_of(config: StudyTable, slot: str) -> str:
-    """Name of the section of the study file that fills a slot."""
+    """Section of the study file that fills a slot: ``actuator`` for the slot of a chain, otherwise the slot's name."""
     return ACTUATOR if slot == SLOT and config.actuator else slot

@@ -1,6 +1,6 @@
 """Construction of a study from its table: models, parameters, numbers, metrics and requirements."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -36,7 +36,7 @@ from dssc_jax.study.tables import PARAMETERS
 
 
 def validate_fixed(table: TomlTable) -> StudyTable:
-    """Validate the fixed tables of a study.
+    """Validate the tables of a study whose fields do not depend on a kind, such as ``[loop]`` and ``[metrics]``.
 
     Raises:
         ConfigError: An entry is not valid.
@@ -44,15 +44,24 @@ def validate_fixed(table: TomlTable) -> StudyTable:
     try:
         return StudyTable.model_validate(table)
     except ValidationError as error:
-        parent_path = [str(part) for part in error.errors()[0]["loc"][:-1]]
-        nested_table = FIXED_TABLES.get(".".join(parent_path))
-        top_table = FIXED_TABLES.get("".join(parent_path[:1]))
-        table_model = nested_table or top_table or StudyTable
-        raise first_error(error, table_model.model_fields) from None
+        raise first_error(error, valid_names(error)) from None
+
+
+def valid_names(error: ValidationError) -> Iterable[str]:
+    """Names that are valid in the table of pydantic's first error, among which a message looks for the nearest name."""
+    path = [str(part) for part in error.errors()[0]["loc"]]  # sections, then the name; empty for a rule of the study
+    sections = path[:-1]
+    if ".".join(sections) in FIXED_TABLES:  # such as loop.settled
+        return FIXED_TABLES[".".join(sections)].model_fields
+    if sections and sections[0] in FIXED_TABLES:  # such as requirement.0
+        return FIXED_TABLES[sections[0]].model_fields
+    return StudyTable.model_fields
 
 
 def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
     """A study's table in which each expression has become a number, except in the parts of the loop.
+
+    The parts of the loop admit expressions of uncertain parameters; all other tables are needed before tracing.
 
     Raises:
         ConfigError: An expression is not valid, or depends on a law.
@@ -65,7 +74,7 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
 
 
 class StudyContent(NamedTuple):
-    """Content of a parsed study; the fields are those of :class:`dssc_jax.study.Study`."""
+    """Content of a parsed study; :class:`dssc_jax.study.Study` documents the fields, which it shares."""
 
     config: StudyTable
     loop: Loop
@@ -77,11 +86,11 @@ class StudyContent(NamedTuple):
 
 
 def build(table: TomlTable) -> StudyContent:
-    """Parse a study from its table.
+    """Parse the table of a study into its loop, parameters, numbers, metrics and requirements.
 
     Raises:
-        ConfigError: The table is not valid; the message has the path, the rule and the value of the first error. For a
-            name in the wrong section, it has the right section.
+        ConfigError: The table is not valid; the message has the path, the rule and the value of the first error. If a
+            name is in the wrong section, the message names the right section.
     """
     try:
         return parse_content(table)
@@ -90,7 +99,10 @@ def build(table: TomlTable) -> StudyContent:
 
 
 def parse_content(table: TomlTable) -> StudyContent:
-    """Parse a study as :func:`build` does, but without the hint at the right section in an error."""
+    """Parse the table of a study; an error about a name in the wrong section does not yet name the right section.
+
+    :func:`build` adds the right section to the error.
+    """
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
     require_one_form(config)
@@ -103,8 +115,9 @@ def parse_content(table: TomlTable) -> StudyContent:
     names = available_metrics(fields, vehicle_fields, metrics)
     signals = signals_of(loop, template, units)
     measures, requirements = parse_measures(config, names, metrics, loop.channels, units, signals, parameters.constant)
-    numbers = merge_numbers(parts.numbers)
-    numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
+    loop_numbers = merge_numbers(parts.numbers)
+    numbers_of_parameters = parameter_numbers(parameters, loop_numbers.values())
+    numbers = {number.name: number for number in numbers_of_parameters} | loop_numbers
     check_axes(config, numbers)
     check_swept_parts(table, config, loop, parts.measurable, numbers)
     require_whole_windows(loop, measures, config.envelope)
@@ -121,26 +134,33 @@ def parse_content(table: TomlTable) -> StudyContent:
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
-    """All signals of a loop, by the name of their column in a trajectory."""
-    fields, vehicle_fields = info_fields(loop, template)
+    """Every signal that a loop computes at a sample, by the name of its column in a trajectory."""
+    controller_fields, plant_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
-    return sampled_signals(fields, vehicle_fields, units, reports, loop.quantities, loop.measures, loop.plant.angles)
+    return sampled_signals(
+        controller_fields, plant_fields, units, reports, loop.quantities, loop.measures, loop.plant.angles
+    )
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
-"""Names of the fields in each controller's info, by channel, and of those in the plant's info."""
+"""Names of the fields in the info of each channel's controller, by channel; then names of the fields in the plant's."""
 
 
 def info_fields(loop: Loop, template: LoopParams) -> Fields:
-    """Names of the fields that each controller and the plant report, found by tracing, without computation."""
+    """Names of the fields that each controller and the plant report, found by a trace, which computes no numbers."""
     leaves, structure = jax.tree.flatten(nominal_params(template))
-    shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
-    return traced_fields(loop, structure, tuple(shapes))
+    hashable_leaves: list[Hashable] = []
+    for leaf in leaves:
+        is_array = hasattr(leaf, "shape")  # a recorded signal
+        hashable_leaves.append(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if is_array else leaf)
+    return traced_fields(loop, structure, tuple(hashable_leaves))
 
 
 @lru_cache(maxsize=64)
 def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> Fields:
-    """Compute :func:`info_fields`; the cache serves all variants of a study, whose loading is mostly this trace.
+    """Names of the fields that each controller and the plant report, for parameters that can be keys of a cache.
+
+    The cache serves all variants of a study, whose loading takes its time mostly for this trace.
 
     Args:
         loop: The loop.
@@ -149,16 +169,19 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
     """
 
     def is_array(leaf: Hashable) -> bool:
+        """Whether a leaf stands for an array."""
         return isinstance(leaf, jax.ShapeDtypeStruct)
 
     def infos_of(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
+        """Infos of the controllers, and info of the plant, at the first sample of the loop with these arrays."""
         next_array = iter(arrays)
         filled_leaves = [next(next_array) if is_array(leaf) else leaf for leaf in leaves]
         params = jax.tree.unflatten(structure, filled_leaves)
         rehearse(loop, params)
         return first_infos(loop, params)
 
-    def fields() -> Fields:
+    def trace_fields() -> Fields:
+        """Trace the first sample of the loop, and read the names of the fields."""
         with arithmetic():
             controllers, plant = jax.eval_shape(infos_of, [leaf for leaf in leaves if is_array(leaf)])
         controller_fields = {
@@ -166,4 +189,4 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
         }
         return controller_fields, fields_of(plant, "plant")
 
-    return remembered("fields", fields, loop, jax.tree.unflatten(structure, leaves))
+    return remembered("fields", trace_fields, loop, jax.tree.unflatten(structure, leaves))

@@ -19,7 +19,7 @@ PACKAGE = __name__.partition(".")[0]
 
 
 def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Find every ``module:object`` in a study's table, sorted; the table need not be valid."""
+    """Every ``module:object`` that a study's table names, sorted; the table need not be valid."""
     names: set[str] = set()
     pending_nodes: list[Any] = [table]
     while pending_nodes:
@@ -55,12 +55,12 @@ def code_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | None]
     """File and SHA-256 digest of all code that a study refers to, for JSON.
 
     Returns:
-        The files of modules by ``module:object``, those that they import by the module's name, see
-        :func:`imported_files`, and those of native code by their name in the study.
+        Three kinds of files: a module that the study names, by ``module:object``; a user's module that such a module
+        imports, by the module's name; and native code, by the name of the file in the study.
     """
-    modules = {name: file_digest(code_file(name)) for name in code_names(table)} | imported_digests(table)
+    named_modules = {name: file_digest(code_file(name)) for name in code_names(table)}
     native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
-    return modules | native
+    return named_modules | imported_digests(table) | native
 
 
 def file_digest(file: Path | None) -> dict[str, str | None]:
@@ -79,10 +79,11 @@ def imported_digests(table: Mapping[str, object]) -> dict[str, dict[str, str | N
 
 
 def imported_files(name: str) -> dict[str, Path]:
-    """Files of the user's modules that the module in ``module:object`` imports, directly or through others.
+    """Files of the user's modules that the module in ``module:object`` imports, directly or through other modules.
 
-    They are read from the text of the import statements, which runs no code. A module counts if it is of the same
-    package, or if its file lies under the folder from which the named module comes and is not installed there.
+    The search reads the text of import statements, which runs no code. It follows two kinds of modules: those of the
+    named module's package, and those whose file lies under the folder from which the named module is imported, unless
+    they are installed there.
 
     Returns:
         Files by the module's name, without the named module itself.
@@ -91,7 +92,7 @@ def imported_files(name: str) -> dict[str, Path]:
     file = code_file(start)
     if file is None:
         return {}
-    top_name = start.partition(".")[0]
+    top_package = start.partition(".")[0]
     folder = top_folder(start, file)
     found = {start: file}
     pending_modules = [*parent_packages(start), start]
@@ -101,14 +102,16 @@ def imported_files(name: str) -> dict[str, Path]:
         module_file = found.get(module) or code_file(module)
         if module_file is None:
             continue
-        is_below = module_file.is_relative_to(folder) and FOLDERS_OF_INSTALLED.isdisjoint(module_file.parts)
-        if not is_below and module.partition(".")[0] != top_name:
+        is_of_package = module.partition(".")[0] == top_package
+        is_below_folder = module_file.is_relative_to(folder) and FOLDERS_OF_INSTALLED.isdisjoint(module_file.parts)
+        if not is_of_package and not is_below_folder:
             continue
         found[module] = module_file
         new_names = set(imported_names(module, module_file)) - known_names
         known_names |= new_names
         pending_modules += new_names
-    return {module: found_file for module, found_file in found.items() if module != start}
+    del found[start]
+    return found
 
 
 def parent_packages(module: str) -> list[str]:
@@ -118,40 +121,69 @@ def parent_packages(module: str) -> list[str]:
 
 
 def imported_names(module: str, file: Path) -> Iterator[str]:
-    """Names of the modules that a file's import statements may name, without Python's own and this package.
+    """Names of the modules that a file's import statements may load, with the packages above each of them.
 
-    In ``from a import b``, b may be a module or an object; both a and a.b are names.
+    Modules of Python and of this package are left out.
 
     Args:
         module: Name of the module, against which relative imports are resolved.
-        file: Its file.
+        file: File of the module; one that is not Python's source, such as a compiled module, yields no names.
     """
+    if file.suffix != ".py":
+        return
     try:
-        tree = ast.parse(files.read_bytes(file)) if file.suffix == ".py" else ast.Module([], [])
+        tree = ast.parse(files.read_bytes(file))
     except (SyntaxError, ValueError):  # its import fails, and says why
         return
-    parts = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
+    package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
     for node in ast.walk(tree):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = parts[: len(parts) - node.level + 1] if node.level else []
-            origin = ".".join([*base, *filter(None, [node.module])])
-            names = [origin, *(f"{origin}.{alias.name}" for alias in node.names)]
-        for name in names:
+        for name in names_in_statement(node, package):
             top_name = name.partition(".")[0]
             if top_name and top_name != PACKAGE and top_name not in sys.stdlib_module_names:
                 yield from (*parent_packages(name), name)
 
 
+def names_in_statement(node: ast.AST, package: list[str]) -> list[str]:
+    """Names of the modules that an import statement may load; empty for any other statement.
+
+    In ``from a import b``, b may be a module or an object, so that both a and a.b are names.
+
+    Args:
+        node: The statement.
+        package: Parts of the name of the package that contains the statement, for relative imports.
+    """
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    parts = []
+    if node.level:  # number of leading dots: one stands for the package itself, each further one for the one above
+        parts = package[: len(package) - node.level + 1]
+    if node.module:
+        parts = [*parts, node.module]
+    origin = ".".join(parts)
+    return [origin, *(f"{origin}.{alias.name}" for alias in node.names)]
+
+
 def top_folder(module: str, file: Path) -> Path:
-    """The folder from which a module is imported; of a package, the folder that holds it."""
-    return file.parents[module.count(".") + (file.name == "__init__.py")]
+    """The folder from which a module is imported: the one that contains the module's top package, or its only file.
+
+    Args:
+        module: Name of the module, such as ``a.b``, whose file is ``a/b.py`` or ``a/b/__init__.py`` below the folder.
+        file: File of the module.
+    """
+    levels_below = module.count(".")
+    if file.name == "__init__.py":
+        levels_below += 1
+    return file.parents[levels_below]
 
 
 def module_folders(modules: object) -> tuple[Path, ...]:
-    """Folders from which a run imported the modules of :func:`code_digests`; of a package, the folder that holds it."""
+    """Folders from which a run imported its modules, each once; empty if the entry is damaged.
+
+    Args:
+        modules: Result of :func:`code_digests` at the time of the run, as read from its manifest.
+    """
     if not isinstance(modules, Mapping):
         return ()
     paths = []
@@ -163,7 +195,12 @@ def module_folders(modules: object) -> tuple[Path, ...]:
 
 
 def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
-    """Describe all code that a study refers to, in words; arguments as of :func:`describe_modules`."""
+    """Describe all code that a study refers to, in words: its modules and their files, then its native code.
+
+    Args:
+        table: Table of the study.
+        modules: Result of :func:`code_digests` when the study was run, to report changes; None if it is unknown.
+    """
     parts = [describe_modules(table, modules), *(native.text for native in native_files(table))]
     return "; ".join(filter(None, parts))
 
@@ -171,7 +208,7 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
 def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None) -> str:
     """Describe each ``module:object`` that a study refers to and its file, in words; empty if there is none.
 
-    A module that these import is told only if it has changed since the run.
+    A module that these modules import is described only if it has changed since the run.
 
     Args:
         table: Table of the study.
@@ -180,16 +217,23 @@ def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] 
     lines = []
     for name in code_names(table):
         current = file_digest(code_file(name))
-        entry = (modules or {}).get(name)
-        recorded_entry = entry if isinstance(entry, Mapping) else {}
+        recorded = recorded_digest(modules, name)
         if current["file"] is None:
-            former_file = f" (the run used {recorded_entry['file']})" if recorded_entry.get("file") else ""
+            former_file = f" (the run used {recorded['file']})" if recorded.get("file") else ""
             lines.append(f"{name} from no file that is found{former_file}")
+        elif recorded and recorded.get("sha256") != current["sha256"]:
+            lines.append(f"{name} from {current['file']}, changed since the run")
         else:
-            is_changed = bool(recorded_entry) and recorded_entry.get("sha256") != current["sha256"]
-            lines.append(f"{name} from {current['file']}{', changed since the run' * is_changed}")
-    for name, current in imported_digests(table).items() if modules else ():
-        entry = (modules or {}).get(name)
-        if isinstance(entry, Mapping) and entry.get("sha256") != current["sha256"]:
-            lines.append(f"{name} from {current['file']}, which it imports, changed since the run")
+            lines.append(f"{name} from {current['file']}")
+    if modules:
+        for name, current in imported_digests(table).items():
+            recorded = recorded_digest(modules, name)
+            if recorded and recorded.get("sha256") != current["sha256"]:
+                lines.append(f"{name} from {current['file']}, which it imports, changed since the run")
     return "; ".join(lines)
+
+
+def recorded_digest(modules: Mapping[str, object] | None, name: str) -> Mapping[str, object]:
+    """File and digest of a module when the study was run, as in :func:`file_digest`; empty if they are unknown."""
+    entry = modules.get(name) if modules else None
+    return entry if isinstance(entry, Mapping) else {}

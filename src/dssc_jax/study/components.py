@@ -1,7 +1,7 @@
 """Parsing of a study's tables into models and their parameters.
 
-The parameter types of the models are the schema: annotations and defaults of their fields give the quantity or the slot
-of each field, and its default.
+The parameter type of a model is the schema of its table. The annotation of a field gives the unit and the admissible
+interval of a number, or the slot of a part. The default of a field is the value of an absent entry.
 """
 
 import inspect
@@ -48,12 +48,15 @@ class Component:
     elements: tuple[Element, ...] = ()
 
     def under(self, path: str, name: str) -> "Component":
-        """The component whose numbers lie at ``path`` of the loop's parameters, under ``name`` in the study."""
+        """The component as a part of a whole: its numbers lie at ``path`` of the whole's parameters.
+
+        In the study, their dotted names begin with ``name``.
+        """
         return replace(self, numbers=tuple(number.under(path, name) for number in self.numbers))
 
 
 def lookup(kind: object, registry: Registry) -> Entry:
-    """Registry row of a kind; for a user's model ``package.module:object``, a row is made.
+    """Registry row of a kind; for a user's model ``package.module:object``, a new row with this model alone.
 
     Args:
         kind: Value of ``kind`` in a table.
@@ -69,7 +72,8 @@ def lookup(kind: object, registry: Registry) -> Entry:
     if ":" not in kind:
         raise ConfigError("kind", f"unknown kind '{kind}'; {nearest(kind, registry)}")
     model = import_object(kind, "kind")
-    if is_record(model) and not isinstance(model, type) and not hasattr(model, "params"):
+    is_set_of_parameters = is_record(model) and not isinstance(model, type) and not hasattr(model, "params")
+    if is_set_of_parameters:  # such as a user's vehicle: its table overrides single fields
         model = Preset(type(model), model)
     if isinstance(model, Entry):
         return model
@@ -80,42 +84,49 @@ def lookup(kind: object, registry: Registry) -> Entry:
 
 
 def contract_of(registry: Registry) -> type:
-    """Type of all models in a registry, such as ``Plant``; ``type`` if they are types of NamedTuples."""
+    """Type of all models in a registry, such as ``Plant``; ``type`` if the models are types of NamedTuples."""
     first_row = next(iter(registry.values()))
     first_model = next(iter(first_row.members.values()))
     return type(first_model)
 
 
 def require_contract(kind: str, model: object, contract: type) -> None:
-    """Require that a user's model has the type of the models of its slot.
+    """Require that a user's model has the type of the package's models in its slot.
+
+    Args:
+        kind: The model's ``package.module:object``, for messages.
+        model: The model.
+        contract: Type of the models in the slot, from :func:`contract_of`.
 
     Raises:
         ConfigError: It has another type.
     """
-    expected = f"a {contract.__name__}"
-    is_of_contract = isinstance(model, contract)
     if contract is type:
         expected = "a NamedTuple type"
-        is_of_contract = is_of_contract and is_record(model)
+        is_of_contract = isinstance(model, type) and is_record(model)
+    else:
+        expected = f"a {contract.__name__}"
+        is_of_contract = isinstance(model, contract)
     if not is_of_contract:
         raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
 
 
 def require_measure(kind: str, plant: Plant) -> None:
-    """Require that ``measure`` of a user's plant takes parameters, state and input.
+    """Require that ``measure`` of a user's plant takes three arguments, parameters, state and input.
 
     Raises:
         ConfigError: It takes other arguments.
     """
+    params = state = drive = None  # only the number of arguments matters
     try:
-        inspect.signature(plant.measure).bind(None, None, None)
+        inspect.signature(plant.measure).bind(params, state, drive)
     except TypeError:
         rule = f"'{kind}': measure must take three arguments, (params, state, input); see docs/extending.md"
         raise ConfigError("kind", rule) from None
 
 
 def member_of(entry: Entry, table: TomlTable) -> Any:
-    """Model that the option in a table selects, or that the file named in the table defines.
+    """The model of a registry row for a table: from the table's file, the only one, or the one that its option selects.
 
     Raises:
         ConfigError: The option has no such value, or the file is not valid.
@@ -123,11 +134,11 @@ def member_of(entry: Entry, table: TomlTable) -> Any:
     if entry.loaded is not None:
         return entry.loaded(table)
     if entry.option is None:
-        return entry.members[None]
+        return entry.members[None]  # the only member of a row without an option
     default = entry.default if entry.default_of is None else entry.default_of(table)
     choice = table.get(entry.option, default)
     for key, member in entry.members.items():
-        if choice == key and not isinstance(choice, bool):
+        if choice == key and not isinstance(choice, bool):  # true equals the option 1
             return member
     valid = [key.value for key in entry.members]
     valid_text = ", ".join(map(str, valid))
@@ -136,7 +147,11 @@ def member_of(entry: Entry, table: TomlTable) -> Any:
 
 
 def as_table(value: object, path: str = "") -> TomlTable:
-    """Copy a table of a study.
+    """A copy of a table of a study, after a check that the value is a table.
+
+    Args:
+        value: Value of an entry of the study.
+        path: Dotted path of the entry, for messages.
 
     Raises:
         ConfigError: The value is no table.
@@ -166,13 +181,15 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         entry = lookup(kind, registry)
         table = merge_tables(entry.base, table)
         model = member_of(entry, table)
-        choices = ("kind", *entry.keys, *([entry.option] if entry.option else []))
+        choices = ["kind", *entry.keys]  # entries that select the model, beside the fields of its parameters
+        if entry.option is not None:
+            choices.append(entry.option)
         fields = {name: item for name, item in table.items() if name not in choices}
-        params_type = getattr(model, "params", model)
-        params, numbers = parse_params(fields, params_type, getattr(model, "defaults", None), choices)
+        params_type = getattr(model, "params", model)  # the model of a slot for parameters is their type itself
+        params, numbers = parse_params(fields, params_type, getattr(model, "defaults", None), tuple(choices))
         prepare = getattr(model, "prepare", unchanged_params)
         prepared_params = prepare(params)
-        if kind not in registry:
+        if kind not in registry:  # a user's model
             require_variation(kind, model, prepared_params)
         return Component(kind, model, prepared_params, numbers)
 
@@ -194,24 +211,27 @@ def parse_params(
     specs = field_specs(params)
     defaults = getattr(params, "_field_defaults", {}) if preset is None else preset._asdict()
     fields = {name: defaults[name] for name, spec in specs.items() if spec.is_derived}
-    numbers: dict[str, tuple[Number, ...]] = {}
+    numbers_by_field: dict[str, tuple[Number, ...]] = {}
     for name, spec in specs.items():
         if spec.is_part:
             with errors_under(name):
                 fields[name], numbers_of_part = parse_part(name, spec, table, defaults)
-            numbers[name] = tuple(number.under(name, name) for number in numbers_of_part)
-    plain_table = {name: item for name, item in table.items() if name not in numbers}
+            numbers_by_field[name] = tuple(number.under(name, name) for number in numbers_of_part)
+    plain_table = {name: item for name, item in table.items() if name not in numbers_by_field}
     for name, value in parse_plain(plain_table, params, defaults, choices).items():
         fields[name] = leaves_of(value)
         mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
             records = [Number.of(path, mark, item, path) for path, item in numbers_by_name(name, value).items()]
-            numbers[name] = tuple(records)
-    return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
+            numbers_by_field[name] = tuple(records)
+    numbers: list[Number] = []
+    for name in specs:
+        numbers += numbers_by_field.get(name, ())
+    return params(**fields), tuple(numbers)
 
 
 def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable) -> tuple[Any, tuple[Number, ...]]:
-    """Parse the part in a field of a table.
+    """Parse the part in a field of a table: a list of tables, a table by names, a fixed table, or a table with a kind.
 
     Args:
         name: Name of the field.
@@ -230,13 +250,14 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     value = table.get(name, {})
     if spec.item_type is not None:
         return parse_list(spec.item_type, table.get(name), preset or ())
-    if slot is not None and isinstance(value, str):
+    if slot is not None and isinstance(value, str):  # a kind without a table
         value = {"kind": value}
-    if name not in table and (slot is None or slot.default is None):
+    has_default_kind = slot is not None and slot.default is not None
+    if name not in table and not has_default_kind:
         if name not in defaults:
             raise ConfigError("", "is required and missing")
         if preset is None:
-            return None, ()
+            return None, ()  # an optional part that is absent, without numbers
     if spec.named_type is not None:
         return parse_named(spec, as_table(value))
     if slot is None:
@@ -251,8 +272,8 @@ def parse_bare_number(value: object, kind: str, registry: Registry) -> tuple[Any
     """Parse a number in place of a part's table, as the first field of a part of this kind.
 
     Returns:
-        Parameters of the part, and the records of its numbers. That of the bare number has an empty name, so that its
-        dotted name is that of the slot.
+        Parameters of the part, and the records of its numbers. The bare number has an empty name within the part, so
+        that the dotted name of the slot becomes its name in the study.
 
     Raises:
         ConfigError: As in :func:`parse_params`.
@@ -279,30 +300,44 @@ def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple
     Raises:
         ConfigError: As in :func:`parse_params`, with the index of the item.
     """
+    presets: tuple[Any, ...] = preset
     if isinstance(value, list | tuple):
-        tables = {index: as_table(table, str(index)) for index, table in enumerate(value)}
-        presets: tuple[Any, ...] = (None,) * len(tables)
+        tables = [as_table(table, str(index)) for index, table in enumerate(value)]
+        presets = (None,) * len(tables)  # a stated list inherits no values
+    elif value is None:
+        tables = [{} for _ in preset]
     else:
-        tables_by_index = as_table({} if value is None else value)
-        valid_indices = [str(index) for index in range(len(preset))]
-        unknown = next((key for key in tables_by_index if key not in valid_indices), None)
-        if unknown is not None:
-            hint = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
-            raise ConfigError(unknown, f"is no index of an item; {hint}")
-        tables = {index: as_table(tables_by_index.get(str(index), {}), str(index)) for index in range(len(preset))}
-        presets = preset
+        tables = changes_of_items(as_table(value), len(preset))
     items = []
     numbers: list[Number] = []
-    for index, table in tables.items():
+    for index, (table, preset_item) in enumerate(zip(tables, presets, strict=True)):
         with errors_under(str(index)):
-            part, numbers_of_item = parse_params(table, item, presets[index])
+            part, numbers_of_item = parse_params(table, item, preset_item)
         items.append(part)
         numbers += [number.under(str(index), str(index)) for number in numbers_of_item]
     return tuple(items), tuple(numbers)
 
 
+def changes_of_items(table: TomlTable, count: int) -> list[TomlTable]:
+    """The changes of each item of a preset list, from a table by index; an empty table for an item that stays.
+
+    Args:
+        table: Table of changes, such as ``{"1": {...}}``.
+        count: Number of items.
+
+    Raises:
+        ConfigError: A key is no index of an item.
+    """
+    valid_indices = [str(index) for index in range(count)]
+    for key in table:
+        if key not in valid_indices:
+            hint = f"valid are 0 to {count - 1}" if count else "there is none; write a list of tables"
+            raise ConfigError(key, f"is no index of an item; {hint}")
+    return [as_table(table.get(index, {}), index) for index in valid_indices]
+
+
 def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:
-    """Parse a table whose keys are names of the study and whose items are numbers, or parameters of one type.
+    """Parse a table whose keys are names that the study chooses, and whose items are numbers or parameters of one type.
 
     Returns:
         The items by name, and the records of their numbers.
@@ -346,8 +381,8 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     values = {}
     for name in model.model_fields:
         if name in defaults:
-            value = defaults[name]
-            values[name] = value.value if isinstance(value, Enum) else value
+            default = defaults[name]
+            values[name] = default.value if isinstance(default, Enum) else default
     for name, value in table.items():
         with errors_under(name):
             values[name] = with_default(value, values.get(name))
@@ -359,6 +394,6 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     parsed_values = {}
     for name in model.model_fields:
         value = getattr(validated, name)
-        converter = Text if specs[name].is_text else specs[name].enum
+        converter = Text if specs[name].is_text else specs[name].enum  # None for numbers and flags
         parsed_values[name] = value if converter is None else converter(value)
     return parsed_values

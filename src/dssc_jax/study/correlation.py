@@ -15,7 +15,9 @@ LEAST_EIGENVALUE = 1e-8  # smaller eigenvalues of the correlation matrix count a
 
 
 def normal_correlation(rank: float) -> float:
-    """Linear correlation 2 sin(pi r/6) of two normal variables with the rank correlation r = ``rank``.
+    """Linear correlation 2 sin(pi r/6) of two jointly normal variables whose rank correlation is r = ``rank``.
+
+    The copula draws normal variables, for which only the linear correlation can be prescribed.
 
     Reference:
         K. Pearson, On Further Methods of Determining Correlation (1907).
@@ -37,14 +39,17 @@ def split_pair(pair: str) -> tuple[str, str]:
 
 def correlated_names(table: Mapping[str, float]) -> tuple[str, ...]:
     """Names of all numbers in the pairs of ``[correlation]``, each once, in the order of the table."""
-    return tuple(dict.fromkeys(name for pair in table for name in split_pair(pair)))
+    names: list[str] = []
+    for pair in table:
+        names += split_pair(pair)
+    return tuple(dict.fromkeys(names))
 
 
 def require_correlation(table: Mapping[str, float], laws: Collection[str], swept: Collection[str]) -> None:
-    """Require that ``[correlation]`` is valid.
+    """Require that ``[correlation]`` correlates uncertain numbers of the study, each pair once and all consistently.
 
     Args:
-        table: Rank correlation of each pair.
+        table: Rank correlation of each pair, such as ``{"plant.k_p, plant.a_p": 0.5}``.
         laws: Names of the numbers with a law in the study file.
         swept: Names of the axes.
 
@@ -71,34 +76,40 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
 
 
 def correlation_matrix(table: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray:
-    """Correlation matrix of the normal variables of the copula, in the order of ``names``, shape (n, n)."""
+    """Linear correlations of the copula's normal variables, in the order of ``names``, shape (n, n)."""
     correlations = np.eye(len(names))
     for pair, rank in table.items():
-        i, j = (names.index(name) for name in split_pair(pair))
-        correlations[i, j] = correlations[j, i] = normal_correlation(rank)
+        first, second = split_pair(pair)
+        i = names.index(first)
+        j = names.index(second)
+        correlations[i, j] = normal_correlation(rank)
+        correlations[j, i] = correlations[i, j]
     return correlations
 
 
 def require_positive_definite(table: Mapping[str, float]) -> None:
-    """Require that the correlation matrix is positive definite.
+    """Require that the correlation matrix is positive definite, so that numbers with all these correlations exist.
 
     Raises:
         ConfigError: It is not; the message names the pair that lowers the smallest eigenvalue most.
     """
     names = correlated_names(table)
     correlations = correlation_matrix(table, names)
-    values, vectors = np.linalg.eigh(correlations)
-    if values[0] > LEAST_EIGENVALUE:
+    eigenvalues, eigenvectors = np.linalg.eigh(correlations)  # in rising order
+    smallest = eigenvalues[0]
+    if smallest > LEAST_EIGENVALUE:
         return
-    eigenvalue_shares = correlations * np.outer(vectors[:, 0], vectors[:, 0])
+    v = eigenvectors[:, 0]
+    shares = correlations * np.outer(v, v)  # share v_i R_ij v_j of each entry in the eigenvalue v^T R v
 
-    def share(pair: str) -> float:
-        a, b = split_pair(pair)
-        return float(eigenvalue_shares[names.index(a), names.index(b)])
+    def share_of_eigenvalue(pair: str) -> float:
+        """Share of a pair's correlation in the smallest eigenvalue."""
+        first, second = split_pair(pair)
+        return float(shares[names.index(first), names.index(second)])
 
-    worst_pair = min(table, key=share)
+    worst_pair = min(table, key=share_of_eigenvalue)
     raise ConfigError(
         f'correlation."{worst_pair}"',
         f"{table[worst_pair]:g} is incompatible with the other pairs: the correlation matrix is not positive definite "
-        f"(smallest eigenvalue {values[0]:.2g})",
+        f"(smallest eigenvalue {smallest:.2g})",
     )

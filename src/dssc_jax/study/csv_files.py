@@ -11,10 +11,15 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 
 SEPARATORS = (b",", b";", b"\t")
+"""Characters that may separate the cells of a line."""
 QUOTED = re.compile(rb'"[^"]*"')
+"""A cell in quotes, such as ``"speed, m/s"``."""
 DECIMAL_COMMA = re.compile(rb"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+"""A cell with a decimal comma, such as ``0,5``."""
 DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
+"""A cell with a decimal point, such as ``0.5``."""
 DECIMAL = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+"""A number with or without a decimal point."""
 NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
 """Error values of spreadsheets in place of a number; their ``#`` begins no comment."""
 FIRST_LINES = 100
@@ -22,7 +27,7 @@ FIRST_LINES = 100
 LAST_LINES = 100
 """Lines at the end of a file from which the median length of a number is taken."""
 SHORT = 0.7
-"""Share of that median length below which the last number of a file may be cut off."""
+"""Share of the median length of a number below which the last number of a file may be cut off."""
 
 
 class RecordWarning(UserWarning):
@@ -51,7 +56,7 @@ class CsvLine(NamedTuple):
 
 
 def csv_lines(content: bytes) -> Iterator[CsvLine]:
-    """Lines of a CSV file that are neither empty nor comments: the header, then the rows."""
+    """Yield the lines of a CSV file that are neither empty nor comments: the header, then the rows."""
     begin = 0
     for number, line in enumerate(io.BytesIO(content), start=1):
         text = NO_NUMBERS.sub(b"", line).partition(b"#")[0].rstrip(b"\r\n")
@@ -73,10 +78,6 @@ def split_cells(text: bytes, separator: bytes) -> list[bytes]:
 def csv_form(path: Path, content: bytes) -> CsvForm:
     """Find the separator and the decimal sign of a CSV file from its first lines.
 
-    The separator is the only one in the header. If the header has several, it is the one that splits all lines into
-    equally many cells, or the comma if that is not a single one. If commas do not separate, cells such as 0,5 show a
-    decimal comma.
-
     Args:
         path: File, for messages.
         content: Content of the file.
@@ -84,34 +85,63 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
     Raises:
         ConfigError: Some numbers have decimal commas and others points, or blanks separate the cells.
     """
-    header, *rows = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)] or [b""]
-    separators = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
-    if len(separators) > 1:
-        even_separators = [separator for separator in separators if has_equal_rows(header, rows, separator)]
-        separators = even_separators if len(even_separators) == 1 else [b","]
-    if not separators and any(are_numbers(row.split()) for row in rows):
+    lines = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)]
+    if not lines:
+        return CsvForm()
+    header, *rows = lines
+    separator = separator_of(header, rows)
+    if separator is None and any(are_numbers(row.split()) for row in rows):
         raise ConfigError(
             "file", f"'{path}' has cells that are separated by blanks: separate them by commas, semicolons or tabs"
         )
-    separator = separators[0] if separators else b","
-    if separator == b",":
+    if separator is None or separator == b",":  # None: the file has a single column
         return CsvForm()
-    commas = points = None
+    return CsvForm(separator.decode(), decimal_sign(path, rows, separator))
+
+
+def separator_of(header: bytes, rows: list[bytes]) -> bytes | None:
+    """The separator of the cells of a CSV file; None if its header has none.
+
+    If the header contains several separators, the right one splits all lines into equally many cells. If this holds
+    for none or for several of them, the comma is taken.
+    """
+    unquoted_header = QUOTED.sub(b"", header)
+    separators = [separator for separator in SEPARATORS if separator in unquoted_header]
+    if not separators:
+        return None
+    if len(separators) == 1:
+        return separators[0]
+    even_separators = [separator for separator in separators if has_equal_rows(header, rows, separator)]
+    return even_separators[0] if len(even_separators) == 1 else b","
+
+
+def decimal_sign(path: Path, rows: list[bytes], separator: bytes) -> str:
+    """The decimal sign of the numbers in rows whose cells a semicolon or a tab separates: ``,`` or ``.``.
+
+    Raises:
+        ConfigError: Some numbers have decimal commas and others points.
+    """
+    number_with_comma: bytes | None = None  # the first one, for the message
+    number_with_point: bytes | None = None
     for row in rows:
         for cell in split_cells(row, separator):
-            commas = commas or (cell if DECIMAL_COMMA.fullmatch(cell) else None)
-            points = points or (cell if DECIMAL_POINT.fullmatch(cell) else None)
-    if commas and points:
+            if number_with_comma is None and DECIMAL_COMMA.fullmatch(cell):
+                number_with_comma = cell
+            if number_with_point is None and DECIMAL_POINT.fullmatch(cell):
+                number_with_point = cell
+    if number_with_comma is None:
+        return "."
+    if number_with_point is not None:
         raise ConfigError(
             "file",
-            f"'{path}' has numbers with decimal commas and with points, as {commas.decode().strip()} and "
-            f"{points.decode().strip()}: write all with points",
+            f"'{path}' has numbers with decimal commas and with points, as {number_with_comma.decode().strip()} and "
+            f"{number_with_point.decode().strip()}: write all with points",
         )
-    return CsvForm(separator.decode(), "," if commas else ".")
+    return ","
 
 
 def are_numbers(texts: list[bytes]) -> bool:
-    """Whether there are at least two texts, and all are numbers."""
+    """Whether there are at least two texts, and each of them is a number."""
     return len(texts) > 1 and all(DECIMAL.fullmatch(text) for text in texts)
 
 
@@ -122,12 +152,12 @@ def has_equal_rows(header: bytes, rows: list[bytes], separator: bytes) -> bool:
 
 
 def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
-    """Content of a CSV file without a last row that is cut off.
+    """Content of a CSV file up to its last whole row: a last row that is cut off, as by a full disk, is left out.
 
     Args:
         path: File, for messages.
         content: Content of the file.
-        form: Form of the file.
+        form: Separator and decimal sign of the file.
 
     Raises:
         ConfigError: A row has more cells than the header, or a row before the last one has fewer.
@@ -140,8 +170,8 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
     has_open_quotes = has_quotes and any(line.text.count(b'"') % 2 for line in csv_lines(content))
     if has_open_quotes:  # a quoted cell spans several lines
         return content
-    header_count = 0
-    short_line: CsvLine | None = None
+    header_count = 0  # number of cells of the header; 0 before the header has been read
+    short_line: CsvLine | None = None  # a row with too few cells, which must be the last one
     for line in csv_lines(content):
         count = len(split_cells(line.text, separator)) if has_quotes else line.text.count(separator) + 1
         header_count = header_count or count
@@ -149,7 +179,8 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
             raise uneven_row_error(path, short_line, form, header_count)
         if count > header_count:
             raise uneven_row_error(path, line, form, header_count)
-        short_line = line if count < header_count else None
+        if count < header_count:
+            short_line = line
     if short_line is None:
         warn_of_cut_number(path, content, separator)
         return content
@@ -158,11 +189,22 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
 
 
 def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
-    """Warn if a file ends without a line break and its last number is shorter than those before it."""
-    lines = content.rsplit(b"\n", LAST_LINES)[1:]  # without the header
-    numbers = [split_cells(line, separator)[-1].strip() for line in lines] or [b""]
-    last_number = numbers[-1]
-    lengths = sorted(map(len, numbers))
+    """Warn if a file ends without a line break and its last number is much shorter than the numbers above it.
+
+    Args:
+        path: File, for messages.
+        content: Content of the file.
+        separator: Separator of its cells.
+
+    Warns:
+        RecordWarning: The last number may be cut off.
+    """
+    lines = content.rsplit(b"\n", LAST_LINES)[1:]  # without the first part: the header, or all earlier lines
+    if not lines:
+        return
+    last_cells = [split_cells(line, separator)[-1].strip() for line in lines]
+    last_number = last_cells[-1]  # empty after a line break
+    lengths = sorted(map(len, last_cells))
     median_length = lengths[len(lengths) // 2]
     if 0 < len(last_number) < SHORT * median_length:
         text = last_number.decode()
@@ -175,7 +217,14 @@ def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
 
 
 def uneven_row_error(path: Path, line: CsvLine, form: CsvForm, header_count: int) -> ConfigError:
-    """Error of a row that has more or fewer cells than the header, with the likely reason."""
+    """The error that a row has more or fewer cells than the header, with the likely reason.
+
+    Args:
+        path: File, for the message.
+        line: The row.
+        form: Separator and decimal sign of the file.
+        header_count: Number of cells of the header.
+    """
     count = len(split_cells(line.text, form.separator.encode()))
     if header_count == 1:
         reason = "its first line is no header"

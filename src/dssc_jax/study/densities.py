@@ -1,7 +1,7 @@
 """Logarithms of the densities of laws, for importance weights; minus infinity outside of a law's support.
 
-Each function takes the arguments ``a`` of a law, in the order of the study file, and values ``x`` of any shape. The
-result has the shape of the values.
+They follow the definitions in :mod:`dssc_jax.study.law_kinds`. Each function takes the arguments ``a`` of a law, in the
+order of the study file, and values ``x`` of any shape. The result has the shape of the values.
 """
 
 import numpy as np
@@ -54,11 +54,12 @@ def lognormal(a: Arguments, x: np.ndarray) -> np.ndarray:
 
 def beta(a: Arguments, x: np.ndarray) -> np.ndarray:
     """Log density of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
-    low, high = a[2:] or (0.0, 1.0)
+    shape_1, shape_2 = a[:2]
+    low, high = a[2:] if len(a) == 4 else (0.0, 1.0)
     inside = (x >= low) & (x <= high)
-    share = np.where(inside, (x - low) / (high - low), 0.5)
-    logarithm = scipy.special.xlogy(a[0] - 1.0, share) + scipy.special.xlog1py(a[1] - 1.0, -share)
-    return np.where(inside, logarithm - scipy.special.betaln(a[0], a[1]) - np.log(high - low), -np.inf)
+    share = np.where(inside, (x - low) / (high - low), 0.5)  # any value outside, where it is not used
+    logarithm = scipy.special.xlogy(shape_1 - 1.0, share) + scipy.special.xlog1py(shape_2 - 1.0, -share)
+    return np.where(inside, logarithm - scipy.special.betaln(shape_1, shape_2) - np.log(high - low), -np.inf)
 
 
 def triangular(a: Arguments, x: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A study whose code is not loaded: a description in the results folder replaces its models.
 
-Reading a result requires names, units and meanings, but no models. If a study refers to ``module:object``, its results
-folder stores this description, so that reading the folder runs nobody's code.
+Reading a result requires names, units and meanings, but no models. If a study refers to code, its results folder stores
+this description, so that reading the folder does not run the code.
 """
 
 from collections.abc import Mapping
@@ -39,9 +39,9 @@ NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
-    """A number of the loop for JSON.
+    """A number of the loop, for JSON: unit, meaning and value.
 
-    Its value is a number, the table of the law of an uncertain number, or the text of an expression.
+    The value is a number, the table of a law for an uncertain number, or the text of an expression.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -69,12 +69,12 @@ class DescribedMetric(BaseModel):
 
 
 class Description(BaseModel):
-    """What a reader of results needs of the models, in place of these.
+    """Names, units and meanings that a reader of results needs, in place of the models that define them.
 
     Args:
-        channels: Names of the channels.
+        channels: Names of the channels; empty for a plant with one channel.
         angles: Names of the channels whose output is an angle.
-        units: Units and meanings of output and command in each channel.
+        units: Fields of :class:`ChannelUnits` for each channel: unit of output and command, meaning of both.
         numbers: Numbers of the loop by name.
         fields: Names of the fields in the controller's info, by channel.
         seen: Names of the fields in the plant's info.
@@ -108,25 +108,27 @@ class UnloadedModel:
     error: ConfigError
 
     def __getattr__(self, name: str) -> Any:
+        """Refuse every attribute; Python's own protocols, such as copying, find that theirs is absent."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise self.error
 
     def __iter__(self) -> Any:
+        """Refuse an iteration, as over the models of all channels."""
         raise self.error
 
     def __call__(self, *_: object) -> Any:
-        """Raise the error."""
+        """Refuse a call, as of a model's function."""
         raise self.error
 
 
 @dataclass(frozen=True, repr=False)
 class Described(Study):
-    """A study from its description; it can be read like any other study, but neither simulated nor changed.
+    """A study whose models are replaced by a description; it can be read, but neither simulated nor changed.
 
     Args:
         code: File and digest of the study's code at the time of the run.
-        description: What readers need of the models.
+        description: Names, units and meanings from the models.
         refusal: Error when a simulation or a change is requested.
     """
 
@@ -151,7 +153,7 @@ class Described(Study):
             description = Description.model_validate(content)
             parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
             numbers = described_numbers(description, parameters)
-            verdicts = np.asarray(description.certified or False, dtype=bool)
+            verdicts = np.asarray(description.certified or False, dtype=bool)  # False: Theorem 1 does not apply
         except ValueError as error:  # pydantic's ValidationError is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
@@ -168,16 +170,16 @@ class Described(Study):
             measures, requirements = described_measures(description, config, units, parameters, unloaded)
         except ConfigError as error:
             raise error.within(source) from None
-        loop = Loop(described_plant(description, unloaded), *[unloaded] * 7, channels=channels, **time_fields(config))
-        shape = tuple(len(values) for values in config.sweep.values())
-        is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == channels
-        if not is_consistent or (verdicts.shape or shape) != shape:
+        sweep_shape = tuple(len(values) for values in config.sweep.values())
+        has_swept_numbers = numbers.keys() >= config.sweep.keys()
+        has_channels = tuple(description.fields) == channels
+        if not has_swept_numbers or not has_channels or verdicts.shape not in ((), sweep_shape):
             raise mismatch
         return cls(
             table=dict(table),
             source=source,
             config=config,
-            loop=loop,
+            loop=described_loop(description, channels, config, unloaded),
             template=unloaded,
             units=units,
             numbers=numbers,
@@ -197,9 +199,16 @@ class Described(Study):
         raise self.refusal
 
 
-def described_plant(description: Description, unloaded: Any) -> Plant:
-    """A plant with the channels of the description and placeholders for its functions."""
-    return Plant(
+def described_loop(description: Description, channels: tuple[str, ...], config: StudyTable, unloaded: Any) -> Loop:
+    """A loop with the channels and the clock of a study, and a placeholder for each of its models.
+
+    Args:
+        description: Description of the models.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        config: Fixed tables of the study, with the clock.
+        unloaded: The placeholder.
+    """
+    plant = Plant(
         params=NoParams,
         init=unloaded,
         derivative=unloaded,
@@ -207,6 +216,18 @@ def described_plant(description: Description, unloaded: Any) -> Plant:
         input_gain=unloaded,
         channels=description.channels,
         angles=description.angles,
+    )
+    return Loop(
+        plant=plant,
+        reference=unloaded,
+        wind=unloaded,
+        controller=unloaded,
+        sensor=unloaded,
+        differentiator=unloaded,
+        unmodelled=unloaded,
+        disturbance=unloaded,
+        channels=channels,
+        **time_fields(config),
     )
 
 
@@ -217,7 +238,14 @@ def described_measures(
     parameters: ParameterTable,
     unloaded: Any,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
-    """Metrics and requirements of a study, with a placeholder wherever its code computes a value.
+    """Metrics and requirements of a study, with a placeholder wherever its code would compute a value.
+
+    Args:
+        description: Description of the models.
+        config: Fixed tables of the study.
+        units: Units and meanings of each channel.
+        parameters: Parameters of the study.
+        unloaded: The placeholder.
 
     Raises:
         ConfigError: The study names a metric or a signal that the description does not have.
@@ -237,12 +265,16 @@ def described_measures(
 
 def remedy_for(table: Mapping[str, object]) -> str:
     """Options that load the code to which a study refers, in words."""
-    native = [NATIVE_REMEDY] if native_files(table) else []
-    return " and ".join([REMEDY] * bool(code_names(table)) + native)
+    remedies = []
+    if code_names(table):
+        remedies.append(REMEDY)
+    if native_files(table):
+        remedies.append(NATIVE_REMEDY)
+    return " and ".join(remedies)
 
 
 def described_numbers(description: Description, parameters: ParameterTable) -> dict[str, Number]:
-    """Record of each number of the loop by name, without paths, which only the models have."""
+    """Record of each number of the loop by name; without paths in the loop's parameters, which need the models."""
     numbers = {}
     for name, entry in description.numbers.items():
         quantity = Quantity(entry.unit, entry.meaning)
@@ -262,14 +294,15 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
     Args:
         study: The study, with its models.
         certified: Whether Theorem 1 holds at each point of the sweep; None if it does not apply.
-        silence: Why Theorem 1 does not apply; empty without the functions of Table 1.
+        silence: Why Theorem 1 does not apply; empty if it does, or without the functions of Table 1.
     """
     numbers = {}
     for name, number in study.numbers.items():
+        value = number.value
         if number.expression:
             value = number.expression.text
-        else:
-            value = number.value.table if isinstance(number.value, Law) else number.value
+        elif isinstance(value, Law):
+            value = value.table
         numbers[name] = {"value": value, "unit": number.quantity.unit, "meaning": number.quantity.meaning}
     signals = {}
     for name, signal in signals_of(study.loop, study.template, study.units).items():
@@ -299,10 +332,10 @@ def describe_study(study: Study, certified: np.ndarray | None, silence: str) -> 
 
 
 def stored_study(manifest: JsonObject, source: str, trust_code: bool) -> Study:
-    """The study of a results folder, which may come from anyone: its code is loaded only on request.
+    """The study of a results folder; a folder may come from anyone, so the study's code is loaded only on request.
 
     Args:
-        manifest: Manifest of the folder, with ``study`` and, if that refers to code, ``code`` and ``described``.
+        manifest: Manifest of the folder, with ``study`` and, if the study refers to code, ``code`` and ``described``.
         source: Location of the folder, for messages.
         trust_code: Whether to import the code to which the study refers.
 

@@ -1,4 +1,4 @@
-"""Events ``[[event]]`` of a study: those of the vehicle, and those of a channel's sensor or command."""
+"""Events ``[[event]]`` of a study: changes of the vehicle, of a channel's sensor, or of a channel's command."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,12 +33,17 @@ class StudyEvent(NamedTuple):
     channel: str
 
     def under(self, place: str) -> Component:
-        """The event as a part whose numbers lie at a place of the loop's parameters."""
+        """The event as a part of the loop, with its numbers at ``place`` in the loop's parameters."""
         return self.part.under(place, self.path)
 
 
 def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ...]) -> list[StudyEvent]:
-    """Parse the events of a study, whose plant must be a vehicle if there are any.
+    """Parse the events of a study, after a check that they have a vehicle to happen to.
+
+    Args:
+        tables: Tables ``[[event]]``.
+        plant: The plant, parsed.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: An event is not valid, or the plant is no vehicle.
@@ -49,7 +54,11 @@ def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ..
 
 
 def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[StudyEvent]:
-    """Parse the tables ``[[event]]``; one without a kind is an event of a rotor.
+    """Parse the tables ``[[event]]``; a table without a kind is a fault of a rotor.
+
+    Args:
+        tables: Tables ``[[event]]``.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: An event is not valid.
@@ -78,32 +87,42 @@ def require_order(part: Component, path: str) -> None:
         ConfigError: It ends before it begins for all values of its laws.
     """
     until = getattr(part.params, "until", None)
-    if until is not None and extent(until)[1] <= extent(part.params.at)[0]:
+    if until is None:
+        return
+    _, latest_end = extent(until)
+    earliest_begin, _ = extent(part.params.at)
+    if latest_end <= earliest_begin:
         rule = f"must be > {path}.at = {part.params.at}, or the event never happens; got {until}"
         raise ConfigError(f"{path}.until", rule)
 
 
 def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None:
-    """Require that mass remains when all loads have been dropped.
+    """Require that mass remains when the lightest vehicle has dropped the heaviest loads of all events.
 
     Args:
-        study_events: Events of the vehicle.
+        study_events: Events of the vehicle; ``mass`` of an event is the change of mass [kg], negative for a drop.
         mass: Mass of the vehicle [kg], or its law.
 
     Raises:
         ConfigError: All dropped loads together may weigh as much as the vehicle.
     """
-    remaining = extent(mass)[0]
+    remaining, _ = extent(mass)
     for study_event in study_events:
-        mass_change = min(0.0, extent(getattr(study_event.part.params, "mass", 0.0))[0])
-        remaining += mass_change
-        if mass_change < 0.0 and remaining <= 0.0:
-            rule = f"must leave some of the vehicle's mass, got {mass_change:g} kg and {remaining:g} kg of all"
+        least_change, _ = extent(getattr(study_event.part.params, "mass", 0.0))
+        if least_change >= 0.0:
+            continue
+        remaining += least_change
+        if remaining <= 0.0:
+            rule = f"must leave some of the vehicle's mass, got {least_change:g} kg and {remaining:g} kg of all"
             raise ConfigError(f"{study_event.path}.mass", rule)
 
 
 def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Component, ...]:
-    """The events that act on the vehicle itself, as parts of the loop.
+    """The events that act on the vehicle itself, as parts of the loop; their rotors must exist, and mass must remain.
+
+    Args:
+        events: All events of the study.
+        vehicle: The vehicle, whose numbers may be laws.
 
     Raises:
         ConfigError: A rotor does not exist, or no mass may remain.
@@ -113,9 +132,11 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
     require_remaining_mass(events_of_vehicle, vehicle.mass)
     for study_event in events_of_vehicle:
         part = study_event.part
-        rotor = getattr(part.params, "rotor", None)
-        if rotor is not None and extent(rotor)[1] > vehicle.rotors:
-            raise ConfigError(f"{study_event.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
+        rotor = getattr(part.params, "rotor", None)  # number of the rotor, from 1; None: the event is of no rotor
+        if rotor is not None:
+            _, largest_rotor = extent(rotor)
+            if largest_rotor > vehicle.rotors:
+                raise ConfigError(f"{study_event.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
         numbers = tuple(with_existing_rotors(number, vehicle.rotors) for number in part.numbers)
         place = f"events.{len(components)}"
         components.append(replace(part, numbers=numbers).under(place, study_event.path))
@@ -123,37 +144,60 @@ def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Componen
 
 
 def with_existing_rotors(number: Number, rotors: int) -> Number:
-    """Limit the number ``rotor`` of an event to the number of rotors, also in sweeps; other numbers stay."""
+    """A number of an event: ``rotor`` gets the number of rotors as its upper bound, also in sweeps; others stay."""
     if number.name != "rotor":
         return number
     return replace(number, quantity=replace(number.quantity, at_most=rotors))
 
 
 def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
-    """Numbers whose parameters move from a place in the loop's parameters to another; numbers of other places stay."""
+    """Numbers whose paths lead to ``destination`` where they led to ``place``; other paths stay.
+
+    Args:
+        numbers: The numbers.
+        place: Place in the loop's parameters, such as ``sensor.0``.
+        destination: The new place, such as ``sensor.0.inner``.
+    """
     moved_numbers = []
     for number in numbers:
         paths = []
         for path in number.paths:
-            inner_path = path.removeprefix(f"{place}.")
-            paths.append(path if inner_path == path else f"{destination}.{inner_path}")
+            if path.startswith(f"{place}."):
+                paths.append(f"{destination}.{path.removeprefix(f'{place}.')}")
+            else:
+                paths.append(path)
         moved_numbers.append(replace(number, paths=tuple(paths)))
     return tuple(moved_numbers)
 
 
 def behind_first(part: Component, place: str) -> Component:
-    """Actuators at a place of the loop, moved so that one more element fits before them in their chain."""
-    if not part.elements:
+    """Actuators as the second and all further elements of a chain, so that an event fits before them.
+
+    Args:
+        part: A single actuator, or a chain.
+        place: Its place in the loop's parameters.
+
+    Returns:
+        A chain without its first element, which the caller adds: its elements and parameters are those of ``part``,
+        and the paths of its numbers already count from index 1.
+    """
+    if not part.elements:  # a single actuator
         numbers = with_moved_paths(part.numbers, place, f"{place}.1")
         return replace(part, params=(part.params,), numbers=numbers, elements=(Element(part.kind, part.model),))
     numbers = part.numbers
-    for index in reversed(range(len(part.elements))):
+    for index in reversed(range(len(part.elements))):  # the last one first, so that no two share an index
         numbers = with_moved_paths(numbers, f"{place}.{index}", f"{place}.{index + 1}")
     return replace(part, numbers=numbers)
 
 
-def wrapped_sensor(sensor: Component, study_event: StudyEvent, place: str) -> Component:
-    """A sensor with an event, at a place of the loop's parameters."""
+def sensor_with_event(sensor: Component, study_event: StudyEvent, place: str) -> Component:
+    """A sensor whose readings an event changes.
+
+    Args:
+        sensor: The sensor.
+        study_event: The event.
+        place: Place of the sensor in the loop's parameters, such as ``sensor.0``.
+    """
     event = study_event.under(f"{place}.event")
     sensor_numbers = with_moved_paths(sensor.numbers, place, f"{place}.inner")
     return Component(
@@ -165,8 +209,14 @@ def wrapped_sensor(sensor: Component, study_event: StudyEvent, place: str) -> Co
 
 
 def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) -> Component:
-    """The chain of an event and the actuators behind it, at a place of the loop's parameters."""
-    event_model = study_event.part.model.model
+    """The chain of an event that changes the command and of the actuators behind it.
+
+    Args:
+        actuators: The actuators of a channel.
+        study_event: The event.
+        place: Place of the actuators in the loop's parameters, such as ``unmodelled.0``.
+    """
+    event_model = study_event.part.model.model  # the actuator by which a command event acts
     if actuators.kind == "none":
         return replace(study_event.under(place), model=event_model)
     event = study_event.under(f"{place}.0")
@@ -183,9 +233,9 @@ def chain_with_event(actuators: Component, study_event: StudyEvent, place: str) 
 
 CHANNEL_EVENTS: dict[str, tuple[type, Callable[[Component, StudyEvent, str], Component]]] = {
     "unmodelled": (CommandEvent, chain_with_event),
-    "sensor": (SensorEvent, wrapped_sensor),
+    "sensor": (SensorEvent, sensor_with_event),
 }
-"""Slots whose parts events change: the type of these events, and how one is added to a part."""
+"""Type of the events that change the parts of a slot, and the function (part, event, place) that adds an event."""
 
 
 def with_channel_events(

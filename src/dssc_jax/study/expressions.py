@@ -7,7 +7,7 @@ import ast
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache
 from typing import TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
@@ -33,9 +33,13 @@ Numeric: TypeAlias = Scalar | np.ndarray
 """A number, an array of NumPy, or a traced value."""
 
 
+class UnknownParameter(ValueError):
+    """An expression names something that is no parameter of the study."""
+
+
 @dataclass(frozen=True)
 class Operation:
-    """An operation of the language.
+    """An operation of the language, in both arithmetics: of numbers, and of intervals.
 
     Args:
         ufunc: Name of the operation in NumPy and JAX.
@@ -98,17 +102,17 @@ def parse_expression(text: str) -> ast.expr:
     except (SyntaxError, SyntaxWarning, DeprecationWarning, MemoryError, RecursionError, ValueError) as error:
         reason = getattr(error, "msg", None) or str(error) or "it is too deeply nested"
         raise ValueError(f"{text!r} is no expression: {reason}") from None
-    require_language(tree, body, 0)
+    require_language(tree, body, depth=0)
     return tree
 
 
 def require_language(node: ast.expr, body: str, depth: int) -> None:
-    """Require that a tree has no nodes but those of the language.
+    """Require that a tree, or a part of it, contains only nodes of the language.
 
     Args:
-        node: Root of the tree.
+        node: Root of the tree or of the part.
         body: Text of the whole expression, for messages.
-        depth: Depth of the node in the whole tree.
+        depth: Depth of the node in the whole tree; 0 for its root.
 
     Raises:
         ValueError: A node is not admissible, or lies too deep.
@@ -120,7 +124,11 @@ def require_language(node: ast.expr, body: str, depth: int) -> None:
 
 
 def operands(node: ast.expr, body: str) -> list[ast.expr]:
-    """Operands of an admissible node; empty for a number or a name.
+    """Operands of a node that the language admits; empty for a number or a name.
+
+    Args:
+        node: The node.
+        body: Text of the whole expression, for messages.
 
     Raises:
         ValueError: The node is not admissible.
@@ -144,10 +152,14 @@ def operands(node: ast.expr, body: str) -> list[ast.expr]:
 
 
 def require_call(name: str, count: int) -> None:
-    """Require that a function exists and takes a number of arguments.
+    """Require that the language has a function, and that the function takes this number of arguments.
+
+    Args:
+        name: Name of the function.
+        count: Number of arguments in the call.
 
     Raises:
-        ValueError: It does not.
+        ValueError: It has none, or the function takes another number.
     """
     if name not in FUNCTIONS:
         raise ValueError(f"'{name}' is no function of expressions; {nearest(name, FUNCTIONS)}")
@@ -168,7 +180,7 @@ def names_of(tree: ast.expr) -> tuple[str, ...]:
 
 
 def names_in(node: ast.expr) -> Iterator[str]:
-    """Names of the parameters in a tree, as often as they occur."""
+    """Yield the name of the parameter at each of its occurrences in a tree, in the order of the text."""
     match node:
         case ast.Name(id=name) if name != PI:
             yield name
@@ -185,16 +197,17 @@ def names_in(node: ast.expr) -> Iterator[str]:
 def evaluate(
     node: ast.expr, value_of: Callable[[str], Value], number: Callable[[float], Value], apply: "Apply[Value]"
 ) -> Value:
-    """Evaluate an expression in any kind of value, such as numbers or intervals.
+    """Value of an expression, in any arithmetic that three functions define, such as that of intervals.
 
     Args:
         node: Tree from :func:`parse_expression`.
-        value_of: Value of a parameter by its name.
-        number: Value of a constant.
-        apply: Result of an operation on values.
+        value_of: (name of a parameter) -> its value.
+        number: (constant) -> its value.
+        apply: (operation, value of each operand) -> result.
     """
 
     def value_at(part: ast.expr) -> Value:
+        """Value of a part of the expression."""
         return evaluate(part, value_of, number, apply)
 
     match node:
@@ -212,8 +225,11 @@ def evaluate(
             operation = FUNCTIONS[name]
             if not operation.is_variadic:
                 return apply(operation, value_at(first))
-            return reduce(lambda value, operand: apply(operation, value, value_at(operand)), remaining, value_at(first))
-    raise AssertionError(node)  # parse_expression admits no other
+            value = value_at(first)
+            for operand in remaining:
+                value = apply(operation, value, value_at(operand))
+            return value
+    raise AssertionError(node)  # parse_expression admits no other node
 
 
 Apply = Callable[..., Value]
@@ -221,9 +237,9 @@ Apply = Callable[..., Value]
 
 
 def apply_to_numbers(operation: Operation, *values: Numeric) -> Numeric:
-    """Apply an operation to numbers, arrays or traced values; the result of plain numbers is a plain float.
+    """Result of an operation on numbers, arrays or traced values; a plain float for plain numbers.
 
-    An undefined result, such as 1/0, is not finite; no error is raised.
+    An undefined result, such as 1/0, is infinite or NaN; no error is raised.
     """
     xp = namespace(*values)
     if operation.ufunc == "power" and xp is not np and is_whole_exponent(values[1]):
@@ -233,24 +249,36 @@ def apply_to_numbers(operation: Operation, *values: Numeric) -> Numeric:
 
 
 def is_whole_exponent(exponent: Numeric) -> bool:
-    """Whether an exponent is a whole plain number, not too large for products."""
+    """Whether an exponent is a plain whole number that is small enough for a power computed by products."""
     return is_number(exponent) and abs(exponent) <= LARGEST_PRODUCT and float(exponent).is_integer()
 
 
 def evaluate_numbers(tree: ast.expr, value_of: Callable[[str], Numeric]) -> Numeric:
-    """Value of an expression for numbers, arrays or traced values of its parameters; not finite where undefined."""
+    """Value of an expression for numbers, arrays or traced values of its parameters; infinite or NaN where undefined.
+
+    Args:
+        tree: Tree from :func:`parse_expression`.
+        value_of: (name of a parameter) -> its value.
+    """
     with np.errstate(all="ignore"):
         return evaluate(tree, value_of, float, apply_to_numbers)
 
 
 def evaluate_intervals(tree: ast.expr, value_of: Callable[[str], Interval]) -> Interval:
-    """Interval that contains all values of an expression for intervals of its parameters."""
+    """Interval that contains all values of an expression while each parameter lies in its interval.
 
-    def number(value: float) -> Interval:
+    Args:
+        tree: Tree from :func:`parse_expression`.
+        value_of: (name of a parameter) -> its interval.
+    """
+
+    def exact_interval(value: float) -> Interval:
+        """The interval of a single number."""
         return Interval.of(value, value)
 
-    def apply(operation: Operation, *values: Interval) -> Interval:
+    def apply_to_intervals(operation: Operation, *values: Interval) -> Interval:
+        """Interval that contains all results of an operation on numbers of these intervals."""
         return operation.interval(*values)
 
     with np.errstate(all="ignore"):
-        return evaluate(tree, value_of, number, apply)
+        return evaluate(tree, value_of, exact_interval, apply_to_intervals)

@@ -22,11 +22,11 @@ def is_record(model: object) -> bool:
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """Specification of one field of a parameter type, from its annotation.
+    """What a study's table may hold for one field of a parameter type, from the field's annotation.
 
     Args:
-        mark: Quantity of a number, or slot of a part; None for any other field.
-        hint: Type without annotations and without ``None``.
+        mark: Quantity of a number, or slot of a part with a ``kind``; None for any other field.
+        hint: Type of the field, without annotations and without ``None``.
         is_optional: Whether the field may be ``None``.
     """
 
@@ -36,7 +36,7 @@ class FieldSpec:
 
     @property
     def depth(self) -> int:
-        """Depth of lists: 0 for a number, 1 for a list of numbers, 2 for a list of rows."""
+        """Number of lists around a number: 0 for a number alone, 1 for a list of numbers, 2 for a list of rows."""
         depth = 0
         inner = self.hint
         while typing.get_origin(inner) is tuple:
@@ -46,19 +46,24 @@ class FieldSpec:
 
     @property
     def is_nested(self) -> bool:
-        """Whether the field is a table of one fixed parameter type."""
+        """Whether the field is a table of one fixed parameter type, without a ``kind``."""
         return self.mark is None and is_record(self.hint)
 
     @property
     def item_type(self) -> Any:
         """Parameter type of the items of a list of tables; None if the field is no such list."""
-        items = typing.get_args(self.hint) if typing.get_origin(self.hint) is tuple else ()
-        return items[0] if self.mark is None and items and is_record(items[0]) else None
+        if self.mark is not None or typing.get_origin(self.hint) is not tuple:
+            return None
+        item_types = typing.get_args(self.hint)
+        return item_types[0] if item_types and is_record(item_types[0]) else None
 
     @property
     def named_type(self) -> Any:
-        """Type of the items of a table whose keys are names of the study; None if the field is no such table."""
-        return typing.get_args(self.hint)[1] if typing.get_origin(self.hint) is dict else None
+        """Type of the items of a table whose keys are names that the study chooses; None for any other field."""
+        if typing.get_origin(self.hint) is not dict:
+            return None
+        _, item_type = typing.get_args(self.hint)
+        return item_type
 
     @property
     def is_text(self) -> bool:
@@ -67,9 +72,9 @@ class FieldSpec:
 
     @property
     def is_part(self) -> bool:
-        """Whether the field has a table, or tables, of its own."""
-        has_tables = self.named_type is not None or self.item_type is not None
-        return isinstance(self.mark, Slot) or self.is_nested or has_tables
+        """Whether the content of the field is a table, or several tables, rather than a plain value."""
+        has_several_tables = self.named_type is not None or self.item_type is not None
+        return isinstance(self.mark, Slot) or self.is_nested or has_several_tables
 
     @property
     def enum(self) -> type[Enum] | None:
@@ -78,39 +83,56 @@ class FieldSpec:
 
     @property
     def is_derived(self) -> bool:
-        """Whether the model's ``prepare`` computes the field, which tables must then not set."""
+        """Whether the model's ``prepare`` computes the field, so that a study must not set it.
+
+        A study sets numbers, parts, texts, options and flags.
+        """
         return not (self.mark or self.is_part or self.is_text or self.enum or self.hint is bool)
 
 
 @cache
 def field_specs(params: type) -> dict[str, FieldSpec]:
-    """Specification of each field of a parameter type, by name."""
+    """What a study's table may hold for each field of a parameter type, by the field's name."""
     specs = {}
     for name, hint in typing.get_type_hints(params, include_extras=True).items():
-        marks = getattr(hint, "__metadata__", ())
-        mark = next((m for m in marks if isinstance(m, Quantity | Slot)), None)
-        field_type = typing.get_args(hint)[0] if marks else hint
+        annotations = getattr(hint, "__metadata__", ())
+        marks = [annotation for annotation in annotations if isinstance(annotation, Quantity | Slot)]
+        mark = marks[0] if marks else None
+        field_type = typing.get_args(hint)[0] if annotations else hint
         is_optional = False
         if typing.get_origin(field_type) in (typing.Union, types.UnionType):
-            members = [member for member in typing.get_args(field_type) if member is not type(None)]
-            is_optional = len(members) < len(typing.get_args(field_type))
-            field_type = members[0] if len(members) == 1 else field_type
+            members = typing.get_args(field_type)
+            present_members = [member for member in members if member is not type(None)]
+            is_optional = len(present_members) < len(members)
+            field_type = present_members[0] if len(present_members) == 1 else field_type
         specs[name] = FieldSpec(mark, field_type, is_optional)
     return specs
 
 
 def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
-    """Type for pydantic that parses a number (``depth`` 0), a list of numbers (1), or a list of rows (2)."""
+    """Type of a field for pydantic, which parses a number or nested lists of numbers.
+
+    Args:
+        quantity: Unit, meaning and admissible interval of each number.
+        depth: Number of lists around a number, as in :attr:`FieldSpec.depth`.
+        optional: Whether the value may be None.
+    """
 
     def check(value: object) -> Any:
-        return None if value is None and optional else parse_numbers(value, quantity, depth)
+        """Parse the value of the field."""
+        if value is None and optional:
+            return None
+        return parse_numbers(value, quantity, depth)
 
     return Annotated[Any, BeforeValidator(check)]
 
 
 @cache
 def table_model(params: type) -> type[BaseModel]:
-    """Pydantic's model of the plain fields of a parameter type: numbers, lists of numbers, texts and options."""
+    """Pydantic's model of the plain fields of a parameter type: numbers, lists of numbers, texts, options and flags.
+
+    Every field is required, since :func:`dssc_jax.study.components.parse_plain` fills in the defaults before.
+    """
     fields: dict[str, Any] = {}
     for name, spec in field_specs(params).items():
         if spec.is_part or spec.is_derived:
@@ -121,5 +143,5 @@ def table_model(params: type) -> type[BaseModel]:
             field_type = Literal[tuple(member.value for member in spec.enum)]  # type: ignore[valid-type]
         else:
             field_type = str if spec.is_text else spec.hint
-        fields[name] = (field_type, ...)
+        fields[name] = (field_type, ...)  # pydantic's sign of a required field
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)

@@ -1,4 +1,7 @@
-"""Controllers that are fitted to the nominal plant, in which each law has its nominal value, when a study is built."""
+"""Controllers whose gains are fitted to the nominal plant when a study is read.
+
+In the nominal plant, each law has its nominal value.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,14 +27,14 @@ COMMAND_DISTURBANCE = "disturbance"
 
 
 def nominal_params(params: Params) -> Params:
-    """Replace each law and expression in parameters by its nominal value."""
+    """Parameters with the nominal value in place of each law and each expression."""
     return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, UncertainValue) else leaf, params)
 
 
 def setting_of(
     plant: Plant, params: Params, sample_time: float, measured_signals: Sequence[NamedSignal]
 ) -> LoopSetting:
-    """The setting to which a controller of this loop is fitted.
+    """The setting to which a controller of this loop is fitted: sample time, measured signals and nominal plant.
 
     Args:
         plant: Model of the plant.
@@ -40,18 +43,20 @@ def setting_of(
         measured_signals: Signals that the loop measures besides y and y'.
 
     Returns:
-        The setting, with the nominal plant if the plant is linear and has one channel.
+        The setting; without a nominal plant if the plant is nonlinear or has several channels.
     """
     names = tuple(signal.name for signal in measured_signals)
-    is_linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2
-    return LoopSetting(sample_time, names, nominal_plant(plant, params, names) if is_linear else None)
+    is_linear = plant.linear is not None and plant.remainder is None
+    has_one_channel = len(plant.channels) < 2  # the only channel has no name
+    nominal = nominal_plant(plant, params, names) if is_linear and has_one_channel else None
+    return LoopSetting(sample_time, names, nominal)
 
 
 def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> NominalPlant:
-    """Matrices of a linear plant with one channel, in plain numbers.
+    """Matrices of a linear plant with one channel, in plain numbers, for the design of its controller.
 
-    The plant declares the matrices of its state. The rows of the output and of the measured signals follow from
-    differentiation of what it measures and reports.
+    The plant declares the matrices of its state equation. The rows of the output and of the measured signals are
+    derivatives of its functions ``measure`` and ``monitor``.
 
     Args:
         plant: Model of the plant, with ``linear``.
@@ -66,8 +71,9 @@ def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> 
     quiet = quiet_inputs(plant, params)
 
     def signals(x: jax.Array, command: Scalar) -> jax.Array:
+        """The output y, then the measured signals, shape (1 + m,), at a state x and a command without disturbances."""
         state = structure.unflatten(list(x))
-        drive = PlantInput(command, 0.0, None, quiet)
+        drive = PlantInput(command, disturbance=0.0, wind=None, inputs=quiet)
         measurement = plant.measure(params, state, drive)
         report = plant.monitor(params, state, drive)
         values = {"y": measurement.y, "y_dot": measurement.y_dot} | signals_in(report)
@@ -75,12 +81,13 @@ def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> 
         return jnp.stack([jnp.asarray(values[name]) for name in ("y", *signal_names)])
 
     with arithmetic():
-        rows, feedthrough = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
-    columns = [*dynamics.disturbance, *dynamics.inputs]
+        slopes_of = jax.jacfwd(signals, argnums=(0, 1))
+        rows, feedthrough = map(np.asarray, slopes_of(jnp.zeros(order), 0.0))
+    disturbance_columns = [*dynamics.disturbance, *dynamics.inputs]
     return NominalPlant(
         a=np.asarray(dynamics.a, float),
-        command=np.asarray(dynamics.command[0], float),
-        disturbances=np.asarray(columns, float).T,
+        command=np.asarray(dynamics.command[0], float),  # the column of the only channel
+        disturbances=np.asarray(disturbance_columns, float).T,
         output=rows[0],
         signals=rows[1:],
         feedthrough=feedthrough[1:],
@@ -95,12 +102,12 @@ def fitted_controllers(
     sample_time: float,
     measured_signals: Sequence[NamedSignal],
 ) -> list[Component]:
-    """Fit the gains of each controller whose model has ``fit``; other controllers stay.
+    """The controllers of a loop, with fitted gains where the model of a controller has ``fit``.
 
     Args:
-        controllers: Controller of each channel.
+        controllers: Controller of each channel, parsed.
         plant: The plant, parsed.
-        channels: Names of the channels.
+        channels: Names of the channels; one empty name for a plant with one channel.
         sample_time: Sample time T_s [s].
         measured_signals: Signals that the loop measures besides y and y'.
 
@@ -110,10 +117,11 @@ def fitted_controllers(
     if all(component.model.fit is None for component in controllers):
         return list(controllers)
     setting = setting_of(plant.model, nominal_params(plant.params), sample_time, measured_signals)
-    result = []
-    for name, component in zip(channels, controllers, strict=True):
-        if component.model.fit is not None:
-            with errors_under(dotted_name("controller", name)):
-                component = replace(component, params=component.model.fit(component.params, setting))
-        result.append(component)
-    return result
+    fitted = []
+    for channel, component in zip(channels, controllers, strict=True):
+        if component.model.fit is None:
+            fitted.append(component)
+            continue
+        with errors_under(dotted_name("controller", channel)):
+            fitted.append(replace(component, params=component.model.fit(component.params, setting)))
+    return fitted

@@ -32,6 +32,8 @@ VEHICLE_SIGNALS = {
 def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, SampledSignal]:
     """Signals that a formula can name: the time ``t`` and all signals of the loop.
 
+    Tilt, roll and pitch of a vehicle are taken from :data:`VEHICLE_SIGNALS`.
+
     Args:
         loop_signals: Signals of the loop, by the names of their columns in a trajectory.
     """
@@ -42,14 +44,14 @@ def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, Samp
 def formula_requirement(
     table: RequirementTable, place: str, config: StudyTable, signals: Mapping[str, SampledSignal], parameters: Constants
 ) -> Requirement:
-    """Parse the requirement that a formula is true, as the bound 0 of its robustness.
+    """Parse the requirement that a formula is true: its robustness, a metric, must be at least 0.
 
     Args:
         table: Table of the requirement, which has a formula.
         place: Dotted path of the table, such as ``requirement.0``.
         config: Tables of the study.
         signals: Signals that the formula can name.
-        parameters: Value of an expression of parameters.
+        parameters: (text of an expression, place that needs it) -> value, a plain number.
 
     Raises:
         ConfigError: The formula is not valid.
@@ -60,6 +62,7 @@ def formula_requirement(
         raise ConfigError(place_of_text, "is judged over whole flights; take out [loop.settled], which ends them early")
 
     def parameter(name: str) -> float:
+        """Value of a parameter that the formula names."""
         return parameters(f"={name}", place_of_text)
 
     with value_errors_at(place_of_text):
@@ -69,9 +72,11 @@ def formula_requirement(
         rule = f"needs a memory of {size} samples, and {MOST_MEMORY} are the most"
         remedy = "an operator within another one keeps the samples of its interval: shorten that, or lengthen T_s"
         raise ConfigError(place_of_text, f"{rule}; {remedy}")
-    width = SMOOTHING * (parsed_formula.size or 1.0) if table.smoothing is None else table.smoothing
-    number = int(place.rpartition(".")[2]) + 1
-    name = table.name or f"formula_{number}"
+    width = table.smoothing
+    if width is None:
+        width = SMOOTHING * (1.0 if parsed_formula.size is None else parsed_formula.size)
+    _, _, index = place.rpartition(".")
+    name = table.name or f"formula_{int(index) + 1}"
     metric = formula_metric(parsed_formula.formula, parsed_formula.unit, f"robustness of {text}", width)
-    measure = Measure(name, name, WHOLE_RUN, None, metric, channel_name="")
+    measure = Measure(name, kind=name, window=WHOLE_RUN, channel=None, custom=metric, channel_name="")
     return Requirement(measure, minimum=0.0, typical_slack=parsed_formula.size, formula=text)

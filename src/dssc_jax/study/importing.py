@@ -53,15 +53,23 @@ def import_object(name: str, place: str) -> Any:
 
 
 def import_failure(module_name: str, error: BaseException) -> str:
-    """Reason why the import of a module failed, and the remedy, in words."""
+    """Reason why the import of a module failed, and the remedy, in words.
+
+    Args:
+        module_name: Name of the module that the study names.
+        error: Error that the import raised.
+    """
     if isinstance(error, ModuleNotFoundError) and error.name:
         if module_name.endswith(".py"):
             return f"a module is named without `.py`: '{module_name.removesuffix('.py')}'"
-        if f"{module_name}.".startswith(f"{error.name}."):
+        is_part_of_name = f"{module_name}.".startswith(f"{error.name}.")  # the module itself, or a package above it
+        if is_part_of_name:
             return f"there is no module '{error.name}'; {WHERE_MODULES_ARE}"
         return f"the module needs '{error.name}', which is not installed; install it for this Python"
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg} in line {error.lineno} of {error.filename}"
-    lines = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
-    location = f" in line {lines[-1].lineno} of {lines[-1].filename}" if len(lines) > 1 else ""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
+    location = ""
+    if len(frames) > 1:  # the first frame is that of `import_object`, the last one is the line that failed
+        location = f" in line {frames[-1].lineno} of {frames[-1].filename}"
     return f"{type(error).__name__}: {error}{location}"

@@ -1,4 +1,4 @@
-"""The study of one draw, with its numbers in place of laws and with the controllers of the whole study."""
+"""The study of one draw: the draw's numbers take the place of laws, and the controllers stay as in the whole study."""
 
 from collections.abc import Mapping
 
@@ -9,15 +9,15 @@ from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.study import Study
 
 POINT = "point"
-"""Name of the law of a single value with another nominal value."""
+"""Name of the law of a single value whose nominal value may differ from it."""
 
 
 def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
-    """A study with numbers in place of laws, in which a draw flies exactly as it did among all draws.
+    """The study of one draw, in which the draw flies exactly as it did among all draws.
 
     Some values follow from nominal numbers when a study is read, such as the gains of a fitted controller or the mass
-    that an inner loop assumes. If plain numbers would change these values, each number becomes a law ``point``, which
-    states it beside its nominal value.
+    that an inner loop assumes. If plain numbers in place of laws would change these values, each law becomes a law
+    ``point`` of the draw's number, which keeps the nominal value.
 
     Args:
         study: Study without a sweep.
@@ -37,11 +37,16 @@ def study_of_draw(study: Study, numbers: Mapping[str, float]) -> Study:
 
 
 def has_same_nominal_values(study: Study, plain: Study) -> bool:
-    """Whether two studies agree in all leaves of the template that are no laws in the first one."""
+    """Whether all values of a study that follow from nominal numbers keep their values in another study.
+
+    Args:
+        study: The study, whose template contains laws.
+        plain: The same study with plain numbers in place of the laws.
+    """
     if tree_structure(study.template) != tree_structure(plain.template):
         return False
     for leaf, plain_leaf in zip(tree_leaves(study.template), tree_leaves(plain.template), strict=True):
-        if isinstance(leaf, UncertainValue):
+        if isinstance(leaf, UncertainValue):  # a law, or an expression of parameters with laws
             continue
         if not np.array_equal(leaf, plain_leaf):  # a recorded signal is an array
             return False

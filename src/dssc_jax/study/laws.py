@@ -1,184 +1,19 @@
 """Probability laws of uncertain numbers: ``{ uniform = [0.8, 1.2] }`` in place of a number.
 
-A law maps levels in the unit interval to values by its quantile function. So random, Sobol and Latin-hypercube points
-can all be used.
+:mod:`dssc_jax.study.law_kinds` defines the families of laws.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import TypeGuard
 
 import numpy as np
-import scipy
 
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study import densities
-from dssc_jax.study.densities import Arguments
-
-
-@dataclass(frozen=True)
-class LawKind:
-    """A family of laws. The functions take the arguments of a law.
-
-    Args:
-        signature: Arguments as text, such as ``[lo, hi]``.
-        counts: Admissible numbers of arguments; None for one or more.
-        rule: Rule that the arguments must satisfy, in words, and its test.
-        support: Lowest and highest value.
-        quantile: Inverse of the distribution function at levels in (0, 1), of the shape of the levels.
-        roles: One letter for each argument: ``l`` for a location, ``s`` for a scale, ``.`` for a shape. Empty if the
-            law can be neither moved nor widened.
-        logarithmic: Whether values spread about the median on a logarithmic scale.
-        log_density: Logarithm of the density at values; None if arguments may not be ranges.
-        nominal: Nominal value; None for the median.
-        discrete: Whether all values of the law are among its arguments.
-    """
-
-    signature: str
-    counts: tuple[int, ...] | None
-    rule: tuple[str, Callable[[Arguments], bool]]
-    support: Callable[[Arguments], tuple[float, float]]
-    quantile: Callable[[Arguments, np.ndarray], np.ndarray]
-    roles: str = ""
-    logarithmic: bool = False
-    log_density: Callable[[Arguments, np.ndarray], np.ndarray] | None = None
-    nominal: Callable[[Arguments], float] | None = None
-    discrete: bool = False
-
-    @property
-    def argument_names(self) -> tuple[str, ...]:
-        """Names of the arguments, as many as the law can have."""
-        return tuple(self.signature.rpartition("[")[2].rstrip("]").split(", "))
-
-
-def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of a normal law truncated to [lo, hi]; an interval above the mean is mirrored, to avoid cancellation."""
-    mean, std, low, high = a
-    low_score = (low - mean) / std
-    high_score = (high - mean) / std
-    if low_score > 0.0:
-        lower = scipy.special.ndtr(-high_score)
-        upper = scipy.special.ndtr(-low_score)
-        standard = -scipy.special.ndtri(upper - u * (upper - lower))
-    else:
-        lower = scipy.special.ndtr(low_score)
-        upper = scipy.special.ndtr(high_score)
-        standard = scipy.special.ndtri(lower + u * (upper - lower))
-    return np.clip(mean + std * standard, low, high)
-
-
-def triangular_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the triangular law on [lo, hi] with its peak at the mode."""
-    low, mode, high = a
-    width = high - low
-    rising = low + np.sqrt(u * width * (mode - low))
-    falling = high - np.sqrt((1.0 - u) * width * (high - mode))
-    return np.where(u * width < mode - low, rising, falling)
-
-
-def beta_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the beta law with two shape parameters on [lo, hi], by default [0, 1]."""
-    low, high = a[2:] or (0.0, 1.0)
-    return low + (high - low) * scipy.special.betaincinv(a[0], a[1], u)
-
-
-def choice_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
-    """Quantile of the law in which each of the arguments is equally likely."""
-    return np.asarray(a)[np.minimum((u * len(a)).astype(int), len(a) - 1)]
-
-
-LAWS: dict[str, LawKind] = {
-    "uniform": LawKind(
-        "[lo, hi]",
-        (2,),
-        ("lo must be below hi", lambda a: a[0] < a[1]),
-        lambda a: (a[0], a[1]),
-        lambda a, u: a[0] + (a[1] - a[0]) * u,
-        roles="ll",
-        log_density=densities.uniform,
-    ),
-    "loguniform": LawKind(
-        "[lo, hi]",
-        (2,),
-        ("0 < lo < hi must hold", lambda a: 0.0 < a[0] < a[1]),
-        lambda a: (a[0], a[1]),
-        lambda a, u: np.clip(a[0] * np.exp(np.log(a[1] / a[0]) * u), a[0], a[1]),
-        roles="ll",
-        logarithmic=True,
-        log_density=densities.loguniform,
-    ),
-    "normal": LawKind(
-        "[mean, std]",
-        (2,),
-        ("std must be positive", lambda a: a[1] > 0.0),
-        lambda a: (-math.inf, math.inf),
-        lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
-        roles="ls",
-        log_density=densities.normal,
-    ),
-    "truncated_normal": LawKind(
-        "[mean, std, lo, hi]",
-        (4,),
-        (
-            "std must be positive, lo below hi, and [lo, hi] within 37 std of the mean",
-            lambda a: a[1] > 0.0 and a[2] < a[3] and a[2] < a[0] + 37.0 * a[1] and a[3] > a[0] - 37.0 * a[1],
-        ),
-        lambda a: (a[2], a[3]),
-        truncated_quantile,
-        roles="lsll",
-        log_density=densities.truncated_normal,
-    ),
-    "lognormal": LawKind(
-        "[mean of the logarithm, std of the logarithm]",
-        (2,),
-        ("std must be positive", lambda a: a[1] > 0.0),
-        lambda a: (math.ulp(0.0), math.inf),
-        lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
-        roles="ls",
-        logarithmic=True,
-        log_density=densities.lognormal,
-    ),
-    "beta": LawKind(
-        "[a, b] or [a, b, lo, hi]",
-        (2, 4),
-        ("a and b must be positive and lo below hi", lambda a: min(a[:2]) > 0.0 and (len(a) == 2 or a[2] < a[3])),
-        lambda a: (a[2], a[3]) if len(a) == 4 else (0.0, 1.0),
-        beta_quantile,
-        roles="..ll",
-        log_density=densities.beta,
-    ),
-    "triangular": LawKind(
-        "[lo, mode, hi]",
-        (3,),
-        ("lo <= mode <= hi and lo < hi must hold", lambda a: a[0] <= a[1] <= a[2] and a[0] < a[2]),
-        lambda a: (a[0], a[2]),
-        triangular_quantile,
-        roles="lll",
-        log_density=densities.triangular,
-    ),
-    "choice": LawKind(
-        "[value, value, ...]",
-        None,
-        ("needs at least one value", lambda a: len(a) > 0),
-        lambda a: (min(a), max(a)),
-        choice_quantile,
-        discrete=True,
-    ),
-    "point": LawKind(
-        "[value, nominal value]",
-        (2,),
-        ("needs finite numbers", lambda a: all(map(math.isfinite, a))),
-        lambda a: (a[0], a[0]),
-        lambda a, u: np.full(np.shape(u), a[0]),
-        nominal=lambda a: a[1],
-        discrete=True,
-    ),
-}
-
+from dssc_jax.study.law_kinds import LAWS
 
 SPREAD = "spread"
 """Stands for all laws together, in place of a number's dotted name, where a margin widens laws."""
@@ -222,8 +57,8 @@ class Law(UncertainValue):
 
     @property
     def movable(self) -> bool:
-        """Whether the law can be moved and widened."""
-        return bool(LAWS[self.kind].roles)
+        """Whether the law can be moved and widened, which needs a role of each argument."""
+        return LAWS[self.kind].roles != ""
 
     @property
     def logarithmic(self) -> bool:
@@ -236,7 +71,7 @@ class Law(UncertainValue):
         return LAWS[self.kind].support(self.arguments)
 
     def quantile(self, u: np.ndarray) -> np.ndarray:
-        """Inverse of the distribution function at levels ``u`` in (0, 1), of their shape."""
+        """Values below which the law lies with probabilities ``u`` in (0, 1), in the shape of ``u``."""
         return LAWS[self.kind].quantile(self.arguments, u)
 
     @property
@@ -251,9 +86,10 @@ class Law(UncertainValue):
         return self.median if nominal is None else float(nominal(self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
-        """Scale the distance of values from the median by ``share``; a law that cannot be widened keeps its values.
+        """Values of the widened law: the distance of each value from the median is multiplied by ``share``.
 
-        For logarithmic laws, the distance is that of the logarithms. The result has the shape of the values.
+        For logarithmic laws, logarithms take the place of values and median. A law that cannot be widened keeps its
+        values. The result has the shape of the values.
         """
         if not self.movable:
             return np.asarray(values)
@@ -264,7 +100,7 @@ class Law(UncertainValue):
     def moved(self, median: float, share: float) -> "Law":
         """The law of the same family with another median and a scaled width.
 
-        For logarithmic laws, the width is that of the logarithms.
+        The width of a logarithmic law is the width of the law of the logarithm.
 
         Args:
             median: New median; positive for a logarithmic law.
@@ -281,14 +117,23 @@ class Law(UncertainValue):
             raise ValueError(f"a {self.kind} has no width")
         if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
-        arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
+        arguments = self.arguments
+        if self.kind == "beta" and len(arguments) == 2:
+            arguments = (*arguments, 0.0, 1.0)  # the ends of its default interval
         values = np.asarray(arguments, dtype=float)
         old_location = math.log(self.median) if self.logarithmic else self.median
         new_location = math.log(median) if self.logarithmic else median
-        if self.kind == "loguniform":  # its arguments are values, those of a lognormal law are logarithms
+        if self.kind == "loguniform":  # its arguments are values, the arguments of a lognormal law are logarithms
             values = np.log(values)
-        by_role = {"l": new_location + share * (values - old_location), "s": share * values, ".": values}
-        new_arguments = [float(by_role[role][i]) for i, role in enumerate(LAWS[self.kind].roles)]
+        new_arguments = []
+        for role, value in zip(LAWS[self.kind].roles, values, strict=True):
+            match role:
+                case "l":  # a location
+                    new_arguments.append(float(new_location + share * (value - old_location)))
+                case "s":  # a scale
+                    new_arguments.append(float(share * value))
+                case _:  # a shape
+                    new_arguments.append(float(value))
         if self.kind == "loguniform":
             new_arguments = np.exp(new_arguments).tolist()
         return Law(self.kind, tuple(new_arguments))
@@ -299,7 +144,9 @@ class Law(UncertainValue):
 
 @dataclass(frozen=True)
 class RangedLaw(Law):
-    """A law whose arguments may lie anywhere within ranges (a probability box); ``arguments`` are their middles.
+    """A law whose arguments may lie anywhere within ranges (a probability box).
+
+    Its ``arguments`` are the middles of the ranges.
 
     Args:
         ranges: Lowest and highest value of each argument; equal for an argument that is a plain number.
@@ -315,12 +162,12 @@ class RangedLaw(Law):
     @property
     def support(self) -> tuple[float, float]:
         """Lowest and highest value under any arguments within the ranges."""
-        lows, highs = zip(*(law.support for law in self.corners), strict=True)
-        return min(lows), max(highs)
+        supports = [law.support for law in self.corners]
+        return min(low for low, _ in supports), max(high for _, high in supports)
 
     @property
     def corners(self) -> list[Law]:
-        """The laws at all combinations of ends of the ranges."""
+        """The laws whose arguments are ends of the ranges, in all combinations."""
         ends = [[low] if low == high else [low, high] for low, high in self.ranges]
         return [Law(self.kind, arguments) for arguments in product(*ends)]
 
@@ -345,7 +192,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
 
 
 def is_law(value: object) -> TypeGuard[TomlTable]:
-    """Whether a value is a table whose only key is the name of a law."""
+    """Whether a value of a study is a law: a table whose only key is the name of a law."""
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 
 
@@ -357,7 +204,7 @@ def parse_law(table: TomlTable) -> Law:
     """
     if len(table) != 1:
         raise ValueError(f"a law is one name with its arguments, e.g. {{ uniform = [0.8, 1.2] }}; got {table}")
-    ((kind, arguments),) = table.items()
+    kind, arguments = next(iter(table.items()))
     if kind not in LAWS:
         raise ValueError(f"'{kind}' is not a law; {nearest(kind, LAWS)}")
     law_kind = LAWS[kind]
@@ -370,7 +217,8 @@ def parse_law(table: TomlTable) -> Law:
         raise ValueError(f"{kind} takes {law_kind.signature}, got {len(arguments)} arguments {arguments}")
     rule, is_kept = law_kind.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
-    corners = product(*(dict.fromkeys(ends) for ends in ranges))  # the rules are linear, so that they hold in between
+    ends = [[low] if low == high else [low, high] for low, high in ranges]
+    corners = product(*ends)  # the rules are linear in the arguments, so that they hold in between
     if not all(is_kept(corner) for corner in corners):
         raise ValueError(f"{kind} {law_kind.signature}: {rule}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
@@ -378,7 +226,7 @@ def parse_law(table: TomlTable) -> Law:
 
 
 def is_range(value: object) -> TypeGuard[list[int | float]]:
-    """Whether a value is a list of two numbers."""
+    """Whether an argument of a law is a range: a list of two numbers."""
     return isinstance(value, list) and len(value) == 2 and all(is_number(end) for end in value)
 
 

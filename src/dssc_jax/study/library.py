@@ -6,21 +6,25 @@ from pathlib import Path
 from dssc_jax.core.errors import ConfigError, nearest
 
 LONGEST_NAME = 255
+"""Most characters of a file's name, which common file systems admit."""
 PACKAGED = Path(__file__).parents[1] / "_studies"
+"""Folder with the studies of an installed package."""
 CHECKOUT = Path(__file__).parents[3] / "studies"
+"""Folder with the studies of a checkout of the repository, where the package is not installed."""
 
 
 def study_folders() -> list[Path]:
-    """Existing folders with studies, in the order of precedence."""
+    """Existing folders with studies, each once: the current folder's first, then those of the package."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
-        if folder.is_dir() and folder.resolve() not in [path.resolve() for path in existing]:
+        known_folders = [path.resolve() for path in existing]
+        if folder.is_dir() and folder.resolve() not in known_folders:
             existing.append(folder)
     return existing
 
 
 def available_studies() -> dict[str, Path]:
-    """File of each study by name, from the first folder that has the name."""
+    """File of each study by name, from the first of :func:`study_folders` that has the name."""
     files: dict[str, Path] = {}
     for folder in study_folders():
         for path in sorted(folder.glob("*.toml")):
@@ -31,24 +35,24 @@ def available_studies() -> dict[str, Path]:
 def find_study(name: str) -> Path:
     """The file of a study, from its path or its name.
 
-    A path is returned as it is, even if there is no such file.
+    A path is returned as it is, even if there is no such file: the reader reports that.
 
     Raises:
-        ConfigError: A name is neither that of a file nor that of a study.
+        ConfigError: The name is neither a file's nor a study's.
     """
     path = Path(name)
     if len(path.name) > LONGEST_NAME:
         raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST_NAME} characters)")
     studies = available_studies()
+    is_path = path.exists() or path.suffix == ".toml" or path.parent != Path()
     is_results_folder = path.is_dir() and name in studies  # a results folder may have its study's name
-    if not is_results_folder and (path.exists() or path.suffix == ".toml" or path.parent != Path()):
+    if is_path and not is_results_folder:
         return path
     for spelling in (name, name.replace("-", "_")):
         if spelling in studies:
             return studies[spelling]
-    local_stems = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
-    similar = difflib.get_close_matches(name, local_stems.values(), n=1, cutoff=0.6)
-    if similar:
-        file = next(path for path, stem in local_stems.items() if stem == similar[0])
-        raise ConfigError(name, f"is no file; did you mean '{Path(file).name}'?")
+    local_files = {file.stem: file for file in Path.cwd().glob("*.toml")}
+    similar_stems = difflib.get_close_matches(name, sorted(local_files), n=1, cutoff=0.6)
+    if similar_stems:
+        raise ConfigError(name, f"is no file; did you mean '{local_files[similar_stems[0]].name}'?")
     raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, studies)}")

@@ -11,10 +11,11 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study.schema import RequirementTable
 
 QUANTITY = re.compile(r"\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>\S*)\s*")
+"""A number with or without a unit, such as ``6 dB``."""
 
 
 def margin_requirement(table: RequirementTable, place: str, channels: tuple[str, ...]) -> Requirement:
-    """Parse the requirement of a margin.
+    """Parse the requirement that bounds a margin of the linearised loop from above or below.
 
     Args:
         table: Table of the requirement, which has a margin.
@@ -29,7 +30,7 @@ def margin_requirement(table: RequirementTable, place: str, channels: tuple[str,
         raise ConfigError(f"{place}.margin", f"unknown margin '{name}'; {nearest(name, MARGIN_KINDS)}")
     kind = MARGIN_KINDS[name]
     valid_places = place_names(channels)
-    default_place = BreakPoint.INPUT if channels == ("",) else ""
+    default_place = BreakPoint.INPUT if channels == ("",) else ""  # empty: several channels have no default
     place_of_break = table.at if table.at is not None else default_place
     if place_of_break not in valid_places:
         rule = f"names where the loop is broken, and must be one of {', '.join(valid_places)}"
@@ -37,7 +38,7 @@ def margin_requirement(table: RequirementTable, place: str, channels: tuple[str,
     measure = margin_measure(LoopMargin(kind, place_of_break), default_place)
     side = "min" if table.max is None else "max"
     bound = table.min if table.max is None else table.max
-    assert bound is not None  # checked by the table
+    assert bound is not None  # RequirementTable has one of them
     place_of_bound = f"{place}.{side}"
     value = bound_value(kind, bound, place_of_bound)
     require_attainable(kind, value, bound, place_of_bound)
@@ -54,24 +55,31 @@ def text_with_unit(bound: float | str) -> str:
 
 
 def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
-    """Value of a bound in the unit of its margin.
+    """Value of a bound in the unit of its margin, such as 1.995 for ``6 dB`` of a gain margin.
+
+    Args:
+        kind: Kind of the margin.
+        bound: Bound in the study, a plain number or a text with a unit.
+        place: Place of the bound in the study, for messages.
 
     Raises:
         ConfigError: The bound is a text, but no number with one of the margin's units.
     """
     if not isinstance(bound, str):
         return bound
-    units = ", ".join(unit for unit in kind.units if unit != "1")
     match = QUANTITY.fullmatch(bound)
-    unit = match["unit"] or kind.unit if match else ""
-    if match is None or unit not in kind.units:
-        rule = f"must be a number [{kind.unit}], or a text of a number and one of {units}"
-        raise ConfigError(place, f"{rule}; got {bound!r}")
-    return kind.units[unit](float(match["number"]))
+    if match is not None:
+        unit = match["unit"] or kind.unit
+        if unit in kind.units:
+            to_kind_unit = kind.units[unit]
+            return to_kind_unit(float(match["number"]))
+    units = ", ".join(unit for unit in kind.units if unit != "1")
+    rule = f"must be a number [{kind.unit}], or a text of a number and one of {units}"
+    raise ConfigError(place, f"{rule}; got {bound!r}")
 
 
 def require_attainable(kind: MarginKind, value: float, bound: float | str, place: str) -> None:
-    """Require that some loop has the bound as its margin.
+    """Require that a bound lies among the values that a margin of its kind can have.
 
     Args:
         kind: Kind of the margin.
@@ -99,7 +107,7 @@ def require_attainable(kind: MarginKind, value: float, bound: float | str, place
 
 
 def require_stable(kind: MarginKind, value: float, side: str, place: str) -> None:
-    """Require that loops at the limit of stability do not meet a bound.
+    """Require that a bound excludes loops at the limit of stability, so that it requires more than stability.
 
     Args:
         kind: Kind of the margin.
@@ -108,7 +116,7 @@ def require_stable(kind: MarginKind, value: float, side: str, place: str) -> Non
         place: Place of the bound in the study.
 
     Raises:
-        ConfigError: They would meet it.
+        ConfigError: Loops at the limit of stability would meet the bound.
     """
     limit = f"{kind.neutral:g}, which loops at the limit of stability have; got {value:g}"
     if side == "min" and kind.good == "large" and value <= kind.neutral:

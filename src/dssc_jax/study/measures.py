@@ -15,6 +15,7 @@ from dssc_jax.models.sensors import SENSORS
 from dssc_jax.study.components import Component, as_table, parse_component
 
 MEASURES = "measures"
+"""Entry of ``[sensor]`` with the names of the measured signals."""
 WHOLE_STATE = "state"
 """Value of ``measures`` that stands for all states of a linear plant."""
 USUAL_SENSOR = "ideal"
@@ -24,10 +25,10 @@ RATE_FIELDS = ("velocity", "jitter")
 
 
 class SensorTables(NamedTuple):
-    """The section ``[sensor]``, split.
+    """The section ``[sensor]``, split into the sensors of y and y' and the sensors of other signals.
 
     Args:
-        channels: Table of the sensors of y and y'.
+        channels: Table of the sensors of y and y', common and by channel.
         measures: Names of the other measured signals.
         signals: Table of the sensor of each measured signal that has one.
     """
@@ -40,7 +41,7 @@ class SensorTables(NamedTuple):
 def measurable_signals(
     plant: Plant, params: Params, outputs: Sequence[NamedSignal], channels: Sequence[str], units: Sequence[ChannelUnits]
 ) -> dict[str, NamedSignal]:
-    """Signals that a study can measure, by name: the state of a linear plant, y and y' of each channel, and outputs.
+    """Signals that a study can measure, by name: states of a linear plant, y and y' of each channel, named outputs.
 
     Args:
         plant: Model of the plant.
@@ -54,16 +55,16 @@ def measurable_signals(
     """
     signals = {}
     if plant.linear is not None:
-        for index in range(1, len(plant.linear(params).a) + 1):
+        order = len(plant.linear(params).a)
+        for index in range(1, order + 1):
             state = state_signal(str(index))
             signals[state.name] = state
     for channel, channel_units in zip(channels, units, strict=True):
-        prefix = f"{channel}_" if channel else ""
-        signals[f"{prefix}y"] = NamedSignal(
-            f"{prefix}y", channel_units.output, channel_units.output_meaning, periodic=channel in plant.angles
-        )
-        rate = channel_units.of("y/s")
-        signals[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {channel_units.output_meaning}")
+        name = f"{channel}_y" if channel else "y"
+        meaning = channel_units.output_meaning
+        signals[name] = NamedSignal(name, channel_units.output, meaning, periodic=channel in plant.angles)
+        rate_name = f"{name}_dot"
+        signals[rate_name] = NamedSignal(rate_name, channel_units.of("y/s"), f"derivative of {meaning}")
     for signal in scalar_signals(plant, outputs):
         if signal.name in signals:
             raise ConfigError(
@@ -75,8 +76,8 @@ def measurable_signals(
 
 
 def state_signal(index: str) -> NamedSignal:
-    """Signal of one state of a linear plant, whose unit is unknown; the index counts from 1."""
-    return NamedSignal(f"{STATE}{index}", "", f"{WHOLE_STATE} {index} of the plant")
+    """Signal of one state of a linear plant, whose index counts from 1; its unit is unknown."""
+    return NamedSignal(name=f"{STATE}{index}", unit="", meaning=f"{WHOLE_STATE} {index} of the plant")
 
 
 def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSignal]:
@@ -87,18 +88,19 @@ def scalar_signals(plant: Plant, outputs: Sequence[NamedSignal]) -> list[NamedSi
     types = get_type_hints(plant.info) if plant.info is not None else {}
     signals = []
     for signal in outputs:
-        kind = types.get(signal.name)
-        fields = getattr(kind, "_fields", ())
-        if not fields and get_origin(kind) is not tuple:
+        output_type = types.get(signal.name)
+        components = getattr(output_type, "_fields", ())  # of a NamedTuple such as Vec3
+        if components:
+            for component in components:
+                meaning = f"{signal.meaning} {component}"
+                signals.append(signal._replace(name=f"{signal.name}_{component}", meaning=meaning))
+        elif get_origin(output_type) is not tuple:
             signals.append(signal)
-        for field in fields:
-            meaning = f"{signal.meaning} {field}"
-            signals.append(signal._replace(name=f"{signal.name}_{field}", meaning=meaning))
     return signals
 
 
 def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> SensorTables:
-    """Split the section ``[sensor]`` into the sensors of y and y', and those of other signals.
+    """Split the section ``[sensor]`` into the sensors of y and y', and the sensors of other signals.
 
     Args:
         table: The section.
@@ -108,20 +110,7 @@ def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> Se
         ConfigError: ``measures`` is neither a list of such signals nor the word ``state`` for all states, or a signal
             has a sensor but is not listed.
     """
-    measured_names = table.get(MEASURES, [])
-    if measured_names == WHOLE_STATE:
-        measured_names = [name for name in measurable if measurable[name] == state_signal(name.removeprefix(STATE))]
-        if not measured_names:
-            raise ConfigError(f"sensor.{MEASURES}", "the plant has no linear part, so its state has no names")
-    if not isinstance(measured_names, list | tuple) or not all(isinstance(name, str) for name in measured_names):
-        rule = f"must be a list of signals, or '{WHOLE_STATE}', got {measured_names!r}"
-        raise ConfigError(f"sensor.{MEASURES}", rule)
-    for index, name in enumerate(measured_names):
-        if name not in measurable:
-            rule = f"'{name}' cannot be measured; {nearest(name, measurable)}"
-            raise ConfigError(f"sensor.{MEASURES}.{index}", rule)
-        if name in measured_names[:index]:
-            raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
+    measured_names = parse_measured_names(table.get(MEASURES, []), measurable)
     signals = {name: as_table(table[name], f"sensor.{name}") for name in measured_names if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
     for name, value in channels.items():
@@ -130,11 +119,41 @@ def sensor_tables(table: TomlTable, measurable: Mapping[str, NamedSignal]) -> Se
             rule = f"is the sensor of a signal that is not measured; list it in {MEASURES}"
             raise ConfigError(f"sensor.{name}", rule)
     default = {"kind": USUAL_SENSOR} if measured_names else {}
-    return SensorTables(default | channels, tuple(measured_names), signals)
+    return SensorTables(default | channels, measured_names, signals)
+
+
+def parse_measured_names(value: object, measurable: Mapping[str, NamedSignal]) -> tuple[str, ...]:
+    """Parse the entry ``measures``: a list of signals, each once, or the word ``state`` for all states.
+
+    Args:
+        value: The entry.
+        measurable: Signals that the study can measure, by name.
+
+    Raises:
+        ConfigError: The entry is neither, or a signal cannot be measured.
+    """
+    place = f"sensor.{MEASURES}"
+    if value == WHOLE_STATE:
+        states = [name for name in measurable if measurable[name] == state_signal(name.removeprefix(STATE))]
+        if not states:
+            raise ConfigError(place, "the plant has no linear part, so its state has no names")
+        return tuple(states)
+    if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
+        raise ConfigError(place, f"must be a list of signals, or '{WHOLE_STATE}', got {value!r}")
+    for index, name in enumerate(value):
+        if name not in measurable:
+            raise ConfigError(f"{place}.{index}", f"'{name}' cannot be measured; {nearest(name, measurable)}")
+        if name in value[:index]:
+            raise ConfigError(f"{place}.{index}", f"'{name}' is measured already")
+    return tuple(value)
 
 
 def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSignal]) -> list[Component]:
-    """Parse the sensor of each measured signal besides y and y'; one without a table is ideal.
+    """Parse the sensor of each measured signal besides y and y'; a signal without a table has an ideal sensor.
+
+    Args:
+        tables: The section ``[sensor]``, split.
+        measurable: Signals that the study can measure, by name.
 
     Raises:
         ConfigError: A table is not valid, or states a field that needs the derivative of the signal.
@@ -148,26 +167,34 @@ def parse_signal_sensors(tables: SensorTables, measurable: Mapping[str, NamedSig
             if field.startswith(RATE_FIELDS):
                 rule = "needs the signal's derivative, which is measured of y alone; leave it out"
                 raise ConfigError(f"{path}.{field}", rule)
-        units = ChannelUnits(output=measurable[name].unit or "1")
+        units = ChannelUnits(output=measurable[name].unit or "1")  # the signal's unit in place of the symbol y
         numbers = []
         for number in component.numbers:
-            if not number.name.startswith(RATE_FIELDS):
-                quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
-                numbers.append(replace(number.under(f"signal_sensor.{index}", path), quantity=quantity))
+            if number.name.startswith(RATE_FIELDS):
+                continue
+            quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
+            numbers.append(replace(number.under(f"signal_sensor.{index}", path), quantity=quantity))
         sensors.append(replace(component, numbers=tuple(numbers)))
     return sensors
 
 
 def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
-    """Require that the study measures the signals that a controller takes, by name, or else by number.
+    """Require that the study measures the signals that a controller takes.
+
+    A controller names its signals, or else its gains tell how many signals it takes.
+
+    Args:
+        controller: Model of the controller.
+        gains: Its gains.
+        measures: Signals that the study measures besides y and y'.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: A signal is not measured, or has another unit, or another number of signals is measured.
     """
     if controller.signals:
         require_named_signals(controller.signals, measures)
         return
-    count = controller.takes(gains)
+    count = controller.takes(gains)  # 0: it takes y and y' alone
     if count and count != len(measures):
         names = ", ".join(signal.name for signal in measures) or "none"
         rule = f"takes {count} measured signals, and {len(measures)} are measured: {names}; list them in [sensor]"
@@ -175,7 +202,7 @@ def require_signals(controller: Controller, gains: Params, measures: Sequence[Na
 
 
 def require_named_signals(required_signals: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
-    """Require that the study measures signals in the unit in which a controller takes them.
+    """Require that the study measures each of a controller's named signals, in the unit in which it takes the signal.
 
     Raises:
         ConfigError: A signal is not measured, or has another unit.
@@ -187,7 +214,7 @@ def require_named_signals(required_signals: Sequence[NamedSignal], measures: Seq
             if measured_signals:
                 rule += f", or name it in the code as the study does; {nearest(signal.name, measured_signals)}"
             raise ConfigError("controller", rule)
-        unit = measured_signals[signal.name].unit
+        unit = measured_signals[signal.name].unit  # empty if it is unknown
         if unit and signal.unit != unit:
             rule = f"takes '{signal.name}' in {signal.unit}, and the study measures it in {unit}"
             raise ConfigError("controller", rule)

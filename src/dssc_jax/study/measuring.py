@@ -1,4 +1,4 @@
-"""Parsing of a study's metrics and requirements."""
+"""Parsing of a study's metrics and requirements into measures, each a metric over a window, and their bounds."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import import_object
 from dssc_jax.study.margin_requirements import margin_requirement
-from dssc_jax.study.schema import RequirementTable, StudyTable
+from dssc_jax.study.schema import EnvelopeTable, RequirementTable, StudyTable
 
 PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
 """The package's metrics by kind, those of signals excepted."""
@@ -24,13 +24,13 @@ PACKAGE_METRICS = METRICS | PERFORMANCE | STEP_RESPONSE
 ROUNDING = 1e-9  # relative tolerance of compared times
 
 ENVELOPE_SIGNALS = {
-    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
-    "e": ("y", "the output error e", lambda s: s.e),
-    "sigma": ("y/s", "sigma", lambda s: s.sigma),
-    "u": ("u", "the robust command u", lambda s: s.u),
-    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
+    "y": ("y", "the output y", lambda sample: sample.e + sample.reference.y),
+    "e": ("y", "the output error e", lambda sample: sample.e),
+    "sigma": ("y/s", "sigma", lambda sample: sample.sigma),
+    "u": ("u", "the robust command u", lambda sample: sample.u),
+    "u_total": ("u", "the command u + u_n", lambda sample: sample.u_total),
 }
-"""Unit, meaning and value of each signal that an envelope can bound, from the sample of a channel."""
+"""Unit, meaning and value of each signal that an envelope can bound; the value is that at a sample of a channel."""
 
 
 def metric_kinds(config: StudyTable) -> dict[str, Metric]:
@@ -44,21 +44,24 @@ def metric_kinds(config: StudyTable) -> dict[str, Metric]:
     for index, name in enumerate(config.metrics.names or ()):
         names_by_place[f"metrics.names.{index}"] = name
     for index, table in enumerate(config.requirement):
-        names_by_place[f"requirement.{index}.metric"] = table.metric or ""
+        if table.metric is not None:
+            names_by_place[f"requirement.{index}.metric"] = table.metric
     for place, name in names_by_place.items():
         if ":" not in name:
             continue
         metric = import_object(name, place)
         if not isinstance(metric, Metric):
             raise ConfigError(place, f"'{name}' must be a Metric, got {type(metric).__name__}")
-        if metrics.setdefault(kind_name(name), metric) is not metric:
+        known_metric = metrics.setdefault(kind_name(name), metric)
+        if known_metric is not metric:
             raise ConfigError(place, f"there is another metric of the name '{kind_name(name)}'; rename the object")
     return metrics
 
 
 def kind_name(name: str) -> str:
-    """Name of a kind of metric in results; that of a user's ``package.module:object`` is the name of the object."""
-    return name.rpartition(":")[2]
+    """Name of a kind of metric in results: the name itself, or the object's for a user's ``package.module:object``."""
+    _, _, last_name = name.rpartition(":")
+    return last_name
 
 
 def available_metrics(
@@ -87,7 +90,7 @@ def available_metrics(
 
 
 class AvailableMetrics(NamedTuple):
-    """The metrics that a loop can have, with what is needed to measure them.
+    """The metrics that a loop can have, with the units and names that their measures need.
 
     Args:
         names: Kind and index of the channel by the metric's name; the channel is None for the vehicle and for signals.
@@ -104,24 +107,29 @@ class AvailableMetrics(NamedTuple):
     default_window: Window
 
     def measure(self, name: str, window: Window) -> Measure:
-        """The measure of a metric over a window."""
+        """A metric of the loop over a window, which the measure's name contains unless it is the default window."""
         kind, channel = self.names[name]
+        is_of_channel = channel is not None
         return Measure(
-            name + window.suffix(self.default_window),
-            kind,
-            window,
-            channel,
+            name=name + window.suffix(self.default_window),
+            kind=kind,
+            window=window,
+            channel=channel,
             custom=None if kind in METRICS else self.kinds[kind],
-            units=UNNAMED_UNITS if channel is None else self.units[channel],
-            channel_name="" if channel is None else self.channels[channel],
+            units=self.units[channel] if is_of_channel else UNNAMED_UNITS,
+            channel_name=self.channels[channel] if is_of_channel else "",
             default_window=self.default_window,
         )
 
     def require(self, name: str, place: str) -> None:
-        """Require that the loop has a metric.
+        """Require that the loop has the metric of this name.
+
+        Args:
+            name: Name of the metric.
+            place: Place of the study that names it, for messages.
 
         Raises:
-            ConfigError: The metric is unknown, or the loop does not have what it needs.
+            ConfigError: The metric is unknown, or the loop lacks a signal that it needs.
         """
         if name in self.names:
             return
@@ -154,10 +162,10 @@ def parse_measures(
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Units and meanings of each channel.
         signals: Signals of the loop by name.
-        parameters: Value of an expression of parameters.
+        parameters: (text of an expression, place that needs it) -> value, a plain number.
 
     Returns:
-        - The reported metrics over the window of ``[metrics]``, and those of requirements that are not among them.
+        - The measures: the reported metrics over the window of ``[metrics]``, then further ones of requirements.
         - The requirements.
 
     Raises:
@@ -177,12 +185,12 @@ def parse_measures(
     for name, (kind, _) in available.names.items():
         if kind in reported_kinds:
             measures[name] = available.measure(name, available.default_window)
-    formula_terms = formula_signals(signals)
+    signals_of_formulas = formula_signals(signals)
     requirements: list[Requirement] = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
         if table.formula is not None:
-            requirement = formula_requirement(table, place, config, formula_terms, parameters)
+            requirement = formula_requirement(table, place, config, signals_of_formulas, parameters)
             name = requirement.measure.name
             if name in measures or name in available.names:
                 raise ConfigError(f"{place}.name", f"'{name}' is taken; choose another name")
@@ -207,14 +215,22 @@ def parse_measures(
 
 
 def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence[str]:
-    """Kinds of metric that results report besides the required ones: by default all, for several channels a few.
+    """Kinds of metric that results report besides the required ones.
+
+    Without ``metrics.names``, these are all common ones for one channel, and a few of them for several channels.
+
+    Args:
+        config: Tables of the study.
+        available: Metrics that the loop can have.
 
     Raises:
         ConfigError: ``metrics.names`` has an unknown kind.
     """
     if config.metrics.names is None:
-        of_vehicle = tuple(kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE)
-        return (*BRIEF, *of_vehicle) if len(available.channels) > 1 else tuple(METRICS)
+        if len(available.channels) == 1:
+            return tuple(METRICS)
+        kinds_of_vehicle = [kind for kind, metric in METRICS.items() if metric.scope is Scope.VEHICLE]
+        return (*BRIEF, *kinds_of_vehicle)
     kinds = [kind_name(name) for name in config.metrics.names]
     for index, kind in enumerate(kinds):
         if kind not in available.kinds:
@@ -225,11 +241,17 @@ def kinds_to_report(config: StudyTable, available: AvailableMetrics) -> Sequence
 def metric_requirement(
     table: RequirementTable, place: str, config: StudyTable, available: AvailableMetrics
 ) -> Requirement:
-    """Parse a requirement that bounds a metric.
+    """Parse a requirement that bounds a metric of the loop from above or below.
+
+    Args:
+        table: Table of the requirement, which has a metric.
+        place: Dotted path of the table, such as ``requirement.0``.
+        config: Tables of the study.
+        available: Metrics that the loop can have.
 
     Raises:
-        ConfigError: The loop does not have the metric, its window contains no sample, or the bound is negative where
-            no value is.
+        ConfigError: The loop does not have the metric, its window contains no sample, or the bound is below the
+            metric's least value.
     """
     name = required_metric(table)
     available.require(name, f"{place}.metric")
@@ -241,10 +263,10 @@ def metric_requirement(
 
 
 def require_meaningful(requirement: Requirement, place: str) -> None:
-    """Require that a bound is not below the least value of its metric, such as 0 for a size.
+    """Require that a bound is not below the least value that its metric can have, such as 0 for a magnitude.
 
     Raises:
-        ConfigError: It is, so that every draw would violate the bound, or none.
+        ConfigError: It is below, so that every draw would violate an upper bound, and no draw a lower one.
     """
     measure = requirement.measure
     for bound_name, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
@@ -257,7 +279,7 @@ def require_new(requirement: Requirement, requirements: Sequence[Requirement], p
     """Require that no earlier requirement bounds the same measure on the same side.
 
     Raises:
-        ConfigError: One does.
+        ConfigError: An earlier requirement does.
     """
     if any(requirement.name == earlier.name for earlier in requirements):
         rule = f"'{requirement.measure.label}' is bounded on this side already; keep the stricter one"
@@ -265,9 +287,10 @@ def require_new(requirement: Requirement, requirements: Sequence[Requirement], p
 
 
 def required_metric(table: RequirementTable) -> str:
-    """Name of the metric that a requirement bounds; that of a signal consists of the kind and the signal's name."""
-    metric = kind_name(table.metric or "")
-    return metric if table.signal is None else suffixed(metric, table.signal)
+    """Name of the metric that a requirement bounds, such as ``rms_phi`` for the kind ``rms`` of the signal ``phi``."""
+    assert table.metric is not None
+    kind = kind_name(table.metric)
+    return kind if table.signal is None else suffixed(kind, table.signal)
 
 
 def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
@@ -291,7 +314,7 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
 def envelope_requirements(
     config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
 ) -> list[Requirement]:
-    """Parse each envelope as the requirement that the signal's least distance from its bounds is not negative.
+    """Parse each envelope as a requirement: the least distance of the signal from its bounds must not be negative.
 
     Args:
         config: Tables of the study.
@@ -302,27 +325,21 @@ def envelope_requirements(
         ConfigError: An envelope names no channel of the loop, or begins after the last sample.
     """
     requirements: list[Requirement] = []
+    names: list[str] = []
     for index, table in enumerate(config.envelope):
+        require_envelope(table, f"envelope.{index}", config, channels)
         channel = table.channel or ""
-        if channel not in channels:
-            valid_names = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
-            rule = f"must be one of the channels, {valid_names}; got {channel!r}"
-            raise ConfigError(f"envelope.{index}.channel", rule)
-        begin = min(points[0][0] for points in (table.lower, table.upper) if points)
-        end = (config.loop.steps - 1) * config.loop.sample_time
-        if begin > end * (1.0 + ROUNDING):
-            raise ConfigError(f"envelope.{index}", f"begins at {begin:g} s, after the last sample at {end:g} s")
         channel_index = channels.index(channel)
         kind = f"envelope_{table.signal}"
         unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
         metric = envelope_metric(signal, unit, units[channel_index].named(meaning), table.lower, table.upper)
-        earlier_count = sum(r.measure.kind == kind and r.measure.channel == channel_index for r in requirements)
-        name = suffixed(kind, channel) + (f"_{earlier_count + 1}" if earlier_count else "")
-        window = replace(config.metrics.window, after=0.0, until=math.inf)
+        name = suffixed(kind, channel)
+        names.append(name)
+        count = names.count(name)  # several envelopes may bound one signal
         measure = Measure(
-            name=name,
+            name=name if count == 1 else f"{name}_{count}",
             kind=kind,
-            window=window,
+            window=replace(config.metrics.window, after=0.0, until=math.inf),
             channel=channel_index,
             custom=metric,
             units=units[channel_index],
@@ -331,6 +348,30 @@ def envelope_requirements(
         )
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
+
+
+def require_envelope(table: EnvelopeTable, place: str, config: StudyTable, channels: tuple[str, ...]) -> None:
+    """Require that an envelope bounds a channel of the loop, and begins within the flight.
+
+    Args:
+        table: Table of the envelope.
+        place: Dotted path of the table, such as ``envelope.0``.
+        config: Tables of the study.
+        channels: Names of the channels; one empty name for a plant with one channel.
+
+    Raises:
+        ConfigError: It does not.
+    """
+    channel = table.channel or ""
+    if channel not in channels:
+        valid_names = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
+        rule = f"must be one of the channels, {valid_names}; got {channel!r}"
+        raise ConfigError(f"{place}.channel", rule)
+    first_times = [points[0][0] for points in (table.lower, table.upper) if points]  # of points (time, value)
+    begin = min(first_times)
+    end = (config.loop.steps - 1) * config.loop.sample_time
+    if begin > end * (1.0 + ROUNDING):
+        raise ConfigError(place, f"begins at {begin:g} s, after the last sample at {end:g} s")
 
 
 def require_samples(config: StudyTable, window: Window, place: str) -> None:
@@ -349,7 +390,7 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
     if first_index >= clock.steps:
         end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
-    end_place = place.removesuffix("after") + "until"
+    end_place = f"{place.removesuffix('after')}until"
     if math.isfinite(window.until) and window.until > clock.duration * (1.0 + ROUNDING):
         rule = f"must be <= the duration {clock.duration:g} s, got {window.until:g}"
         raise ConfigError(end_place, f"{rule}; leave it out for a window up to the end, or set loop.duration")

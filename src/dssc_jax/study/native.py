@@ -1,4 +1,4 @@
-"""Native code of a study: shared objects and FMUs, which SHA-256 digests bind to the study."""
+"""Native code of a study: shared objects and FMUs, which the study names with the SHA-256 digests of their content."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -33,18 +33,19 @@ class NativeFile(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The file and its digest, in words."""
-        place = f" from {self.place}" if self.place else ""
-        return f"native code {self.file}{place}, SHA-256 {self.sha256 or 'unknown'}"
+        """The file, the path from which it was loaded, and its digest, in words."""
+        origin = f" from {self.place}" if self.loaded else ""
+        digest = self.sha256 or "unknown"
+        return f"native code {self.file}{origin}, SHA-256 {digest}"
 
     @property
     def place(self) -> str | None:
-        """Path of the file that this process has loaded; None if it has loaded none."""
+        """Path from which this process has loaded the native code; None if it has not loaded it."""
         return LOADED[self.sha256].file if self.loaded else None
 
 
 def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
-    """Files of native code that a study names, each once, in its order; the table need not be valid."""
+    """Files of native code that a study names, each once, in the order of the table; the table need not be valid."""
     files: list[NativeFile] = []
     for part in native_tables(table):
         digest = part.get("sha256", "")
@@ -53,7 +54,10 @@ def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
 
 
 def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
-    """Tables in a study that name native code. In ``[compare]``, the kind defaults to that of ``[controller]``."""
+    """Yield each table of a study that names native code; the study need not be valid.
+
+    In ``[compare]``, a table without a kind has the kind of ``[controller]``.
+    """
     controller = table.get("controller")
     kind = controller.get("kind") if isinstance(controller, Mapping) else None
     for slot, registry in NATIVE_SLOTS.items():
@@ -61,10 +65,10 @@ def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]
 
 
 def tables_within(node: object, inherited: object, registry: Registry) -> Iterator[Mapping[str, object]]:
-    """Tables that name native code: a table and those within it.
+    """Yield each table that names native code among a table and the tables within it.
 
     Args:
-        node: Part of a study's table.
+        node: Part of a study's table; a part that is no table yields nothing.
         inherited: Kind of the table around it, for a table without a kind.
         registry: Kinds of the section.
     """
@@ -72,7 +76,8 @@ def tables_within(node: object, inherited: object, registry: Registry) -> Iterat
         return
     kind = node.get("kind", inherited)
     entry = registry.get(kind) if isinstance(kind, str) else None
-    if entry is not None and entry.native and isinstance(node.get("file"), str):
+    is_native = entry is not None and entry.native
+    if is_native and isinstance(node.get("file"), str):
         yield node
     for part in node.values():
         yield from tables_within(part, kind, registry)
@@ -80,6 +85,8 @@ def tables_within(node: object, inherited: object, registry: Registry) -> Iterat
 
 def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     """A study's table in which all native code has its digest, computed from the file if the table states none.
+
+    So a stored study tells with which native code it was run.
 
     Args:
         table: Table of the study.
@@ -91,30 +98,40 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     native_parts = list(native_tables(table))
     if not native_parts:
         return dict(table)
-    return {
-        name: with_digest(value, native_parts, folder) if name in NATIVE_SLOTS else value
-        for name, value in table.items()
-    }
+    content = {}
+    for name, value in table.items():
+        content[name] = with_digest(value, native_parts, folder) if name in NATIVE_SLOTS else value
+    return content
 
 
 def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], folder: Path) -> object:
-    """A part of a study's table with the digest in each of the tables ``native_parts``."""
+    """A part of a study's table in which every table that names native code has its digest.
+
+    Args:
+        node: The part; anything but a table stays.
+        native_parts: The tables that name native code, recognised by identity, since two of them may be equal.
+        folder: Folder to which the names of files are relative.
+    """
     if not isinstance(node, Mapping):
         return node
     content = {name: with_digest(value, native_parts, folder) for name, value in node.items()}
-    if any(part is node for part in native_parts) and not node.get("sha256"):
+    is_native = any(part is node for part in native_parts)
+    if is_native and not node.get("sha256"):
         content["sha256"] = native_digest(folder / str(node["file"]))
     return content
 
 
 def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
-    """Changes of a study by dotted name; where one changes a file of native code, its old digest is cleared."""
+    """Changes of a study by dotted name, to which an empty digest is added for each changed file of native code.
+
+    The empty digest removes the digest of the former file, so that :func:`with_digests` computes the new one.
+    """
     empty_digests: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
-        if slot in NATIVE_SLOTS and field.rpartition(".")[2] == "file":
+        if slot in NATIVE_SLOTS and (field == "file" or field.endswith(".file")):
             empty_digests[f"{name.removesuffix('file')}sha256"] = ""
-    return {**empty_digests, **changes}
+    return {**empty_digests, **changes}  # a stated digest takes precedence
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
@@ -134,10 +151,9 @@ def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: 
         places = [folder / native.file for folder in folders]
         entry = recorded.get(native.file) if isinstance(recorded, Mapping) else None
         recorded_file = entry.get("file") if isinstance(entry, Mapping) else None
-        places += [Path(recorded_file)] if isinstance(recorded_file, str) else []
-        for place in places:
-            if place.is_file():
-                allow_native(place, native.sha256)
-                break
-        else:
+        if isinstance(recorded_file, str):
+            places.append(Path(recorded_file))
+        existing_places = [place for place in places if place.is_file()]
+        if not existing_places:
             raise ConfigError("file", f"'{native.file}' is not found; looked for {', '.join(map(str, places))}")
+        allow_native(existing_places[0], native.sha256)

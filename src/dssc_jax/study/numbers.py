@@ -37,7 +37,10 @@ class Number:
 
     @classmethod
     def of(cls, name: str, quantity: Quantity, content: float | Law | Expression, *paths: str) -> "Number":
-        """Make the record of a plain value, a law, or an expression; one without parameters is a plain value."""
+        """Make the record of a plain value, a law, or an expression.
+
+        An expression without parameters, such as ``=2*pi``, is a plain value.
+        """
         if not isinstance(content, Expression):
             return cls(name, paths, quantity, content)
         expression = content if content.parameters else None
@@ -45,12 +48,12 @@ class Number:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Dotted names of the parameters in its expression; empty without one."""
+        """Dotted names of the parameters from which the number follows; empty if it has no expression."""
         return self.expression.names if self.expression else ()
 
     @property
     def follows(self) -> str:
-        """Rule that refuses to change a number which follows from parameters, for messages."""
+        """Rule of a message that refuses to change this number, because it follows from parameters."""
         assert self.expression is not None
         names = self.expression.names
         return f"follows from {', '.join(names)} by {self.expression!r}; take {names[0]} instead"
@@ -70,7 +73,13 @@ def dotted_name(*parts: str) -> str:
 
 
 def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
-    """Parse the value of a number: a plain number, the table of a law, or an expression.
+    """Parse the value of a number in a study: a plain number, the table of a law, or an expression.
+
+    All values that the number may take must be admissible.
+
+    Args:
+        value: Value in the study's table.
+        quantity: Unit, meaning and admissible interval of the number.
 
     Raises:
         ValueError: It is none of these, not within the interval of the quantity, or not whole where it must be.
@@ -88,7 +97,11 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
 
 
 def number_content(value: object, quantity: Quantity) -> float | Law | Expression:
-    """A plain number, law or expression from a value of a study's table, whatever its interval.
+    """Parse a plain number, a law or an expression, without a check of the admissible interval.
+
+    Args:
+        value: Value in the study's table; the text of an expression has already become an :class:`Expression`.
+        quantity: Unit and meaning of the number, and which of the three forms it admits.
 
     Raises:
         ValueError: The value is none of these, or the quantity admits no law or no expression.
@@ -112,8 +125,8 @@ def number_content(value: object, quantity: Quantity) -> float | Law | Expressio
 def is_whole(content: float | Law | Expression) -> bool:
     """Whether all values of a number, a law or an expression are whole numbers.
 
-    The values of a continuous law are not. An expression is checked at every combination of the values of its laws, and
-    does not count as whole if there are more than :data:`MOST_COMBINATIONS`.
+    A continuous law has other values. An expression is checked at every combination of the values of its laws; if there
+    are more than :data:`MOST_COMBINATIONS`, it does not count as whole.
     """
     if isinstance(content, Law):
         return LAWS[content.kind].discrete and all(value.is_integer() for value in content.arguments)
@@ -122,16 +135,23 @@ def is_whole(content: float | Law | Expression) -> bool:
     laws = content.laws
     if not all(LAWS[law.kind].discrete for law in laws.values()):
         return False
-    if math.prod(len(law.arguments) for law in laws.values()) > MOST_COMBINATIONS:
+    values_of_laws = [law.arguments for law in laws.values()]  # all values of a discrete law are among its arguments
+    if math.prod(map(len, values_of_laws)) > MOST_COMBINATIONS:
         return False
-    for values in product(*(law.arguments for law in laws.values())):
-        if not float(content.at(dict(zip(laws, values, strict=True)))).is_integer():
+    for combination in product(*values_of_laws):
+        value = content.at(dict(zip(laws, combination, strict=True)))
+        if not float(value).is_integer():
             return False
     return True
 
 
 def parse_numbers(value: object, quantity: Quantity, depth: int) -> Any:
-    """Parse a number (depth 0), a list of numbers (1) or a list of rows (2), of which each may be a law.
+    """Parse a number or nested lists of numbers, each of which may be a law or an expression.
+
+    Args:
+        value: Value in the study's table.
+        quantity: Unit, meaning and admissible interval of each number.
+        depth: Number of lists around a number: 0 for a number alone, 1 for a list of numbers, 2 for a list of rows.
 
     Returns:
         A parsed number, or tuples of them.
@@ -158,30 +178,42 @@ def numbers_by_name(name: str, value: object) -> TomlTable:
 
 
 def leaves_of(value: Any) -> Any:
-    """Leaves of the loop's template for a parsed field: an expression without laws becomes its value."""
+    """Leaves of the loop's template for a parsed field: a number, nested tuples of numbers, or any other value.
+
+    An expression without laws becomes its value; all else stays.
+    """
     if isinstance(value, tuple):
         return tuple(map(leaves_of, value))
     return value.leaf if isinstance(value, Expression) else value
 
 
 def merge_numbers(numbers: Iterable[Number]) -> dict[str, Number]:
-    """Merge numbers of the same name, which channels share: all their paths, and the unit of the first channel."""
+    """Record of each number by name; one record for a number that channels share.
+
+    It has the paths of all these channels, and the unit of the first one.
+    """
     merged_numbers: dict[str, Number] = {}
     for number in numbers:
         first = merged_numbers.get(number.name)
-        merged_numbers[number.name] = replace(first, paths=first.paths + number.paths) if first else number
+        if first is None:
+            merged_numbers[number.name] = number
+        else:
+            merged_numbers[number.name] = replace(first, paths=first.paths + number.paths)
     return merged_numbers
 
 
 def parameter_numbers(parameters: ParameterTable, parts: Iterable[Number]) -> list[Number]:
-    """Record of each parameter of the study; one that is needed before tracing can be neither drawn nor swept.
+    """Record of each parameter of the study, so that it can be drawn and swept as a number of the loop can.
+
+    A parameter whose value is needed before tracing can be neither drawn nor swept.
 
     Args:
         parameters: Parameters of the study.
         parts: Numbers of the loop, some of which follow from parameters.
     """
     for number in parts:
-        if number.expression and not number.quantity.law:
+        needs_plain_value = not number.quantity.law
+        if number.expression and needs_plain_value:
             parameters.note_plain(number.expression, number.name)
     numbers = []
     for name, content in parameters.contents.items():

@@ -19,7 +19,10 @@ ABSENT = ("none", "ideal")
 
 
 def overview(study: "Study") -> str:
-    """Text of about fifty lines with the clock, parts, uncertain numbers, axes and requirements of a study."""
+    """A study in about fifty lines: clock, parts, uncertain numbers, numbers that follow from them, axes, requirements.
+
+    Sections without rows are left out.
+    """
     clock = study.config.loop
     title = f"{study.name}: {study.config.description}" if study.config.description else study.name
     draws = f"{study.config.draws:,} draws ({study.config.sampling}, seed {study.config.seed})"
@@ -36,7 +39,12 @@ def overview(study: "Study") -> str:
 
 
 def section_text(title: str, rows: Sequence[tuple[str, ...]]) -> str:
-    """Text of a section: its title, and the first rows in aligned columns; empty without rows."""
+    """Text of a section: its title, and the first :data:`MOST_ROWS` rows in aligned columns; empty without rows.
+
+    Args:
+        title: Title of the section.
+        rows: Rows of cells, all of the same length.
+    """
     if not rows:
         return ""
     visible_rows = rows[:MOST_ROWS]
@@ -51,7 +59,7 @@ def section_text(title: str, rows: Sequence[tuple[str, ...]]) -> str:
 
 
 def part_rows(study: "Study") -> list[tuple[str, ...]]:
-    """One row for each part that does something: section, kinds and first numbers."""
+    """One row for each part that does something: section, kinds and first :data:`MOST_NUMBERS` numbers."""
     rows = []
     for slot in SLOTS:
         kinds = [str(part.get("kind", "by channel")) for part in tables_of(study.config, slot)]
@@ -59,23 +67,36 @@ def part_rows(study: "Study") -> list[tuple[str, ...]]:
             continue
         section = section_of(study.config, slot)
         names = [name for name in study.numbers if name.startswith(f"{section}.")]
-        values = [f"{name.partition('.')[2]} = {content_text(study.numbers[name])}" for name in names[:MOST_NUMBERS]]
-        values += ["..."] if len(names) > MOST_NUMBERS else []
+        values = []
+        for name in names[:MOST_NUMBERS]:
+            name_in_section = name.removeprefix(f"{section}.")
+            values.append(f"{name_in_section} = {content_text(study.numbers[name])}")
+        if len(names) > MOST_NUMBERS:
+            values.append("...")
         rows.append((section, " + ".join(kinds), ", ".join(values)))
     return rows
 
 
 def content_text(number: Number) -> str:
-    """Value, law or expression of a number, as text."""
+    """Value, law or expression of a number, as text; an expression without its leading ``=``."""
     if number.expression:
         return number.expression.text.removeprefix(MARK).strip()
     return f"{number.value:.6g}" if isinstance(number.value, float) else str(number.value)
 
 
 def number_row(number: Number, text: object) -> tuple[str, ...]:
-    """Row of a number: its name, a text on its values, its unit and its meaning."""
-    unit = "" if number.quantity.unit == "1" else number.quantity.unit
-    return number.name, str(text), unit, number.quantity.meaning
+    """Row of a number: its name, its values in words, its unit and its meaning.
+
+    Args:
+        number: The number.
+        text: Its values, such as a law or the ends of an axis.
+    """
+    return number.name, str(text), visible_unit(number), number.quantity.meaning
+
+
+def visible_unit(number: Number) -> str:
+    """Unit of a number; empty for a dimensionless number, whose unit is ``1``."""
+    return "" if number.quantity.unit == "1" else number.quantity.unit
 
 
 def expression_rows(study: "Study") -> list[tuple[str, ...]]:
@@ -85,8 +106,7 @@ def expression_rows(study: "Study") -> list[tuple[str, ...]]:
         if number.expression:
             low, high = number.expression.support
             values = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-            unit = "" if number.quantity.unit == "1" else number.quantity.unit
-            rows.append((name, f"= {content_text(number)}", f"{values} {unit}".rstrip()))
+            rows.append((name, f"= {content_text(number)}", f"{values} {visible_unit(number)}".rstrip()))
     return rows
 
 

@@ -1,33 +1,21 @@
-"""Parameters of a study, the named numbers of ``[parameters]``, and expressions of them in place of a number.
+"""Parameters of a study: the named numbers of ``[parameters]``, and the parser of expressions of them.
 
-A parameter is a number, a law, or an expression of other parameters. If a parameter has a law, an expression of it
-stays in the template of the loop, as a law does, and :meth:`dssc_jax.study.Study.params` evaluates it from each draw's
-values.
+A parameter is a number, a law, or an expression of other parameters.
 """
 
-import ast
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any
 
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.intervals import Interval, range_of
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.expressions import (
-    RESERVED,
-    Numeric,
-    evaluate_intervals,
-    evaluate_numbers,
-    is_expression,
-    names_of,
-    parse_expression,
-)
-from dssc_jax.study.laws import LAWS, Law, UncertainValue, is_law, is_number, parse_law
-from dssc_jax.study.schema import LONGEST_PHRASE, unit_text
+from dssc_jax.study.expressions import RESERVED, UnknownParameter, is_expression, names_of, parse_expression
+from dssc_jax.study.laws import LAWS, is_law, is_number, parse_law
+from dssc_jax.study.parameter_expressions import Content, Expression, Parameter
+from dssc_jax.study.parsed_values import parse_unit_text
+from dssc_jax.study.schema import LONGEST_PHRASE
 from dssc_jax.study.table_errors import value_errors_at
 from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
 
@@ -35,138 +23,9 @@ TEXTS = ("name", "description", "units")
 """Entries of a study without numbers and expressions."""
 MOST_PARAMETERS = 200
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+LARGEST_EXACT = 2.0**53
+"""Whole numbers below it are exact in float64."""
 FORMS = "a number, a law, an expression, or a table such as { value = 1e-5, unit = 'H', meaning = 'inductance' }"
-
-Content: TypeAlias = float | Law | str
-"""A number, a law, or the text of an expression."""
-
-
-T = TypeVar("T")
-Evaluation: TypeAlias = Callable[[ast.expr, Callable[[str], T]], T]
-"""(tree of an expression, value of a parameter by name) -> value of the expression."""
-
-
-class Parameter(NamedTuple):
-    """A parameter: its name in expressions, and its content."""
-
-    name: str
-    content: Content
-
-    @property
-    def dotted_name(self) -> str:
-        """Dotted name of the parameter in the study."""
-        return f"{PARAMETERS}.{self.name}"
-
-
-@dataclass(frozen=True, repr=False)
-class Expression(UncertainValue):
-    """An expression of parameters, with all that is needed to evaluate it.
-
-    Args:
-        text: Text in the study file.
-        parameters: Parameters that the expression depends on, directly or through others, in an order in which each
-            depends on earlier ones only.
-    """
-
-    text: str
-    parameters: tuple[Parameter, ...]
-
-    def __repr__(self) -> str:
-        return repr(self.text)
-
-    def __str__(self) -> str:
-        return self.text
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Dotted names of the parameters that the expression depends on."""
-        return tuple(parameter.dotted_name for parameter in self.parameters)
-
-    @cached_property
-    def laws(self) -> dict[str, Law]:
-        """Laws of the parameters that the expression depends on, by dotted name."""
-        return {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, Law)}
-
-    def at(self, values: Mapping[str, Numeric]) -> Numeric:
-        """Value of the expression for values of its parameters.
-
-        Args:
-            values: Numbers, arrays or traced values by dotted name. Every parameter with a law must be among them; one
-                without keeps the study's value if it is missing.
-        """
-        return self._evaluated(values, evaluate_numbers, float)
-
-    def between(self, ends: Mapping[str, Interval]) -> Interval:
-        """Interval that contains all values of the expression, for intervals of its parameters by dotted name."""
-        return self._evaluated(ends, evaluate_intervals, lambda number: Interval.of(number, number))
-
-    def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
-        """Value of the expression in numbers or intervals; ``exact`` makes one of a plain number."""
-        operands: dict[str, T] = {}
-        for parameter in self.parameters:
-            if parameter.dotted_name in values:
-                operands[parameter.name] = values[parameter.dotted_name]
-            elif isinstance(parameter.content, str):
-                operands[parameter.name] = evaluate(parse_expression(parameter.content), operands.__getitem__)
-            elif isinstance(parameter.content, float):
-                operands[parameter.name] = exact(parameter.content)
-        return evaluate(parse_expression(self.text), operands.__getitem__)
-
-    @property
-    def median(self) -> float:
-        """Value of the expression with every law at its median."""
-        return float(self.at({name: law.median for name, law in self.laws.items()}))
-
-    @property
-    def nominal(self) -> float:
-        """Value of the expression with every law at its nominal value."""
-        return float(self.at({name: law.nominal for name, law in self.laws.items()}))
-
-    @property
-    def support(self) -> tuple[float, float]:
-        """Bounds of all values of the expression, near the least and the greatest value.
-
-        Raises:
-            ValueError: The expression may have no finite value.
-        """
-        return support_of(self)
-
-    def undefined_at(self, point: tuple[float, ...]) -> str:
-        """End of a message: the parameters at which the expression has no value; ``point`` has those with laws."""
-        values = dict(zip(self.laws, point, strict=True)) if point else {}
-        values |= {p.dotted_name: p.content for p in self.parameters if isinstance(p.content, float)}
-        if not values:
-            return ""
-        value_text = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
-        return f" near {value_text}; the laws must exclude that" if point else f" at {value_text}"
-
-    @property
-    def leaf(self) -> "float | Expression":
-        """Leaf in the template of the loop: the value if no parameter has a law, otherwise the expression."""
-        return self if self.laws else self.support[0]
-
-
-@lru_cache(maxsize=4096)
-def support_of(expression: Expression) -> tuple[float, float]:
-    """Compute :attr:`Expression.support`; the cache serves all variants of a study."""
-    text = repr(expression.text)
-    if not expression.laws:
-        value = expression.median
-        if not math.isfinite(value):
-            raise ValueError(f"{text} has no finite value{expression.undefined_at(())}")
-        return value, value
-    names = list(expression.laws)
-
-    def values(*intervals: Interval) -> Interval:
-        return expression.between(dict(zip(names, intervals, strict=True)))
-
-    value_range = range_of(values, [law.support for law in expression.laws.values()])
-    has_finite_support = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
-    if value_range.undefined is not None:
-        raise ValueError(f"{text} has no finite value{expression.undefined_at(value_range.undefined)}")
-    if has_finite_support and not math.isfinite(value_range.low - value_range.high):
-        raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
-    return value_range.low, value_range.high
 
 
 @dataclass
@@ -185,7 +44,7 @@ class ParameterTable:
 
     @classmethod
     def of(cls, table: TomlTable) -> "ParameterTable":
-        """Parse the table ``[parameters]``.
+        """Parse the table ``[parameters]``, each parameter after those on which it depends.
 
         Raises:
             ConfigError: A name, a number, a law or an expression is not valid, or parameters depend on one another.
@@ -193,7 +52,7 @@ class ParameterTable:
         if len(table) > MOST_PARAMETERS:
             raise ConfigError(PARAMETERS, f"holds at most {MOST_PARAMETERS} parameters, got {len(table)}")
         entries = {}
-        parameters = cls({}, {})
+        parameters = cls(contents={}, quantities={})
         for name, value in table.items():
             require_name(name)
             entries[name], parameters.quantities[name] = described_content(name, value)
@@ -202,7 +61,11 @@ class ParameterTable:
         return parameters
 
     def content(self, name: str, value: Any) -> Content:
-        """Parse the content of a parameter; the parameters that it depends on must have been parsed.
+        """Parse the content of a parameter; the parameters on which it depends must have been parsed.
+
+        Args:
+            name: Name of the parameter.
+            value: Its value in the study's table.
 
         Raises:
             ConfigError: The content is not valid.
@@ -221,27 +84,35 @@ class ParameterTable:
         """Parse an expression, which must have a finite value for all values of its parameters.
 
         Raises:
-            ValueError: The text is no expression, or names no parameter, or may have no finite value.
+            UnknownParameter: The text names something that is no parameter.
+            ValueError: The text is no expression, or may have no finite value.
         """
-        needed_names: set[str] = set()
-        pending_names = list(names_of(parse_expression(text)))
-        for name in pending_names:
+        for name in names_of(parse_expression(text)):
             if name not in self.contents:
                 hint = nearest(name, self.contents) if self.contents else "name numbers in [parameters]"
-                raise ValueError(f"{text!r} names '{name}', which is no parameter; {hint}")
-        while pending_names:
-            name = pending_names.pop()
-            content = self.contents[name]
-            if name not in needed_names and isinstance(content, str):
-                pending_names += names_of(parse_expression(content))
-            needed_names.add(name)
+                raise UnknownParameter(f"{text!r} names '{name}', which is no parameter; {hint}")
+        needed_names = self.needed_names(text)
         parameters = tuple(Parameter(name, content) for name, content in self.contents.items() if name in needed_names)
         expression = Expression(text, parameters)
         _ = expression.support  # raises where it has no finite value
         return expression
 
+    def needed_names(self, text: str) -> set[str]:
+        """Names of the parameters that an expression needs, directly or through expressions of other parameters."""
+        needed: set[str] = set()
+        pending_names = list(names_of(parse_expression(text)))
+        while pending_names:
+            name = pending_names.pop()
+            if name in needed:
+                continue
+            needed.add(name)
+            content = self.contents[name]
+            if isinstance(content, str):
+                pending_names += names_of(parse_expression(content))
+        return needed
+
     def constant(self, text: str, place: str) -> float:
-        """Value of an expression that is needed before tracing.
+        """Value of an expression that is needed before tracing; a whole number, such as a count, is an int.
 
         Args:
             text: Text of the expression.
@@ -254,10 +125,10 @@ class ParameterTable:
         require_plain(expression)
         self.note_plain(expression, place)
         value = expression.support[0]
-        return int(value) if value.is_integer() and abs(value) < 2.0**53 else value
+        return int(value) if value.is_integer() and abs(value) < LARGEST_EXACT else value
 
     def note_plain(self, expression: Expression, place: str) -> None:
-        """Record in :attr:`plain` that a place needs the value of an expression before tracing."""
+        """Record in :attr:`plain` that a place needs the parameters of an expression before tracing."""
         for parameter in expression.parameters:
             self.plain.setdefault(parameter.name, place)
 
@@ -294,7 +165,7 @@ class ParameterTable:
             return {key: self.substitute(item, f"{place}.{key}", value_of) for key, item in value.items()}
         if isinstance(value, list | tuple):
             if not any(isinstance(item, str | dict | list | tuple) for item in value):
-                return value
+                return value  # numbers alone, such as a long record
             return [self.substitute(item, f"{place}.{index}", value_of) for index, item in enumerate(value)]
         if not is_expression(value):
             return value
@@ -303,10 +174,10 @@ class ParameterTable:
 
 
 def require_plain(expression: Expression) -> None:
-    """Require that no parameter of an expression has a law.
+    """Require that no parameter of an expression has a law, so that its value is known before tracing.
 
     Raises:
-        ValueError: A parameter has one.
+        ValueError: A parameter has a law.
     """
     if expression.laws:
         name = next(iter(expression.laws))
@@ -314,10 +185,10 @@ def require_plain(expression: Expression) -> None:
 
 
 def require_name(name: str) -> None:
-    """Require that the name of a parameter can be used in expressions.
+    """Require that the name of a parameter can stand in an expression.
 
     Raises:
-        ConfigError: It cannot.
+        ConfigError: It cannot, because it is malformed, or a word of the language or of Python.
     """
     place = f"{PARAMETERS}.{name}"
     if not NAME.fullmatch(name):
@@ -333,6 +204,10 @@ def require_name(name: str) -> None:
 def described_content(name: str, value: object) -> tuple[object, Quantity]:
     """Split a parameter in a study file into its content, which is not yet parsed, and its unit and meaning.
 
+    Args:
+        name: Name of the parameter.
+        value: Its value: a content, a law with unit and meaning, or ``{ value = ..., unit = ..., meaning = ... }``.
+
     Raises:
         ConfigError: The value is a table with invalid entries.
     """
@@ -340,41 +215,46 @@ def described_content(name: str, value: object) -> tuple[object, Quantity]:
     if not isinstance(value, dict):
         return value, Quantity("SI", f"parameter {name}")
     content = {key: item for key, item in value.items() if key not in DESCRIPTION}
-    if "value" in content or not is_law(content):
-        unknown = [key for key in content if key != "value" and key not in LAWS]
-        if unknown:
-            valid = nearest(unknown[0], ["value", *DESCRIPTION, *LAWS])
-            raise ConfigError(f"{place}.{unknown[0]}", f"is no entry of a parameter; {valid}")
+    has_law = is_law(content)
+    if not has_law:
+        for key in content:
+            if key != "value" and key not in LAWS:
+                valid = nearest(key, ["value", *DESCRIPTION, *LAWS])
+                raise ConfigError(f"{place}.{key}", f"is no entry of a parameter; {valid}")
         if list(content) != ["value"]:
             raise ConfigError(place, f"must be {FORMS}; got {value!r}")
     with value_errors_at(f"{place}.unit"):
-        unit = unit_text(value.get("unit", "SI"))
+        unit = parse_unit_text(value.get("unit", "SI"))
     meaning = value.get("meaning", f"parameter {name}")
     if not isinstance(meaning, str) or not meaning.isprintable() or not 0 < len(meaning) <= LONGEST_PHRASE:
         raise ConfigError(f"{place}.meaning", f"must be a text of 1 to {LONGEST_PHRASE} characters, got {meaning!r}")
-    return content.get("value", content), Quantity(unit, meaning)
+    return content if has_law else content["value"], Quantity(unit, meaning)
 
 
 def dependency_order(entries: Mapping[str, object]) -> list[str]:
     """Names of the parameters in an order in which each depends on earlier ones only.
+
+    Args:
+        entries: Content of each parameter by name, not yet parsed.
 
     Raises:
         ConfigError: An expression is not valid, or parameters depend on one another.
     """
     order: list[str] = []
     for root in entries:
-        path: list[str] = [root]
+        path = [root]  # from the root to one of the parameters on which it depends
         while path:
             name = path[-1]
-            with value_errors_at(f"{PARAMETERS}.{name}"):
-                names = [parent for parent in names_within(entries[name]) if parent in entries]
-            missing = [parent for parent in names if parent not in order]
-            if name in order or not missing:
+            if name in order:
                 path.pop()
-                if name not in order:
-                    order.append(name)
                 continue
-            parent = missing[0]
+            with value_errors_at(f"{PARAMETERS}.{name}"):
+                parents = [parent for parent in names_within(entries[name]) if parent in entries]
+            missing_parents = [parent for parent in parents if parent not in order]
+            if not missing_parents:
+                order.append(path.pop())
+                continue
+            parent = missing_parents[0]
             if parent in path:
                 cycle = [*path[path.index(parent) :], parent]
                 raise ConfigError(f"{PARAMETERS}.{parent}", f"depends on itself: {' -> '.join(cycle)}")
@@ -383,7 +263,7 @@ def dependency_order(entries: Mapping[str, object]) -> list[str]:
 
 
 def names_within(value: object) -> Iterator[str]:
-    """Names of parameters in the expressions of a part of a study's table.
+    """Yield the names of parameters in all expressions of a part of a study's table, as often as they occur.
 
     Raises:
         ValueError: An expression is not valid.

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 from pydantic import ValidationError
@@ -44,9 +43,10 @@ class LoopParts(NamedTuple):
     """All parts of a loop, parsed.
 
     Args:
-        single: Plant, reference and wind by slot.
-        columns: Parts by slot, in most slots one for each channel. Others are the events of the vehicle, the
-            disturbance of each named input, and the sensor of each measured signal besides y and y'.
+        single: Plant, reference and wind, by slot.
+        columns: Parts that a loop may have several times, by slot. Most slots have a part for each channel. The slot
+            ``events`` has the events of the vehicle, ``inputs`` the disturbance at each named input, and
+            ``signal_sensor`` the sensor of each measured signal besides y and y'.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Units and meanings of each channel.
         inputs: Named disturbance inputs of the plant.
@@ -65,7 +65,7 @@ class LoopParts(NamedTuple):
     measures: tuple[NamedSignal, ...]
 
     def loop(self, config: StudyTable) -> Loop:
-        """The loop of the parts' models, with the clock of the study."""
+        """The loop before tracing: the models of all parts in their slots, and the clock of the study."""
         return Loop(
             **{slot: part.model for slot, part in self.single.items()},
             **{slot: tuple(part.model for part in column) for slot, column in self.columns.items()},
@@ -73,13 +73,13 @@ class LoopParts(NamedTuple):
             measures=self.measures,
             input_names=tuple(signal.name for signal in self.inputs),
             outputs=self.outputs,
-            rotors=self.single["plant"].params.vehicle.rotors if self.columns["events"] else 0,
+            rotors=self.single["plant"].params.vehicle.rotors if self.columns["events"] else 0,  # 0: not needed
             **time_fields(config),
         )
 
     @property
     def template(self) -> LoopParams:
-        """Parameters of the loop, whose leaves are numbers, laws and expressions."""
+        """Parameters of all parts in their slots; the leaves are numbers, laws and expressions."""
         return LoopParams(
             **{slot: part.params for slot, part in self.single.items()},
             **{slot: tuple(part.params for part in column) for slot, column in self.columns.items()},
@@ -87,13 +87,18 @@ class LoopParts(NamedTuple):
 
     @property
     def numbers(self) -> list[Number]:
-        """Records of the numbers of all parts; those that channels share occur once for each."""
-        parts = [*self.single.values(), *chain.from_iterable(self.columns.values())]
-        return [number for part in parts for number in part.numbers]
+        """Records of the numbers of all parts; a number that channels share occurs once for each of them."""
+        parts = list(self.single.values())
+        for column in self.columns.values():
+            parts += column
+        records: list[Number] = []
+        for part in parts:
+            records += part.numbers
+        return records
 
 
 def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
-    """Parse all parts of a loop.
+    """Parse all parts of a loop, and check that they fit together.
 
     Args:
         config: Tables of the study.
@@ -105,7 +110,7 @@ def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # raises if an expression is not valid; a comparison reads it later
     plant = parse_plant(tables["plant"], config.loop)
-    channels = plant.model.channels or ("",)
+    channels = plant.model.channels or ("",)  # the only channel of a plant with one has no name
     units = parse_units(config.units, plant.model, channels)
     single_parts = parse_single_parts(tables, plant, channels, units)
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
@@ -123,7 +128,16 @@ def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     for slot in CHANNEL_EVENTS:
         columns[slot] = with_channel_events(columns[slot], events, channels, slot)
     columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
-    return LoopParts(single_parts, columns, channels, units, inputs, outputs, measurable, measures)
+    return LoopParts(
+        single=single_parts,
+        columns=columns,
+        channels=channels,
+        units=units,
+        inputs=inputs,
+        outputs=outputs,
+        measurable=measurable,
+        measures=measures,
+    )
 
 
 def parse_plant(table: TomlTable, clock: LoopTable) -> Component:
@@ -162,7 +176,8 @@ def parse_single_parts(
         "wind": parse_winds(tables["wind"]),
     }
     if not plant.model.flies:
-        declaration = f"; {DECLARATION_OF_FLIGHT}" if ":" in plant.kind else ""
+        is_users_plant = ":" in plant.kind
+        declaration = f"; {DECLARATION_OF_FLIGHT}" if is_users_plant else ""
         if parts["wind"].kind != "none":
             raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance{declaration}")
         if len(channels) > 1 and is_flight(tables["reference"], channels):
@@ -201,7 +216,7 @@ def parse_columns(
     columns["inputs"] = []
     disturbances = parse_inputs(tables["disturbance"], channels, input_names)
     for part, signal in zip(disturbances, inputs, strict=True):
-        units_of_input = units[0]._replace(command=signal.unit or UNNAMED_UNITS.command)
+        units_of_input = units[0]._replace(command=signal.unit or UNNAMED_UNITS.command)  # for the symbol u
         columns["inputs"].append(with_units(part, units_of_input))
     return columns
 
@@ -209,7 +224,12 @@ def parse_columns(
 def require_controllers(
     controllers: Sequence[Component], channels: Sequence[str], measures: tuple[NamedSignal, ...]
 ) -> None:
-    """Require that each controller gets the measured signals that it takes, and has the gain l0.
+    """Require that each controller gets the measured signals that it takes, and that its gains define sigma.
+
+    Args:
+        controllers: Controller of each channel, parsed.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        measures: Signals that the study measures besides y and y'.
 
     Raises:
         ConfigError: A controller lacks a signal, or has no l0.
@@ -223,7 +243,12 @@ def require_controllers(
 
 
 def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], sample_time: float) -> list[Component]:
-    """Limit the jitter of sensors to the sample time [s], also in sweeps and margins.
+    """The sensors with the sample time as upper bound of their jitter, also in sweeps and margins.
+
+    Args:
+        sensors: Sensor of each channel, parsed.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        sample_time: Sample time T_s [s].
 
     Raises:
         ConfigError: A jitter may exceed the sample time.
@@ -231,10 +256,11 @@ def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], s
     bounded_sensors = []
     for sensor, channel in zip(sensors, channels, strict=True):
         jitter = getattr(sensor.params, "jitter", None)
-        longest = 0.0 if jitter is None else extent(jitter)[1]
-        if longest > sample_time:
-            rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
-            raise ConfigError(dotted_name("sensor", channel, "jitter"), rule)
+        if jitter is not None:
+            _, longest = extent(jitter)
+            if longest > sample_time:
+                rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
+                raise ConfigError(dotted_name("sensor", channel, "jitter"), rule)
         numbers = []
         for number in sensor.numbers:
             if number.name.endswith(".jitter"):
@@ -245,21 +271,28 @@ def with_bounded_jitter(sensors: Sequence[Component], channels: Sequence[str], s
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
-    """Units and meanings of each channel: those of the plant, overridden by ``[units]`` and ``[units.CHANNEL]``.
+    """Units and meanings of each channel: the plant's, overridden by ``[units]``, then by ``[units.CHANNEL]``.
+
+    Args:
+        table: The section ``[units]``.
+        plant: Model of the plant.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: An entry is unknown or not valid.
     """
     units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
     common = {name: value for name, value in table.items() if name not in channels}
+    valid_names = [*UnitsTable.model_fields, *filter(None, channels)]
     channel_units = []
     for units, channel in zip(units_of_plant, channels, strict=True):
-        with errors_under(dotted_name("units", channel if channel in table else "")):
-            overrides = as_table(table[channel]) if channel in table else {}
+        has_table = channel in table
+        with errors_under(dotted_name("units", channel) if has_table else "units"):
+            overrides = as_table(table[channel]) if has_table else {}
             try:
                 changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:
-                raise first_error(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
+                raise first_error(error, valid_names) from None
         channel_units.append(units._replace(**changes))
     return tuple(channel_units)
 

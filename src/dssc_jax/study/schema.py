@@ -1,7 +1,6 @@
 """The fixed tables of the study file, validated by pydantic before any model is looked up."""
 
 import math
-from itertools import pairwise
 from typing import Annotated, Any, Literal, Optional
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
@@ -10,26 +9,29 @@ from dssc_jax.closed_loop.metrics.step_response import crossing
 from dssc_jax.closed_loop.metrics.window import Window, window_defaults, window_entries
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.core.units import parse_unit
-from dssc_jax.study.laws import is_number
-from dssc_jax.study.parsed_values import parse_axis, parse_free, parse_limit, parse_range
+from dssc_jax.study.parsed_values import (
+    parse_axis,
+    parse_finite,
+    parse_finite_or_text,
+    parse_free,
+    parse_limit,
+    parse_points,
+    parse_range,
+    parse_unit_text,
+)
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-def finite_number(value: object) -> float:
-    """Validate a finite number; raises ValueError."""
-    if not is_number(value):
-        raise ValueError(f"must be a finite number, got {value!r}")
-    return float(value)
-
-
-LONGEST_UNIT = 40
 LONGEST_PHRASE = 60
-MOST_POINTS = 64
+"""Most characters of a meaning."""
+MOST_LANES = 10**9
+"""Most draws of all points of a sweep together."""
 Phrase = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f]+$", max_length=LONGEST_PHRASE)]
-Finite = Annotated[float, BeforeValidator(finite_number)]
+Finite = Annotated[float, BeforeValidator(parse_finite)]
 OptionalFinite: Any = Optional[Finite]  # noqa: UP045  (a type at run time)
+Bound = Annotated[float | str, BeforeValidator(parse_finite_or_text)]
+Unit = Annotated[str, BeforeValidator(parse_unit_text)]
 
 
 class SettledTable(BaseModel):
@@ -56,45 +58,43 @@ class LoopTable(BaseModel):
 
     @model_validator(mode="after")
     def _check_clock(self) -> "LoopTable":
+        """Require that the duration is a whole number of sample times, at least one and fewer than 2^31."""
         if self.sample_time > self.duration:
             raise ValueError(f"sample_time must be <= duration = {self.duration:g} s, got {self.sample_time:g}")
         ratio = self.duration / self.sample_time
         if not ratio < 2**31:
             raise ValueError(f"duration/sample_time must be below 2^31 samples, got {ratio:g}")
         if abs(ratio - self.steps) > 1e-6 * ratio:
-            ratio = f"{self.duration:g}/{self.sample_time:g}"
-            raise ValueError(f"duration must be a whole number of sample times, got {ratio}")
+            quotient = f"{self.duration:g}/{self.sample_time:g}"
+            raise ValueError(f"duration must be a whole number of sample times, got {quotient}")
         if self.settled and self.settled.hold < self.sample_time:
             raise ValueError(f"settled.hold must be >= sample_time = {self.sample_time:g} s, got {self.settled.hold:g}")
         return self
 
     @property
     def steps(self) -> int:
-        """Number of samples."""
+        """Number of samples of a flight."""
         return round(self.duration / self.sample_time)
 
 
-def window_fields(absent: bool) -> dict[str, Any]:
-    """Pydantic's fields for the entries of a window; with ``absent``, they default to those of ``[metrics]``."""
+def window_fields(inherited: bool) -> dict[str, Any]:
+    """Type and field of pydantic for each entry of a window, by the entry's key in a table.
+
+    Args:
+        inherited: Whether an absent entry has the value of ``[metrics]``, rather than its own default.
+    """
     defaults = window_defaults()
     fields = {}
     for entry in window_entries().values():
         bounds: dict[str, Any] = dict(entry.bounds)
-        if absent or entry.absent:
-            meaning = f"{entry.meaning}; absent: {'that of `[metrics]`' if absent else entry.absent}"
-            fields[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
-        else:
+        if not inherited and not entry.absent:  # an entry with a number as its default
             default = defaults[entry.key]
             fields[entry.key] = (Finite, Field(default=default, description=entry.meaning, **bounds))
+            continue
+        value_if_absent = "that of `[metrics]`" if inherited else entry.absent
+        meaning = f"{entry.meaning}; absent: {value_if_absent}"
+        fields[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
     return fields
-
-
-def finite_number_or_text(value: object) -> float | str:
-    """Validate a finite number, or a text, which may be a number with a unit; raises ValueError."""
-    return value if isinstance(value, str) else finite_number(value)
-
-
-Bound = Annotated[float | str, BeforeValidator(finite_number_or_text)]
 
 
 class BoundedMetric(BaseModel):
@@ -123,8 +123,8 @@ class BoundedMetric(BaseModel):
     )
 
 
-UsualWindow: Any = create_model("UsualWindow", __config__=STRICT, **window_fields(absent=False))
-RequiredWindow: Any = create_model("RequiredWindow", __base__=BoundedMetric, **window_fields(absent=True))
+UsualWindow: Any = create_model("UsualWindow", __config__=STRICT, **window_fields(inherited=False))
+RequiredWindow: Any = create_model("RequiredWindow", __base__=BoundedMetric, **window_fields(inherited=True))
 
 
 class MetricsTable(UsualWindow):
@@ -154,17 +154,17 @@ class RequirementTable(RequiredWindow):
 
     @model_validator(mode="after")
     def _check_subject(self) -> "RequirementTable":
+        """Require one subject, no entries of other subjects, and the bound that the subject needs."""
         subjects = [name for name in SUBJECTS if getattr(self, name) is not None]
         if len(subjects) != 1:
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
-        (subject,) = subjects
+        subject = subjects[0]
         entries, reason = SUBJECTS[subject]
-        foreign_entries = self.model_fields_set - entries
+        foreign_entries = sorted(self.model_fields_set - entries)
         if foreign_entries:
-            foreign = min(foreign_entries)
-            owner = next(name for name, (owned, _) in SUBJECTS.items() if foreign in owned)
+            owner = next(name for name, (owned, _) in SUBJECTS.items() if foreign_entries[0] in owned)
             explanation = reason or f"only a {owner} has these entries"
-            raise ValueError(f"{explanation}; take out {', '.join(sorted(foreign_entries))}")
+            raise ValueError(f"{explanation}; take out {', '.join(foreign_entries)}")
         if subject != "formula" and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         for name in ("max", "min"):
@@ -175,50 +175,14 @@ class RequirementTable(RequiredWindow):
 
     @property
     def bounds(self) -> tuple[float | None, float | None]:
-        """Upper and lower bound of a metric; None for an absent one."""
+        """Upper bound, then lower bound of a metric; None for an absent bound."""
         upper = None if self.max is None else float(self.max)
         lower = None if self.min is None else float(self.min)
         return upper, lower
 
     def window(self, usual: Window) -> Window:
-        """Window of the requirement, with the entries of ``usual``, the window of ``[metrics]``, for absent ones."""
+        """Window of the requirement; its absent entries are taken from ``usual``, the window of ``[metrics]``."""
         return Window.of(self.model_dump(), usual)
-
-
-def unit_text(value: object) -> str:
-    """Validate the text of a unit, a product of powers such as ``kg m^2/s``.
-
-    Raises:
-        ValueError: The value is something else.
-    """
-    if not isinstance(value, str) or len(value) > LONGEST_UNIT:
-        raise ValueError(f"must be a unit of at most {LONGEST_UNIT} characters, such as 'rad/s', got {value!r}")
-    parse_unit(value)
-    return value
-
-
-Unit = Annotated[str, BeforeValidator(unit_text)]
-
-
-def parse_points(value: Any) -> tuple[tuple[float, float], ...]:
-    """Parse the points ``[[time, value], ...]`` of a bound over time [s].
-
-    Raises:
-        ValueError: They are not at least two pairs of numbers, or the times fall.
-    """
-
-    def is_point(item: object) -> bool:
-        return isinstance(item, list | tuple) and len(item) == 2 and all(map(is_number, item))
-
-    if not isinstance(value, list | tuple) or len(value) < 2 or not all(map(is_point, value)):
-        raise ValueError(f"must be two or more points [time, value], got {value!r}")
-    if len(value) > MOST_POINTS:
-        raise ValueError(f"takes at most {MOST_POINTS} points, got {len(value)}")
-    points = tuple((float(t), float(y)) for t, y in value)
-    for point, successor in pairwise(points):
-        if successor[0] < point[0]:
-            raise ValueError(f"must have rising times, got {successor[0]:g} s after {point[0]:g} s")
-    return points
 
 
 class EnvelopeTable(BaseModel):
@@ -236,6 +200,7 @@ class EnvelopeTable(BaseModel):
 
     @model_validator(mode="after")
     def _check_bounds(self) -> "EnvelopeTable":
+        """Require at least one bound, and a lower bound that never exceeds the upper one."""
         if not self.upper and not self.lower:
             raise ValueError("needs upper or lower, or both")
         crossing_time = crossing(self.lower, self.upper)
@@ -260,9 +225,6 @@ class PlotTable(BaseModel):
     model_config = STRICT
     metric: str | None = Field(default=None, description="the metric to show; absent: that of the first requirement")
     slope: bool = Field(default=False, description="whether to fit a slope in double-logarithmic axes")
-
-
-MOST_LANES = 10**9
 
 
 class TuneTable(BaseModel):
@@ -364,6 +326,7 @@ class StudyTable(BaseModel):
 
     @model_validator(mode="after")
     def _check_size(self) -> "StudyTable":
+        """Require that the draws of all points of the sweep together are not too many."""
         lanes = self.draws * math.prod(len(values) for values in self.sweep.values())
         if lanes > MOST_LANES:
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
@@ -371,24 +334,27 @@ class StudyTable(BaseModel):
 
     @property
     def independent(self) -> bool:
-        """Whether draws are independent; with ``auto`` they are unless a run chooses another design."""
+        """Whether draws are independent; draws with ``auto`` are independent unless a run chooses another design."""
         return self.sampling in ("random", "auto")
 
     @model_validator(mode="after")
     def _check_design(self) -> "StudyTable":
+        """Require that the number of draws fits the design: replicates of equal size, powers of two for Sobol."""
         if self.independent:
             if "replicates" in self.model_fields_set:
                 remedy = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
                 raise ValueError(f"replicates belong to sampling = 'sobol' or 'lhs'; {remedy}")
             return self
-        share, remainder = divmod(self.draws, self.replicates)
-        if self.sampling == "lhs" and (remainder or share < 2):
+        share, remainder = divmod(self.draws, self.replicates)  # draws of one replicate
+        is_equal_share = remainder == 0 and share >= 2
+        is_power_of_two = share & (share - 1) == 0
+        if self.sampling == "lhs" and not is_equal_share:
             closest = self.replicates * max(2, round(self.draws / self.replicates))
             raise ValueError(
                 f"with sampling = 'lhs' draws must be a multiple of replicates = {self.replicates}, at least two a "
                 f"replicate, got {self.draws}; the nearest is {closest}"
             )
-        if self.sampling == "sobol" and (remainder or share < 2 or share & (share - 1)):
+        if self.sampling == "sobol" and not (is_equal_share and is_power_of_two):
             closest = self.replicates * 2 ** max(1, round(math.log2(self.draws / self.replicates)))
             raise ValueError(
                 f"with sampling = 'sobol' draws must be replicates times a power of two, {self.replicates} * 2^m with "

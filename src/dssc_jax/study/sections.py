@@ -1,4 +1,4 @@
-"""Hint for a frequent mistake: a name in the wrong section of a study."""
+"""Hint for a frequent mistake: a valid name in the wrong section of a study."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -39,51 +39,69 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
 
 TOP = "at the top of the file, above the first [section]"
 MOST_SECTIONS = 3
+"""Most sections that a message names."""
 
 
 def with_section(error: ConfigError, table: Mapping[str, object]) -> ConfigError:
-    """Name the right section in the error of an unknown name, if the name is valid in another section.
+    """The error of an unknown name, with the right section if the name is valid in another section.
 
     Args:
         error: Any error of a study's table.
         table: Table of the study.
 
     Returns:
-        The new error; any other error as it is.
+        The new error; the same error if it is of another kind, or if no section may have the name.
     """
     section, _, name = error.where.rpartition(".")
     if not error.rule.startswith(UNKNOWN_NAME):
         return error
-    header = f"[{section}]"
-    places = [place for place in sections_of(name, table) if place != header]
+    places = [place for place in sections_of(name, table) if place != f"in [{section}]"]
     if not places:
         return error
     return ConfigError(error.where, f"{UNKNOWN_NAME} here; '{name}' belongs {' or '.join(places[:MOST_SECTIONS])}")
 
 
 def sections_of(name: str, table: Mapping[str, object]) -> list[str]:
-    """Sections in which a study with these kinds may have a name, in words; without any, those of other kinds."""
+    """Sections in which a study may have a name, in words, each once.
+
+    Sections of the study's own kinds come first; if there is none, the sections of all other kinds are listed.
+
+    Args:
+        name: The name.
+        table: Table of the study.
+    """
     places = [TOP] if name in StudyTable.model_fields else []
-    places += [f"in [{place}]" for place, model in FIXED_TABLES.items() if name in model.model_fields]
+    places += [f"in [{section}]" for section, model in FIXED_TABLES.items() if name in model.model_fields]
     for slot, registry in REGISTRIES.items():
         part = table.get(slot)
-        kind = part.get("kind") if isinstance(part, Mapping) else None
+        if not isinstance(part, Mapping):
+            continue
+        kind = part.get("kind")
         if isinstance(kind, str) and kind in registry:
-            places += [f"in [{place}]" for place, field in places_in(registry[kind], slot, part) if field == name]
-    if not places:
-        for slot, registry in REGISTRIES.items():
-            for kind, entry in registry.items():
-                if has_field(params_of(entry), name):
-                    places.append(f'in [{slot}] of kind "{kind}"')
-    return list(dict.fromkeys(places))
+            places += [f"in [{section}]" for section, field in places_in(registry[kind], slot, part) if field == name]
+    return list(dict.fromkeys(places)) if places else sections_of_other_kinds(name)
+
+
+def sections_of_other_kinds(name: str) -> list[str]:
+    """Sections and kinds of the package that have a name, in words."""
+    places = []
+    for slot, registry in REGISTRIES.items():
+        for kind, entry in registry.items():
+            if has_field(params_of(entry), name):
+                places.append(f'in [{slot}] of kind "{kind}"')
+    return places
 
 
 def has_field(params: type, name: str) -> bool:
-    """Whether a parameter type has a field with a name that a study may state."""
+    """Whether a parameter type has a field of this name that a study may state.
+
+    The values of a record come from its file.
+    """
     spec = field_specs(params).get(name)
     if spec is None:
         return False
-    return not (isinstance(spec.mark, Quantity) and spec.mark.data)  # the values of a record come from its file
+    is_of_record = isinstance(spec.mark, Quantity) and spec.mark.data
+    return not is_of_record
 
 
 def params_of(entry: Entry) -> Any:
@@ -92,24 +110,45 @@ def params_of(entry: Entry) -> Any:
     return getattr(member, "params", member)
 
 
-def places_in(entry: Entry, section: str, table: Any) -> Iterator[tuple[str, str]]:
-    """Pairs of a section and a field that it may have, for a part of this kind and all parts within it."""
-    yield from fields_in(params_of(entry), section, table if isinstance(table, Mapping) else {})
+def places_in(entry: Entry, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+    """Yield each pair of a section and a name that a study may state in it, for a part and all parts within it.
+
+    Args:
+        entry: Registry row of the part's kind.
+        section: Dotted name of the part's section, such as ``controller``.
+        table: Table of the part, which may tell the kinds of the parts within it.
+    """
+    yield from fields_in(params_of(entry), section, table)
     if entry.option:
         yield section, entry.option
 
 
 def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Pairs of a section and a field that it may have, for a parameter type and all parts within it."""
+    """Yield each pair of a section and a field that a study may state in it, for a parameter type and its parts.
+
+    Args:
+        params: Parameter type.
+        section: Dotted name of the section with its fields.
+        table: Table of the section, which may tell the kinds of the parts within it.
+    """
     for name, spec in field_specs(params).items():
-        inner = table.get(name)
-        inner = {"kind": inner} if isinstance(inner, str) else inner
-        inner = inner if isinstance(inner, Mapping) else {}
+        inner_section = f"{section}.{name}"
+        inner_table = table_of_part(table.get(name))
         if isinstance(spec.mark, Slot):
-            entry = spec.mark.registry.get(inner.get("kind", spec.mark.default) or "")
+            kind = inner_table.get("kind", spec.mark.default)
+            entry = spec.mark.registry.get(kind) if isinstance(kind, str) else None
             if entry is not None:
-                yield from places_in(entry, f"{section}.{name}", inner)
-        elif spec.is_nested or spec.item_type is not None:
-            yield from fields_in(spec.item_type or spec.hint, f"{section}.{name}", inner)
+                yield from places_in(entry, inner_section, inner_table)
+        elif spec.is_nested:
+            yield from fields_in(spec.hint, inner_section, inner_table)
+        elif spec.item_type is not None:
+            yield from fields_in(spec.item_type, inner_section, inner_table)
         elif not spec.is_derived:
             yield section, name
+
+
+def table_of_part(value: object) -> Mapping[str, object]:
+    """Table of a part that a study states as a table or as a kind alone; empty for anything else."""
+    if isinstance(value, str):
+        return {"kind": value}
+    return value if isinstance(value, Mapping) else {}

@@ -2,7 +2,16 @@
 
 import re
 
+OPTION = re.compile(r"\s*(?P<name>[^\s=:]+)\s*[=:\s]\s*(?P<values>.+?)\s*")
+"""An option ``NAME=A:B:...``, in which a colon or a blank may stand in place of ``=``."""
 SEPARATORS = re.compile(r"\s*(?::|,|;|\.\.+|\bto\b|\s)\s*")
+"""Separators that people write between the numbers of an option, of which ``:`` is the right one."""
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+NAME_WITH_COLON = re.compile(r"[\w.\"-]+\s*:")
+QUOTED_OR_COMMENT = re.compile(r"\"[^\"]*\"|'[^']*'|#.*")
+DECIMAL_COMMA = re.compile(r"\d,\d")
+LONGEST_LINE = 60
+"""Most characters of a line in a message."""
 
 
 def separator_hint(text: str, parts: int) -> str:
@@ -15,24 +24,24 @@ def separator_hint(text: str, parts: int) -> str:
     Returns:
         End of a message; empty without a hint.
     """
-    match = re.fullmatch(r"\s*([^\s=:]+)\s*[=:\s]\s*(.+?)\s*", text)
+    match = OPTION.fullmatch(text)
     if match is None:
         return ""
-    name = match.group(1).replace("/", ".")
-    values = [part for part in SEPARATORS.split(match.group(2)) if part]
+    name = match["name"].replace("/", ".")
+    values = [value for value in SEPARATORS.split(match["values"]) if value]
     ending = ""
-    if values[-1:] == ["log"]:
-        values = values[:-1]
+    if values and values[-1] == "log":  # a logarithmic axis, as in NAME=1:100:20:log
+        values.pop()
         ending = ":log"
-    are_numbers = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
     corrected_text = f"{name}={':'.join(values)}{ending}"
+    are_numbers = all(NUMBER.fullmatch(value) for value in values)
     if not are_numbers or len(values) != parts or corrected_text == text:
         return ""
     return f"; did you mean '{corrected_text}'?"
 
 
 def toml_hint(text: str, complaint: str) -> str:
-    """Hint for a TOML file that does not parse: the line, and the separator that it lacks.
+    """Hint for a TOML file that does not parse: the line, and the character that is wrong in it.
 
     Args:
         text: Content of the file.
@@ -42,16 +51,19 @@ def toml_hint(text: str, complaint: str) -> str:
         End of a message; empty if the complaint names no line.
     """
     match = re.search(r"at line (\d+)", complaint)
-    lines = text.splitlines()
-    if match is None or int(match.group(1)) > len(lines):
+    if match is None:
         return ""
-    line = lines[int(match.group(1)) - 1].strip()
-    line_text = f"; the line is: {line[:60]}"
-    if re.match(r"[\w.\"-]+\s*:", line):
+    number = int(match[1])  # from 1
+    lines = text.splitlines()
+    if number > len(lines):
+        return ""
+    line = lines[number - 1].strip()
+    line_text = f"; the line is: {line[:LONGEST_LINE]}"
+    if NAME_WITH_COLON.match(line):
         return f"{line_text}; '=' separates a name from its value"
-    unquoted_line = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+    unquoted_line = QUOTED_OR_COMMENT.sub("", line)
     if ";" in unquoted_line:
         return f"{line_text}; ',' separates the items of a list"
-    if re.search(r"\d,\d", unquoted_line) and "[" not in unquoted_line:
+    if DECIMAL_COMMA.search(unquoted_line) and "[" not in unquoted_line:
         return f"{line_text}; '.' is the decimal point"
     return line_text

@@ -13,7 +13,7 @@ from dssc_jax.study.schema import EnvelopeTable, StudyTable
 
 
 def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: Sequence[EnvelopeTable]) -> None:
-    """Require that metrics and envelopes have their values of the whole run, even if a draw ends as settled.
+    """Require that an early end of a settled draw changes no metric and no envelope.
 
     Args:
         loop: The loop.
@@ -33,7 +33,8 @@ def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: 
         raise ConfigError("loop.settled.after", f"{rule}; got {settled.after:g}")
     for index, envelope in enumerate(envelopes):
         end = max(point[0] for point in (*envelope.lower, *envelope.upper))
-        if settled.after < min(end, loop.steps * loop.sample_time):
+        duration = loop.steps * loop.sample_time
+        if settled.after < min(end, duration):
             raise ConfigError(
                 f"envelope.{index}",
                 f"bounds '{envelope.signal}' up to {end:g} s, and [loop.settled] may end a draw from "
@@ -42,7 +43,7 @@ def require_whole_windows(loop: Loop, measures: tuple[Measure, ...], envelopes: 
     for measure in measures:
         if measure.metric.settled_within is None:
             continue
-        band = measure.metric.settled_within(measure.window)
+        band = measure.metric.settled_within(measure.window)  # NaN: it depends on the draw
         if math.isnan(band):
             rule = f"may end a draw outside of the band of {measure.name}, which is a share of the draw's own step"
             raise ConfigError("loop.settled", f"{rule}; take it out, or take settling_time in place of that metric")
@@ -66,11 +67,13 @@ def require_changes_before_settling(config: StudyTable, numbers: Mapping[str, Nu
     if settled is None:
         return
     for name, number in numbers.items():
-        if not number.quantity.begins and not number.quantity.ends:
+        is_time_of_change = number.quantity.begins or number.quantity.ends
+        if not is_time_of_change:
             continue
-        times = config.sweep.get(name) or extent(number.value)
+        times = config.sweep[name] if name in config.sweep else extent(number.value)
         latest = min(max(times), config.loop.duration)
-        if min(times) < config.loop.duration and latest > settled.after:
+        happens_within_flight = min(times) < config.loop.duration
+        if happens_within_flight and latest > settled.after:
             change = "begins" if number.quantity.begins else "ends"
             rule = f"must be >= {latest:g} s, since {name} is a time at which something {change}"
             remedy = "a draw that ends as settled before it would never show it"

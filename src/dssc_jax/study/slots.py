@@ -45,13 +45,15 @@ REGISTRIES = {
 }
 """The kinds of each slot."""
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
+"""Slots that have a part for each channel."""
 SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
+"""Slots of the loop that a section of the study fills."""
 TABLES = (*SLOTS, ACTUATOR, EVENT)
 """Sections of the study file that hold parts of the loop."""
 
 
 def with_units(component: Component, units: ChannelUnits) -> Component:
-    """The component with the units of a channel in place of the symbols y and u in the units of its numbers."""
+    """The component whose numbers have the units of a channel in place of the symbols y and u."""
     numbers = []
     for number in component.numbers:
         quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
@@ -60,12 +62,14 @@ def with_units(component: Component, units: ChannelUnits) -> Component:
 
 
 def parse_whole(table: TomlTable, slot: str) -> Component:
-    """Parse the table of a slot that the loop has once."""
+    """Parse the table of a slot that the loop has once, such as the plant."""
     return parse_component(table, REGISTRIES[slot], slot).under(slot, slot)
 
 
 def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
-    """Parse the wind, or the sum of several winds, of which the second has numbers such as ``wind.1.speed``.
+    """Parse ``[wind]``, or the tables ``[[wind]]`` into the sum of several winds.
+
+    The numbers of the second wind of a sum have names such as ``wind.1.speed``.
 
     Raises:
         ConfigError: The list is empty, or a wind is not valid.
@@ -87,7 +91,7 @@ def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
 
 
 def reference_kinds(is_angle: bool) -> Registry:
-    """Kinds of references for one channel, in their forms for an angle if the output is one."""
+    """Kinds of references for one channel; for an angle, each kind in its form for angles if it has one."""
     if not is_angle:
         return REFERENCES
     entries = {}
@@ -98,10 +102,11 @@ def reference_kinds(is_angle: bool) -> Registry:
 
 
 def is_flight(table: TomlTable, channels: Collection[str]) -> bool:
-    """Whether the common part of a reference's table is a flight of the package other than rest at zero."""
+    """Whether the common part of a reference's table is a vehicle's trajectory, other than rest at zero."""
     common = {name: value for name, value in table.items() if name not in channels}
     rests_at_zero = common in ({}, {"kind": "zero"})
-    return common.get("kind", "zero") in REGISTRIES["trajectory"] and not rests_at_zero
+    is_trajectory = common.get("kind", "zero") in REGISTRIES["trajectory"]
+    return is_trajectory and not rests_at_zero
 
 
 def parse_reference(
@@ -109,9 +114,9 @@ def parse_reference(
 ) -> Component:
     """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces the signal of channel x.
 
-    The package's trajectories have a signal for each channel of the vehicle. A plant that does not fly takes none of
-    them (:func:`is_flight`): all its channels stay at zero. One that flies with fewer channels takes the first signals.
-    A user's trajectory has a signal for each channel of the plant.
+    The package's trajectories have a signal for each channel of the vehicle. A plant that flies with fewer channels
+    takes the first signals. A plant that does not fly takes only rest at zero (:func:`is_flight`). A user's trajectory
+    has a signal for each channel of the plant.
 
     Args:
         table: Table of the reference.
@@ -125,7 +130,8 @@ def parse_reference(
         return with_units(parse_component(table, registry, slot).under(slot, slot), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
-    if joint.kind in REGISTRIES["trajectory"] and len(channels) != len(UAV.channels):
+    is_of_package = joint.kind in REGISTRIES["trajectory"]
+    if is_of_package and len(channels) != len(UAV.channels):
         joint = replace(joint, model=with_channel_count(joint.model, len(channels)))
     replaced_channels = [channel for channel in channels if channel in table]
     if not replaced_channels:
@@ -145,10 +151,15 @@ def parse_reference(
 
 
 def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tuple[str, ...]) -> list[Component]:
-    """Parse one component for each channel; a list is the chain ``[[actuator]]``.
+    """Parse one component for each channel.
 
-    A table such as ``[controller.x]`` overrides the common ``[controller]``, or replaces it if the kind differs. A
-    number that no channel overrides is one number of all channels: one draw of its law, one axis.
+    A table such as ``[controller.x]`` overrides the common ``[controller]``, or replaces it if the kind differs. All
+    channels share a number that no channel overrides: its law has one draw, and it can be one axis.
+
+    Args:
+        table: Table of the slot, with a table for single channels; or the list ``[[actuator]]``.
+        slot: The slot.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: A table is not valid.
@@ -177,7 +188,9 @@ COMMAND = "command"
 
 
 def disturbance_place(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
-    """Place at which a disturbance acts: the name of a channel, empty for the only one, or that of an input.
+    """Place at which a disturbance acts: the name of a channel or of a disturbance input of the plant.
+
+    The only channel of a plant with one channel has an empty name; a study names it ``command``.
 
     Args:
         table: Table of the disturbance.
@@ -188,8 +201,10 @@ def disturbance_place(table: TomlTable, path: str, channels: Sequence[str], inpu
     Raises:
         ConfigError: The plant has no such place.
     """
-    places = {channel or COMMAND: channel for channel in channels} | {name: name for name in inputs}
-    input_name = table.get("input", COMMAND if channels == ("",) else None)
+    has_one_channel = channels == ("",)
+    places = {COMMAND: ""} if has_one_channel else {channel: channel for channel in channels}
+    places |= {name: name for name in inputs}
+    input_name = table.get("input", COMMAND if has_one_channel else None)
     if input_name not in places:
         rule = f"must be a place of the plant at which a disturbance acts, got {input_name!r}"
         raise ConfigError(f"{path}.input", f"{rule}; {nearest(str(input_name), places)}")
@@ -201,7 +216,13 @@ def placed_disturbances(
 ) -> dict[str, list[Component]]:
     """Parse ``[[disturbance]]``, or a single table with ``input``, into the disturbances at each place of the plant.
 
-    The paths of their numbers are still those within the disturbance; :func:`disturbance_sum` completes them.
+    Their numbers have their names in the study, but their paths begin at the disturbance itself;
+    :func:`disturbance_sum` completes the paths.
+
+    Args:
+        table: The section ``disturbance``.
+        channels: Names of the channels; one empty name for a plant with one channel.
+        inputs: Names of the plant's disturbance inputs.
 
     Raises:
         ConfigError: A disturbance is not valid.
@@ -228,12 +249,15 @@ def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
     """
     if not parts:
         return parse_component({"kind": "none"}, DISTURBANCES)
+    if len(parts) == 1:
+        return parts[0].under(path, name="")  # its numbers have their names already
     numbers: list[Number] = []
     for index, part in enumerate(parts):
-        numbers += part.under(path if len(parts) == 1 else f"{path}.{index}", "").numbers
-    params = parts[0].params if len(parts) == 1 else tuple(part.params for part in parts)
+        numbers += part.under(f"{path}.{index}", name="").numbers
     kind = " + ".join(part.kind for part in parts)
-    return Component(kind, sum_of_disturbances(tuple(part.model for part in parts)), params, tuple(numbers))
+    model = sum_of_disturbances(tuple(part.model for part in parts))
+    params = tuple(part.params for part in parts)
+    return Component(kind, model, params, tuple(numbers))
 
 
 def parse_disturbances(
@@ -256,12 +280,12 @@ def parse_disturbances(
 def parse_inputs(
     table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
 ) -> list[Component]:
-    """Parse the disturbance at each named input of the plant; only tables with ``input`` have any.
+    """Parse the disturbance at each named input of the plant; its kind is ``none`` where no table names the input.
 
     Raises:
         ConfigError: A disturbance is not valid.
     """
     if isinstance(table, dict) and "input" not in table:
-        return [disturbance_sum([], "") for _ in inputs]
+        return [disturbance_sum([], path="") for _ in inputs]
     disturbances_by_place = placed_disturbances(table, channels, inputs)
     return [disturbance_sum(disturbances_by_place[name], f"inputs.{index}") for index, name in enumerate(inputs)]

@@ -81,10 +81,12 @@ class Study:
     requirements: tuple[Requirement, ...]
 
     def __repr__(self) -> str:
+        """Name, draws, and counts of uncertain and swept numbers, on one line."""
         uncertain = len(self.written_laws)
         return f"<Study {self.name!r}: {self.config.draws} draws, {uncertain} uncertain, {len(self.axes)} swept>"
 
     def __str__(self) -> str:
+        """The study on one page of text."""
         return overview(self)
 
     @classmethod
@@ -114,14 +116,15 @@ class Study:
         Raises:
             ConfigError: As in :meth:`load`.
         """
-        content = with_changes(table, {}, source)
+        content = with_changes(table, {}, source)  # a copy
         try:
             study = cls(table=content, source=source, **build(content)._asdict())
             names_of_laws = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, names_of_laws, study.axes)
-            for name in study.ranged_laws.keys() & set(study.correlated):
-                rule = f"the arguments of the law of {name} are ranges; such a number cannot be correlated"
-                raise ConfigError("correlation", rule)
+            for name in study.correlated:
+                if name in study.ranged_laws:
+                    rule = f"the arguments of the law of {name} are ranges; such a number cannot be correlated"
+                    raise ConfigError("correlation", rule)
             return study
         except ConfigError as error:
             raise error.within(source) from None
@@ -132,13 +135,12 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        table = with_files(
-            with_changes(self.table, without_old_digests(changes), self.source), Path(self.source).parent
-        )
-        return Study.from_table(table, self.source)
+        table = with_changes(self.table, without_old_digests(changes), self.source)
+        folder = Path(self.source).parent
+        return Study.from_table(with_files(table, folder), self.source)
 
     def without_sweep(self) -> "Study":
-        """Return the study without its sweep."""
+        """Return the study at a single point: each swept number has its own value or law instead of its axis."""
         return self.override({"sweep": {}}) if self.config.sweep else self
 
     @property
@@ -153,7 +155,7 @@ class Study:
 
     @property
     def written_laws(self) -> dict[str, Law]:
-        """Law of each uncertain number by dotted name, without swept numbers, whose values replace their laws.
+        """Law of each uncertain number by dotted name, as the study states it; swept numbers have no law.
 
         The arguments of some laws may be ranges; :attr:`laws` admits only laws from which draws can be made.
         """
@@ -161,12 +163,12 @@ class Study:
 
     @property
     def ranged_laws(self) -> dict[str, RangedLaw]:
-        """Those of :attr:`written_laws` whose arguments are ranges."""
+        """Each law whose arguments are ranges, by dotted name of its number."""
         return {name: law for name, law in self.written_laws.items() if isinstance(law, RangedLaw)}
 
     @property
     def laws(self) -> dict[str, Law]:
-        """Law of each uncertain number by dotted name, from which draws are made, without swept numbers.
+        """Law of each uncertain number by dotted name, from which its draws are made; swept numbers have no law.
 
         Raises:
             ConfigError: The arguments of a law are ranges.
@@ -218,12 +220,12 @@ class Study:
 
     @property
     def uncertain(self) -> tuple[str, ...]:
-        """Dotted names of the numbers that differ between draws: those with a law, and those that follow from one."""
+        """Dotted names of the numbers that differ between draws: each has a law, or follows from a parameter's law."""
         laws = self.written_laws.keys()
         return tuple(name for name, number in self.numbers.items() if laws & {name, *number.sources})
 
     def followers(self, name: str) -> tuple[str, ...]:
-        """Dotted names of the loop's numbers that a number sets: itself, or all that follow from it if a parameter."""
+        """Dotted names of the loop's numbers that change with a number: all that follow from a parameter, or itself."""
         parameter_names = self.parameter_names
         if name not in parameter_names:
             return (name,)
@@ -238,9 +240,11 @@ class Study:
     def unused_parameters(self) -> tuple[str, ...]:
         """Dotted names of the parameters that no expression and no formula of the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
-        words = {token.text for table in self.config.requirement for token in tokens_of(table.formula or "")}
-        named_parameters = {f"{PARAMETERS}.{name}" for name in {*names_within(content), *words}}
-        return tuple(name for name in self.parameter_names if name not in named_parameters)
+        used_names = set(names_within(content))
+        for table in self.config.requirement:
+            if table.formula is not None:
+                used_names.update(token.text for token in tokens_of(table.formula))
+        return tuple(f"{PARAMETERS}.{name}" for name in self.config.parameters if name not in used_names)
 
     def require_free(self, name: str) -> None:
         """Require that a number can be changed, because it does not follow from parameters by an expression.
@@ -251,8 +255,8 @@ class Study:
         number = self.numbers.get(name)
         if number and number.expression:
             raise ConfigError(name, number.follows)
-        slot, _, field = name.partition(".")
-        table = self.table.get(slot)
+        section, _, field = name.partition(".")  # such as loop.sample_time, which is no number of the loop
+        table = self.table.get(section)
         entry = table.get(field) if isinstance(table, Mapping) else None
         if is_expression(entry):
             raise ConfigError(name, f"is the expression {entry!r} in this study; give it a number of its own first")
@@ -270,12 +274,16 @@ class Study:
         values_by_name = {}
         for name, number in self.numbers.items():
             expression = number.expression
-            if expression and values.keys() & set(expression.names) and values.keys() >= expression.laws.keys():
+            if expression is None:
+                continue
+            names_a_value = not values.keys().isdisjoint(expression.names)
+            has_all_laws = values.keys() >= expression.laws.keys()
+            if names_a_value and has_all_laws:
                 values_by_name[name] = expression.at(values)
         return values_by_name
 
     def violations(self, values: Mapping[str, Numeric]) -> dict[str, str]:
-        """The numbers that would not be admissible at these values, with the rule that each breaks, in words.
+        """Rule that each number would violate at these values, in words, by dotted name; empty if all are admissible.
 
         Args:
             values: Values, or arrays of values, by dotted name; numbers that follow from them are checked too.
@@ -299,7 +307,7 @@ class Study:
         return {name: number.value for name, number in self.numbers.items()}
 
     def params(self, values: Mapping[str, Numeric]) -> LoopParams:
-        """The loop's parameters with values in place of laws and swept numbers.
+        """The loop's parameters of one draw or one trace, with values in place of laws and swept numbers.
 
         Args:
             values: Numbers or traced values by dotted name; numbers that follow from them are computed. A leaf that is
@@ -311,9 +319,13 @@ class Study:
 
     def leaf_names(self) -> list[str]:
         """Name of the number at each leaf of the template; the dotted path of a leaf that is no number."""
-        names = {path: name for name, number in self.numbers.items() for path in number.paths}
-        paths = [keystr(path, simple=True, separator=".") for path, _ in tree_flatten_with_path(self.template)[0]]
-        return [names.get(path, path) for path in paths]
+        name_by_path = {}
+        for name, number in self.numbers.items():
+            for path in number.paths:
+                name_by_path[path] = name
+        leaves_with_paths, _ = tree_flatten_with_path(self.template)
+        paths = [keystr(path, simple=True, separator=".") for path, _ in leaves_with_paths]
+        return [name_by_path.get(path, path) for path in paths]
 
 
 def takes_file(
@@ -322,7 +334,9 @@ def takes_file(
     """Decorator that lets a function of a study also take the study's file, or the name of a packaged study."""
 
     @wraps(function)
-    def loading(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:
-        return function(study if isinstance(study, Study) else Study.load(study), *arguments, **options)
+    def with_loaded_study(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:
+        """Load the study if it is a name or a path, and call the function."""
+        loaded_study = study if isinstance(study, Study) else Study.load(study)
+        return function(loaded_study, *arguments, **options)
 
-    return loading
+    return with_loaded_study

@@ -1,4 +1,4 @@
-"""Checks of a study's axes: each is a number of the loop, and its part is valid for all values."""
+"""Checks of a study's axes: each axis is a number of the loop, and the number's part is valid for all swept values."""
 
 import copy
 from collections.abc import Mapping
@@ -48,25 +48,36 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
                 raise ConfigError("", numbers[name].follows)
             if not numbers[name].quantity.law:
                 raise ConfigError("", "is fixed before tracing; run once per value")
-            for value in values if numbers[name].quantity.whole else (min(values), max(values)):
+            critical_values = [min(values), max(values)]  # a quantity admits an interval
+            if numbers[name].quantity.whole:
+                critical_values = list(values)
+            for value in critical_values:
                 with value_errors_at(""):
                     parse_number(value, numbers[name].quantity)
 
 
 def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
-    """End of the message about an unknown number: that its part has no numbers, or the nearest name."""
-    slot = name.partition(".")[0]
-    table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
-    if isinstance(table, Mapping) and not any(number_name.startswith(f"{slot}.") for number_name in numbers):
-        field = name.rpartition(".")[2]
+    """End of the message about an unknown number: that its part has no numbers, or the nearest name.
+
+    Args:
+        name: Dotted name of the unknown number.
+        config: Fixed tables of the study.
+        numbers: Numbers of the loop by name.
+    """
+    slot, _, _ = name.partition(".")
+    parent, _, field = name.rpartition(".")
+    is_slot = slot in REGISTRIES and slot in StudyTable.model_fields
+    table = getattr(config, slot) if is_slot else None
+    has_numbers = any(number_name.startswith(f"{slot}.") for number_name in numbers)
+    if isinstance(table, Mapping) and not has_numbers:
         kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
         remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
-    parent, _, last = name.rpartition(".")
-    has_items = any(number_name.startswith(f"{parent}.") for number_name in numbers)
-    if not last.isdecimal() or has_items:
-        return nearest(name, numbers)
-    return f"{nearest(name, numbers)}; if {parent} is a list that is empty, state it in the study first"
+    has_siblings = any(number_name.startswith(f"{parent}.") for number_name in numbers)
+    is_index_of_empty_list = field.isdecimal() and not has_siblings
+    if is_index_of_empty_list:
+        return f"{nearest(name, numbers)}; if {parent} is a list that is empty, state it in the study first"
+    return nearest(name, numbers)
 
 
 def check_swept_parts(
@@ -76,9 +87,9 @@ def check_swept_parts(
     measurable: Mapping[str, NamedSignal],
     numbers: Mapping[str, Number],
 ) -> None:
-    """Require that the rules of parts that concern several of their fields hold for all swept values.
+    """Require that parts are valid for all swept values, also by rules that concern several of their fields.
 
-    The parts are parsed once more, with a law of the swept values in place of each swept number.
+    The parts are parsed once more, with a law ``choice`` of the swept values in place of each swept number.
 
     Args:
         table: Table of the study.
@@ -96,7 +107,7 @@ def check_swept_parts(
     for name, values in config.sweep.items():
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
-    if PARAMETERS in slots:
+    if PARAMETERS in slots:  # any part may depend on a parameter
         slots = {slot for slot in TABLES if slot in table}
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
@@ -110,7 +121,7 @@ def check_swept_parts(
 
 
 def parse_slot(slot: str, table: Any, loop: Loop, measurable: Mapping[str, NamedSignal]) -> None:
-    """Parse the table of a slot only to check its rules.
+    """Parse the table of a slot, only to check its rules; the parsed part is dropped.
 
     Args:
         slot: Name of the slot.
@@ -144,6 +155,11 @@ def parse_slot(slot: str, table: Any, loop: Loop, measurable: Mapping[str, Named
 
 def check_swept_events(table: TomlTable, parameters: ParameterTable, channels: tuple[str, ...]) -> None:
     """Require that the events of a vehicle are possible for all swept values of the events and of the vehicle.
+
+    Args:
+        table: Table of the study, with laws in place of swept numbers.
+        parameters: Parameters of the study, with laws in place of swept parameters.
+        channels: Names of the channels; one empty name for a plant with one channel.
 
     Raises:
         ConfigError: A rotor does not exist, or no mass may remain.

@@ -1,18 +1,21 @@
 """Errors of a study's table in one line: path, rule, value, and the nearest valid name."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 from pydantic import ValidationError
 
 from dssc_jax.core.errors import ConfigError, close_names, nearest
-from dssc_jax.study.tables import quotes_hint
+from dssc_jax.study.parsed_values import AXES
+from dssc_jax.study.tables import KEYED_BY_NAMES, toml_entry
 
 UNKNOWN_NAME = "unknown name"
+"""Beginning of the rule in the error of an unknown name."""
 NOT_SET = (
     "is not set by a study: the part computes it. A number of a part of your own that studies set has a type such as "
     'Annotated[float, Quantity("V", "source voltage")]'
 )
+"""Rule against a field that a table must not set."""
 
 
 @contextmanager
@@ -31,9 +34,9 @@ def value_errors_at(place: str) -> Iterator[None]:
 
 
 def first_error(error: ValidationError, names: Iterable[str], computed: Collection[str] = ()) -> ConfigError:
-    """Translate the first of pydantic's errors into an error of this package; a misspelt name precedes all others.
+    """Translate pydantic's first error into an error of this package; a misspelt name precedes all other errors.
 
-    A name counts as misspelt if it is unknown and resembles one that is required and missing.
+    A name counts as misspelt if it is unknown and resembles a required name that is missing.
 
     Args:
         error: Errors that pydantic found in the table.
@@ -66,4 +69,32 @@ def first_error(error: ValidationError, names: Iterable[str], computed: Collecti
             expected = str(problem.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
-            return ConfigError(path, f"{problem['msg'][0].lower()}{problem['msg'][1:]}, got {value!r}")
+            message = problem["msg"]
+            return ConfigError(path, f"{message[0].lower()}{message[1:]}, got {value!r}")
+
+
+def quotes_hint(section: str, key: str, value: object) -> str:
+    """Hint for a name with dots that was not quoted, so that TOML read it as tables.
+
+    Args:
+        section: Dotted name of the table.
+        key: Key without a valid value.
+        value: Value of the key.
+
+    Returns:
+        End of a message with the quoted entry; empty without a hint.
+    """
+    if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
+        return ""
+    parts = [key]
+    while isinstance(value, Mapping) and len(value) == 1:
+        inner_key = str(next(iter(value)))
+        if close_names(inner_key, AXES):  # a spacing, perhaps misspelt
+            break
+        parts.append(inner_key)
+        value = value[inner_key]
+    is_name_without_dot = len(parts) == 1
+    is_other_table = isinstance(value, Mapping) and not value.keys() <= set(AXES)
+    if is_name_without_dot or is_other_table:
+        return ""
+    return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"

@@ -10,10 +10,9 @@ from typing import Any
 import tomli_w
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError, close_names, errors_under
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
-from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.separators import toml_hint
 
 PARAMETERS = "parameters"
@@ -22,6 +21,7 @@ DESCRIPTION = ("unit", "meaning")
 KEYED_BY_NAMES = ("sweep", "correlation", "tune.parameters", "tune.objective", "tune.limits", "tune.over")
 """Tables whose keys are dotted names themselves, which TOML requires in quotes."""
 LARGEST_FILE = 2**20  # bytes of a study file
+LONGEST_INDEX = 9  # most digits of an index in a dotted name
 DEEPEST = 32  # most levels of tables within tables, and most parts of a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
 LONG_NAME = re.compile(rf"^[ \t\[]*+{DOTTED_NAME}|[{{,][ \t]*+{DOTTED_NAME}", re.MULTILINE)
@@ -73,7 +73,7 @@ def require_shallow(table: Mapping[str, object]) -> None:
     Raises:
         ConfigError: They are nested deeper.
     """
-    level: list[Any] = [table]
+    level: list[Any] = [table]  # all tables and lists at one depth
     for _ in range(DEEPEST):
         next_level: list[Any] = []
         for value in level:
@@ -93,7 +93,7 @@ def to_toml(table: Mapping[str, object]) -> str:
 
 
 def inline_toml(value: object) -> str:
-    """TOML of a value on one line, tables and lists included."""
+    """TOML of a value on one line, such as ``{ uniform = [0.8, 1.2] }``."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(toml_entry(name, inner) for name, inner in value.items())} }}"
     if isinstance(value, list | tuple):
@@ -102,9 +102,10 @@ def inline_toml(value: object) -> str:
 
 
 def toml_entry(name: str, value: object) -> str:
-    """TOML of an entry on one line: ``name = value``."""
+    """TOML of an entry on one line: ``name = value``, with the name in quotes if TOML requires them."""
     if isinstance(value, Mapping | list | tuple):
-        return f"{tomli_w.dumps({name: 0}).partition(' = ')[0]} = {inline_toml(value)}"
+        quoted_name, _, _ = tomli_w.dumps({name: 0}).partition(" = ")
+        return f"{quoted_name} = {inline_toml(value)}"
     return tomli_w.dumps({name: value}).strip()
 
 
@@ -119,18 +120,22 @@ def toml_entries(table: Mapping[str, object], section: str = "") -> str:
     lines = [toml_entry(name, value) for name, value in table.items() if name not in tables]
     if lines and section:
         lines.insert(0, f"[{section}]")
-    entries = "\n".join(lines) + "\n" if lines else ""
-    inner = (toml_entries(content, f"{section}.{name}".lstrip(".")) for name, content in tables.items())
-    return "\n".join(filter(None, [entries, *inner]))
+    texts = ["\n".join(lines) + "\n"] if lines else []
+    for name, content in tables.items():
+        texts.append(toml_entries(content, f"{section}.{name}" if section else name))
+    return "\n".join(text for text in texts if text)
 
 
 def is_index(part: str) -> bool:
-    """Whether a part of a dotted name is a plain decimal number, such as ``0`` or ``12``."""
-    return part.isascii() and part.isdecimal() and len(part) < 10
+    """Whether a part of a dotted name is the index of a list's item, such as ``0`` or ``12``."""
+    return part.isascii() and part.isdecimal() and len(part) <= LONGEST_INDEX
 
 
 def index_in(container: object, part: str) -> int | None:
-    """Index in a list that a part of a dotted name stands for: an index, or the ``name`` of an item; else None."""
+    """Index of the item of a list for which a part of a dotted name stands, by its ``name`` or its index.
+
+    None if the container is no list or has no such item.
+    """
     if not isinstance(container, list):
         return None
     for index, item in enumerate(container):
@@ -152,10 +157,9 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         if name.startswith(f"{section}."):
             set_by_name(table, section, name.removeprefix(f"{section}.").strip("\"'"), value)
             return
-    first_part, _, remainder = name.partition(".")
-    if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
-        value = with_description(value, table[first_part].get(remainder))
     *parents, key = name.split(".")
+    if parents == [PARAMETERS] and isinstance(table.get(PARAMETERS), dict):
+        value = with_description(value, table[PARAMETERS].get(key))
     if not all([*parents, key]):
         raise ConfigError(name, "has an empty part; a single dot stands between two parts")
     container: Any = table
@@ -207,7 +211,13 @@ def entry_or_new_table(container: Any, part: str, parents: Sequence[str], name: 
 
 
 def no_such_part(container: object, parents: Sequence[str], part: str) -> str:
-    """Rule for messages: a container has nothing under a part of a dotted name; ``parents`` are the parts before."""
+    """Rule of a message: a container has nothing under a part of a dotted name.
+
+    Args:
+        container: List, or a value that contains nothing.
+        parents: Parts of the name that lead to the container.
+        part: The next part.
+    """
     if not isinstance(container, list):
         return f"leads nowhere: '{part}' is not in a table"
     names = [str(item["name"]) for item in container if isinstance(item, Mapping) and "name" in item]
@@ -227,12 +237,16 @@ def indices_text(count: int) -> str:
 
 
 def is_entries(value: object) -> bool:
-    """Whether a value is a table of list entries by index: its keys are all decimal numbers."""
+    """Whether a value is a table of list entries by index, such as ``{"1": 0.5}``."""
     return isinstance(value, Mapping) and bool(value) and all(is_index(str(key)) for key in value)
 
 
 def with_entries(values: Sequence[Any], entries: Mapping[str, Any]) -> list[Any]:
-    """A list in which some entries, given by index, are merged into those at their index.
+    """A list into which new entries are merged by their index; all other entries stay.
+
+    Args:
+        values: The list.
+        entries: New entries by index, such as ``{"1": 0.5}``.
 
     Raises:
         ConfigError: The list has no such index.
@@ -260,37 +274,13 @@ def with_default(value: Any, default: Any) -> Any:
     return with_entries(default, value)
 
 
-def quotes_hint(section: str, key: str, value: object) -> str:
-    """Hint for a name with dots that was not quoted, so that TOML read it as tables.
-
-    Args:
-        section: Dotted name of the table.
-        key: Key without a valid value.
-        value: Value of the key.
-
-    Returns:
-        End of a message with the quoted entry; empty without a hint.
-    """
-    if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
-        return ""
-    parts = [key]
-    while isinstance(value, Mapping) and len(value) == 1:
-        (inner,) = value
-        if close_names(str(inner), AXES):  # a spacing, perhaps misspelt
-            break
-        parts.append(str(inner))
-        value = value[inner]
-    if len(parts) == 1 or (isinstance(value, Mapping) and not value.keys() <= set(AXES)):
-        return ""
-    return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"
-
-
 def with_description(value: object, former_content: object) -> object:
     """The new content of a parameter, with the unit and the meaning of its former content.
 
     A new content that is a table other than a law states its own unit and meaning.
     """
-    if not isinstance(former_content, dict) or (isinstance(value, dict) and not is_law(value)):
+    states_description = isinstance(value, dict) and not is_law(value)
+    if states_description or not isinstance(former_content, dict):
         return value
     description = {key: former_content[key] for key in DESCRIPTION if key in former_content}
     if not description:
@@ -321,12 +311,12 @@ def with_changes(table: Mapping[str, object], changes: Mapping[str, object], sou
 
 
 def merge_tables(common: TomlTable, override: TomlTable) -> TomlTable:
-    """A copy of ``common`` into which the entries of ``override`` are merged by :func:`merge_values`."""
-    result = dict(common)
+    """A copy of ``common`` into which each entry of ``override`` is merged, by the rules of :func:`merge_values`."""
+    merged = dict(common)
     for name, value in override.items():
         with errors_under(name):
-            result[name] = merge_values(result.get(name), value)
-    return result
+            merged[name] = merge_values(merged.get(name), value)
+    return merged
 
 
 def merge_values(inherited: Any, value: Any) -> Any:
@@ -338,9 +328,10 @@ def merge_values(inherited: Any, value: Any) -> Any:
     Raises:
         ConfigError: The list has no such index.
     """
-    if isinstance(value, dict) and isinstance(inherited, dict) and not is_law(value) and not is_law(inherited):
-        return merge_tables(inherited, value) if has_kind_of(value, inherited) else value
-    return with_default(value, inherited)
+    are_tables = isinstance(value, dict) and isinstance(inherited, dict)
+    if not are_tables or is_law(value) or is_law(inherited):
+        return with_default(value, inherited)
+    return merge_tables(inherited, value) if has_kind_of(value, inherited) else value
 
 
 def has_kind_of(override: Mapping[str, object], inherited: Mapping[str, object]) -> bool:
@@ -364,7 +355,7 @@ def channel_table(common: TomlTable, override: TomlTable) -> TomlTable:
 
 
 def has_dotted(table: TomlTable, name: str) -> bool:
-    """Whether a table has an entry with the dotted name, or one on the way to it that is no table."""
+    """Whether a table states the entry with a dotted name; a value other than a table on the way states it, too."""
     node: Any = table
     for part in name.split("."):
         if not isinstance(node, dict):

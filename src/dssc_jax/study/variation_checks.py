@@ -1,4 +1,4 @@
-"""Whether a user's part varies within a sample although it declares that it does not."""
+"""Check of a user's part that declares what it depends on within a sample: whether it depends on more."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,16 +12,20 @@ from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Measurement, Params, Scalar
 from dssc_jax.study.laws import UncertainValue
 
+ANY_NUMBER = 0.5
+"""Value of an argument in a trace, which does not depend on it."""
+
 
 def require_variation(kind: str, model: object, params: Params) -> None:
     """Require that a user's disturbance or unmodelled dynamics depend on no more than they declare.
 
-    What depends on what follows from a trace. A part whose code fails is left to the rehearsal, which names the line.
+    A trace of the part's functions tells their dependences. A part whose code fails passes, since the rehearsal names
+    the line that fails.
 
     Args:
-        kind: Kind of the part in the study.
-        model: The part; all others than disturbances and unmodelled dynamics pass.
-        params: Its parameters; uncertain numbers have their nominal values.
+        kind: Kind of the part in the study, for messages.
+        model: The part; parts of all other slots pass.
+        params: Its parameters, which may contain laws; the check takes their nominal values.
 
     Raises:
         ConfigError: The part depends on more.
@@ -34,25 +38,27 @@ def require_variation(kind: str, model: object, params: Params) -> None:
                 problem = disturbance_problem(model, numbers)
             elif isinstance(model, Unmodelled):
                 problem = actuator_problem(model, numbers)
-    except Exception:  # user code may raise anything
+    except Exception:  # a user's code may raise anything
         return
     if problem is not None:
         raise ConfigError("kind", f"'{kind}' {problem}")
 
 
 def disturbance_problem(model: Disturbance, params: Params) -> str | None:
-    """What contradicts the ``variation`` of a disturbance; None: nothing does."""
-    if model.variation == Variation.STATE:
+    """The contradiction between a disturbance and its declared ``variation``, in words; None if there is none."""
+    if model.variation == Variation.STATE:  # it may depend on everything
         return None
     state = as_arrays(model.init(params, jax.random.key(0)))
 
     def value(y: Scalar, y_dot: Scalar, sigma: Scalar, t: Scalar) -> Scalar:
+        """Value of the disturbance within a sample, in which its own state is constant."""
         return model.value(params, state, Measurement(y, y_dot), sigma, t)
 
-    flags = dependences(value, 0.5, 0.5, 0.5, 0.5)
-    names = [name for name, flag in zip(("y", "y'", "sigma", "t"), flags, strict=True) if flag]
-    if model.variation == Variation.TIME:
-        names = [name for name in names if name != "t"]
+    argument_names = ("y", "y'", "sigma", "t")
+    flags = dependences(value, *[ANY_NUMBER] * 4)
+    names = [name for name, depends in zip(argument_names, flags, strict=True) if depends]
+    if model.variation == Variation.TIME and "t" in names:
+        names.remove("t")
     if not names:
         return None
     remedy = "declare Variation.STATE"
@@ -63,15 +69,16 @@ def disturbance_problem(model: Disturbance, params: Params) -> str | None:
 
 
 def actuator_problem(model: Unmodelled, params: Params) -> str | None:
-    """What contradicts ``held`` of unmodelled dynamics; None: nothing does."""
+    """The contradiction between unmodelled dynamics and their declared ``held``, in words; None if there is none."""
     if not model.held or model.linear is not None or model.advance is not None:
         return None
     state = as_arrays(model.init(params))
 
     def output_after(dt: Scalar) -> Scalar:
-        return model.output(params, model.step(params, state, 0.5, dt), 0.5)
+        """Output after a step of integration, for a constant command."""
+        return model.output(params, model.step(params, state, ANY_NUMBER, dt), ANY_NUMBER)
 
-    if not any(dependences(output_after, 0.01)):
+    if not any(dependences(output_after, ANY_NUMBER)):
         return None
     return (
         "declares held = True, but its `step` changes the output within a sample; change the state in `sample`, once a "
@@ -80,6 +87,13 @@ def actuator_problem(model: Unmodelled, params: Params) -> str | None:
 
 
 def dependences(function: Callable[..., Any], *arguments: float) -> list[bool]:
-    """Whether the result of a function depends on each of its arguments, by a trace at these values."""
+    """Whether the result of a function depends on each of its arguments: whether a trace of it uses the argument.
+
+    Args:
+        function: The function.
+        arguments: Values at which it is traced; only their types matter.
+    """
     program = jax.make_jaxpr(function)(*arguments).jaxpr
-    return dce_jaxpr(program, [True] * len(program.outvars))[1]
+    is_result_needed = [True] * len(program.outvars)
+    _, is_argument_used = dce_jaxpr(program, is_result_needed)
+    return is_argument_used

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from dssc_jax.analyses.sensitivity.chaos import DEGREES, Chaos, nested_terms
-from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples, sobol_indices
 
 REPLICATES = 8
 
 
 def design(rows, dimension, seed=0):
     """A, B and each AB_i, shape (2 + d, rows, d)."""
-    a, b = saltelli(rows, dimension, (seed,))
+    a, b = saltelli_samples(rows, dimension, (seed,))
     return np.stack([a, b, *(np.where(np.arange(dimension) == i, b, a) for i in range(dimension))])
 
 

@@ -8,7 +8,7 @@ from scipy import special, stats
 
 import dssc_jax as dj
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, refusal_reason
-from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples, sobol_indices
 from dssc_jax.console.analyses import show_sensitivity
 from tests.runs.test_run_until import TABLE
 
@@ -29,7 +29,7 @@ def mixed(a, b):
 
 
 def indices(function, rows, seed, factors=3):
-    a, b = saltelli(rows, factors, (seed,))
+    a, b = saltelli_samples(rows, factors, (seed,))
     return sobol_indices(function(a), function(b), np.stack([function(ab) for ab in mixed(a, b)]))
 
 
@@ -94,10 +94,10 @@ def test_indices_of_a_rare_failure_hold_where_they_are_told():
 @pytest.mark.parametrize(("p", "rows", "needed"), [(0.05, 256, 1024), (0.01, 1024, 4096), (0.002, 4096, 16384)])
 def test_indices_of_too_few_failures_are_refused(p, rows, needed):
     """With the number of rows that do."""
-    a, b = saltelli(rows, 3, (3,))
+    a, b = saltelli_samples(rows, 3, (3,))
     function = half_space(p)
     assert f"needs {needed:,} rows" in refusal_reason(function(a), function(b))
-    more_a, more_b = saltelli(needed, 3, (4,))
+    more_a, more_b = saltelli_samples(needed, 3, (4,))
     assert refusal_reason(function(more_a), function(more_b)) is None
     assert "needs" in refusal_reason(1.0 - function(a), 1.0 - function(b))  # a rare success is a failure's mirror image
     constant = np.full(rows, 0.1)  # whose mean is not exactly 0.1

@@ -12,7 +12,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.sensitivity.morris import elementary_effects, screening, trajectories
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE
 from dssc_jax.analyses.sensitivity.shapley import chained_scores, random_orders, shapley_effects
-from dssc_jax.analyses.sensitivity.sobol import saltelli
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples
 from dssc_jax.cli.main import guarded
 from tests.analyses.sensitivity.test_sensitivity import ishigami
 from tests.runs.test_run_until import TABLE
@@ -21,7 +21,7 @@ from tests.runs.test_run_until import TABLE
 def effects_of(function, correlation, rows, seed):
     """Estimates with intervals for a function of correlated normal scores."""
     order = random_orders(rows, len(correlation), (seed, 1))
-    own, other = map(special.ndtri, saltelli(rows, len(correlation), (seed,)))
+    own, other = map(special.ndtri, saltelli_samples(rows, len(correlation), (seed,)))
     return shapley_effects(function(chained_scores(correlation, own, other, order)), order)
 
 

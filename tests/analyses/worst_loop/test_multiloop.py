@@ -11,9 +11,9 @@ import pytest
 from scipy.linalg import expm
 
 from dssc_jax.analyses.worst_loop.cells import cover_box
-from dssc_jax.analyses.worst_loop.joint import joint_mu_bound, margins_of, worst_joint_margin
+from dssc_jax.analyses.worst_loop.joint import joint_disk_margins, joint_mu_bound, worst_joint_margin
 from dssc_jax.analyses.worst_loop.readouts import joint_readout, norm_over_box
-from dssc_jax.analyses.worst_loop.search import radii_of
+from dssc_jax.analyses.worst_loop.search import spectral_radii
 
 T_S = 0.01
 GAP = 1.05
@@ -97,7 +97,7 @@ def test_the_bound_holds_on_a_dense_sample_and_is_near_the_worst_found(name):
 def test_the_factors_found_make_the_worst_loop_oscillate():
     worst = worst_joint_margin(satellite, 3, 2, T_S, lambda: 30)
     matrices = satellite(worst.point[None])
-    found = margins_of(matrices, 2, T_S)
+    found = joint_disk_margins(matrices, 2, T_S)
     a, b, c = matrices[0, :2, :2], matrices[0, :2, 2:], matrices[0, 2:, :2]
     perturbed = a + b @ np.diag(found.factors[0] - 1.0) @ c
     assert np.abs(np.linalg.eigvals(perturbed) - np.exp(1j * found.frequency[0] * T_S)).min() < 1e-6
@@ -119,7 +119,7 @@ def test_the_satellite_without_uncertainty_has_its_published_margin():
         result[:, 2:, :2] = c
         return result
 
-    found = margins_of(evaluate(np.zeros((1, 1))), 2, period).attained[0]
+    found = joint_disk_margins(evaluate(np.zeros((1, 1))), 2, period).attained[0]
     covered = joint_mu_bound(evaluate, 1, 2, 1.001 / found, 20_000, no_point_limit)
     s = 1j * np.geomspace(1e-3, 1e3, 2000)[:, None, None]
     loop = np.array([[1.0, -2.0], [0.0, 1.0]]) @ np.array([[1.0, 10.0], [-10.0, 1.0]])
@@ -134,7 +134,7 @@ def test_the_satellites_margin_is_near_python_controls():
     plant = control.ss([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
     gains = control.ss([], [], [], [[1.0, -2.0], [0.0, 1.0]])
     published = control.disk_margins(gains * plant, np.geomspace(0.1, 1000.0, 500))[0]  # broken at the commands
-    assert published == pytest.approx(margins_of(satellite(np.zeros((1, 3))), 2, T_S).attained[0], rel=0.05)
+    assert published == pytest.approx(joint_disk_margins(satellite(np.zeros((1, 3))), 2, T_S).attained[0], rel=0.05)
 
 
 def test_three_channels_are_bounded_below_dense_perturbations():
@@ -187,7 +187,7 @@ def test_an_unstable_loop_in_the_box_leaves_no_bound():
     def evaluate(points):
         return satellite(np.array([0.0, 1.0, 1.0]) * points[:, :1] * 200.0)
 
-    assert radii_of(evaluate(np.array([[1.0]])), 2)[0] > 1.0
+    assert spectral_radii(evaluate(np.array([[1.0]])), 2)[0] > 1.0
     assert worst_joint_margin(evaluate, 1, 2, T_S, no_point_limit).value == 0.0
     ends = (-np.ones(1), np.ones(1))
     assert not cover_box(evaluate, ends, np.array([1e300]), 2000, no_point_limit, joint_readout(2)).stable

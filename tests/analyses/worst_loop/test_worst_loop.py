@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 import dssc_jax as dj
 from dssc_jax.analyses.worst_loop.box import box_of
-from dssc_jax.analyses.worst_loop.cells import cover_box
+from dssc_jax.analyses.worst_loop.cells import INTERVALS, cover_box
 from dssc_jax.analyses.worst_loop.readouts import GAINS
-from dssc_jax.analyses.worst_loop.search import nearest_instability
+from dssc_jax.analyses.worst_loop.search import nearest_instability, start_points
 
 SAMPLE_TIME = 0.05
 TABLE = {
@@ -132,6 +132,13 @@ def test_a_first_order_loop_has_its_closed_form():
     assert nearest_instability(first_order, 1, 4.0, no_point_limit).growth == pytest.approx(2.0, rel=1e-4)
 
 
+def test_fewer_cells_than_the_first_intervals_end_the_search():
+    """A limit below the number of first cells was passed without end: they were halved along the angle alone."""
+    ends = (-np.ones(1), np.ones(1))
+    unattainable = np.full(len(GAINS), 1e-3)
+    assert cover_box(first_order, ends, unattainable, 10, no_point_limit).cells == INTERVALS
+
+
 def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():
     ends = (-2.5 * np.ones(1), 2.5 * np.ones(1))
     covered = cover_box(first_order, ends, np.full(len(GAINS), 1e300), 3000, no_point_limit)
@@ -148,6 +155,18 @@ def test_an_unstable_box_has_a_counterexample():
     poles = np.linalg.eigvals(closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])[0])
     assert np.abs(poles).max() > 1.0 - 1e-6
     assert "unstable" in worst.headline
+
+
+def test_an_island_of_unstable_loops_between_the_tested_growths_is_found():
+    """About q = 1.135 the damping is negative; the goals of the bounds were divided by its margin, 0."""
+    middle = 1.5 + 0.5 * start_points(1)[3, 0]  # of a point at which the search for the worst margins begins
+    peak = f"=-1 + 20*0.0001/(0.0001 + (q - {middle:.9g})**2)"
+    plant = TABLE["plant"] | {"a": [[0.0, 1.0], [0.0, peak]], "b": [0.0, 1.0]}
+    study = dj.Study.from_table(TABLE | {"draws": 4, "plant": plant, "parameters": {"q": {"uniform": [1.0, 2.0]}}})
+    loop = dj.worst_loop(study, cells=500).answer.loops["input"]
+    assert loop.stable is False
+    assert loop.unstable["parameters.q"] == pytest.approx(middle)
+    assert loop.margins["disk"].found == 0.0
 
 
 @pytest.mark.parametrize(

@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.closed_loop.metrics.accumulation import final_values, initial_accumulators, update_accumulators
 from dssc_jax.closed_loop.metrics.instants import Instant
 from dssc_jax.closed_loop.metrics.performance import PERFORMANCE
-from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window, starts, update_all, values
+from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window
 from dssc_jax.results.schema import variables
 from dssc_jax.study.measuring import PACKAGE_METRICS
 
 OWN = """
 import jax.numpy as jnp
-from dssc_jax.closed_loop.metrics.streaming import Metric, final_value, peak
-JERK = Metric("m/s", "largest change of the command in a sample", peak(lambda s: s.u - s.u_previous), final_value)
+from dssc_jax.closed_loop.metrics.streaming import Metric, final_value, peak_update
+change = peak_update(lambda s: s.u - s.u_previous)
+JERK = Metric("m/s", "largest change of the command in a sample", change, final_value)
 WORD = "no metric"
-error_rms = Metric("m", "a name that is taken", peak(lambda s: s.e), final_value)
+error_rms = Metric("m", "a name that is taken", peak_update(lambda s: s.e), final_value)
 """
 
 
@@ -88,11 +90,11 @@ class Attitude(NamedTuple):
 
 def test_peak_attitude_is_that_of_the_window():
     measures = tuple(Measure(name, name, Window(0.2), None, PERFORMANCE[name]) for name in ("roll_max", "pitch_max"))
-    accumulators = starts(measures)
+    accumulators = initial_accumulators(measures)
     for k, (phi, theta) in enumerate([(0.9, -0.9), (0.8, 0.7), (-0.3, 0.1), (0.2, -0.4)]):
         instant = Instant(0.1 * k, 0.1, (), Attitude(phi, theta))
-        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
-    found = values(measures, accumulators, 4, 0.1)
+        accumulators = update_accumulators(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    found = final_values(measures, accumulators, 4, 0.1)
     assert {name: float(value) for name, value in found.items()} == {"roll_max": 0.3, "pitch_max": 0.4}
 
 
@@ -103,11 +105,11 @@ class Rotors(NamedTuple):
 def test_rotor_thrusts_are_those_of_all_rotors_in_the_window():
     names = ("rotor_thrust_max", "rotor_thrust_min")
     measures = tuple(Measure(name, name, Window(0.1), None, PERFORMANCE[name]) for name in names)
-    accumulators = starts(measures)
+    accumulators = initial_accumulators(measures)
     for k, thrusts in enumerate([(90.0, 1.0, 5.0), (20.0, 30.0, 25.0), (28.0, 24.0, 31.0)]):
         instant = Instant(0.1 * k, 0.1, (), Rotors(thrusts))
-        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
-    found = values(measures, accumulators, 3, 0.1)
+        accumulators = update_accumulators(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    found = final_values(measures, accumulators, 3, 0.1)
     assert {name: float(value) for name, value in found.items()} == {"rotor_thrust_max": 31.0, "rotor_thrust_min": 20.0}
 
 

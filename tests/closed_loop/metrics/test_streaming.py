@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.closed_loop.metrics.accumulation import final_values, initial_accumulators, update_accumulators
 from dssc_jax.closed_loop.metrics.instants import Instant
-from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window, starts, update_all, values
+from dssc_jax.closed_loop.metrics.streaming import METRICS, Measure, Scope, Window
 from dssc_jax.closed_loop.metrics.window import first_sample
 from dssc_jax.core.signals import Outcome
 
@@ -104,11 +105,11 @@ class Seen(NamedTuple):
 def test_longest_uninterrupted_stretch(flags, after, longest):
     """A window that opens within a stretch counts from there."""
     measures = (Measure("limited", "rotor_limited_longest", Window(after), None),)
-    accumulators = starts(measures)
+    accumulators = initial_accumulators(measures)
     for k, flag in enumerate(flags):
         instant = Instant(0.1 * k, 0.1, (), Seen(flag == "1"))
-        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
-    assert float(values(measures, accumulators, len(flags), 0.1)["limited"]) == pytest.approx(0.1 * longest)
+        accumulators = update_accumulators(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    assert float(final_values(measures, accumulators, len(flags), 0.1)["limited"]) == pytest.approx(0.1 * longest)
 
 
 def test_a_rotor_at_its_limit_for_too_long_is_an_outcome():

@@ -129,3 +129,14 @@ def test_why_nothing_is_identified():
     noise = float(text.partition("noise of the residual (")[2].partition(" ")[0])
     assert noise == pytest.approx(0.3, rel=0.1)
     assert "wider law" in text
+
+
+@pytest.mark.parametrize("is_held", [True, False])
+def test_an_interpolated_command_is_held_if_the_vehicle_held_it(is_held):
+    """Straight lines are half a period early where the controller holds each command; the flight tells."""
+    nodes = np.random.default_rng(6).normal(size=81)
+    lines = np.interp(np.arange(SAMPLES), 5.0 * np.arange(81), nodes)
+    held = np.repeat(nodes[:80], 5)
+    fitted = fit_log(linear(), log_of(flown(held if is_held else lines), lines))
+    assert (fitted.between == HELD) == is_held
+    assert (np.abs(fitted.estimates - TRUTH) < 4.0 * fitted.deviations).all()

@@ -37,7 +37,7 @@ def test_the_larger_covariance_is_at_least_both():
 
 @pytest.mark.long
 def test_the_mean_of_a_declared_gust_widens_the_interval_of_a_constant_force():
-    """20 flights of 8 s: the interval was 4 standard deviations beside the truth, and the sensor got the blame."""
+    """6 flights of 8 s: the interval was 4 standard deviations beside the truth, and the sensor got the blame."""
     study = linear(
         disturbance=[LEVEL, GUST],
         sensor={"kind": "noisy", "position_std": 0.002},
@@ -46,7 +46,7 @@ def test_the_mean_of_a_declared_gust_widens_the_interval_of_a_constant_force():
     random = np.random.default_rng(3)
     predictions = {}
     hits = []
-    for _ in range(20):
+    for _ in range(6):
         level = 0.3 * random.normal()
         a_p = 1.0 + 0.2 * random.normal()
         u = np.repeat(random.normal(size=40), 10)

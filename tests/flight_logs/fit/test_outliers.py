@@ -113,7 +113,7 @@ def test_a_sensor_that_sticks_is_told():
     for other in (noisy, y, at_rest, np.round(noisy, 1), np.repeat(noisy[::20], 20), np.zeros(400)):
         assert stuck_span(Column(TIMES, other)) is None
     log = FlightLog("flight", {"y": Column(TIMES, stuck)}, 0.0)
-    told = replay_log(linear(), log, commands=False).hints.factors["y"]
+    told = replay_log(linear(), log, commands=False).hints.factors["y"].text
     assert told.startswith(f"repeats one value from {TIMES[100]:.4g} s to {TIMES[129]:.4g} s of the log")
     later = FlightLog("flight", {"y": Column(TIMES, stuck)}, float(TIMES[130]))  # the part after, as the hint says
     assert "y" not in replay_log(linear(), later, commands=False).hints.factors

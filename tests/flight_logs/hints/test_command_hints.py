@@ -21,14 +21,16 @@ def test_a_command_at_other_times_is_told(shift):
     logged = np.roll(replayed, shift)
     logged[100:105] = np.nan
     side = "later" if shift > 0 else "earlier"
-    assert command_hint(logged, replayed, DT, "N").startswith(f"is {abs(shift) * DT:.3g} s {side} than the analysed")
+    hint = command_hint(logged, replayed, DT, "N")
+    assert hint.code == "shifted-command"
+    assert hint.text.startswith(f"is {abs(shift) * DT:.3g} s {side} than the analysed")
     assert best_shift(logged, replayed, 25)[0] == shift
 
 
 def test_an_offset_and_a_multiple_are_told():
     replayed = command()
-    assert command_hint(replayed + 9.81, replayed, DT, "N").startswith("lies 9.81 N beside what the analysed")
-    assert command_hint(2.5 * replayed, replayed, DT, "N").startswith("is 2.5 times what the analysed")
+    assert command_hint(replayed + 9.81, replayed, DT, "N").text.startswith("lies 9.81 N beside what the analysed")
+    assert command_hint(2.5 * replayed, replayed, DT, "N").text.startswith("is 2.5 times what the analysed")
 
 
 @pytest.mark.parametrize("hold", [2, 5, 10])
@@ -36,18 +38,18 @@ def test_a_command_of_a_slower_clock_is_told(hold):
     replayed = command()
     rows = np.arange(500)
     logged = replayed[np.maximum(rows - (rows - 3) % hold, 0)]
-    assert command_hint(logged, replayed, DT, "N").startswith(
+    assert command_hint(logged, replayed, DT, "N").text.startswith(
         f"is what the analysed controller gives every {hold * DT}"
     )
-    assert command_hint(logged, logged, DT, "N") == ""
+    assert command_hint(logged, logged, DT, "N") is None
 
 
 def test_another_controller_is_told():
     replayed = command()
     rate = np.gradient(np.sin(3.0 * DT * np.arange(500)), DT)
-    text = command_hint(replayed + 0.1 * rate, replayed, DT, "N")
+    text = command_hint(replayed + 0.1 * rate, replayed, DT, "N").text
     assert text.startswith("is not what the analysed controller gives for the logged measurements: they differ by 0.")
-    assert command_hint(np.zeros(500), replayed, DT, "N").startswith("is not what the analysed")
+    assert command_hint(np.zeros(500), replayed, DT, "N").text.startswith("is not what the analysed")
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -57,10 +59,10 @@ def test_a_command_that_sticks_is_told_with_its_times(seed, length):
     replayed = np.clip(1.5 * command(seed), -1.2, 1.2)
     logged = np.round(replayed, 4)
     logged[10:14] = np.nan
-    assert command_hint(logged, replayed, DT, "N") == ""
+    assert command_hint(logged, replayed, DT, "N") is None
     logged[325 : 325 + length] = logged[325]
     end = DT * (324 + length)
-    text = command_hint(logged, replayed, DT, "N")
+    text = command_hint(logged, replayed, DT, "N").text
     assert text.startswith(f"repeats one value from 6.5 s to {end:.4g} s of the study, where the analysed controller's")
 
 
@@ -95,9 +97,9 @@ def test_the_same_command_is_not(seed):
         replayed + 0.5 * np.exp(-time),
         np.full(500, np.nan),
     ):
-        assert command_hint(logged, replayed, DT, "N") == ""
-    assert command_hint(9.81 + 1e-4 * command(seed + 100), 9.81 + 1e-4 * replayed, DT, "N") == ""  # rounded
-    assert "beside" in command_hint(np.full(500, 1e300), replayed, DT, "N")  # and no warning of NumPy
+        assert command_hint(logged, replayed, DT, "N") is None
+    assert command_hint(9.81 + 1e-4 * command(seed + 100), 9.81 + 1e-4 * replayed, DT, "N") is None  # rounded
+    assert "beside" in command_hint(np.full(500, 1e300), replayed, DT, "N").text  # and no warning of NumPy
 
 
 @pytest.mark.parametrize(("sample_time", "is_told"), [(0.02, False), (0.025, False), (0.04, True), (0.1, True)])
@@ -108,19 +110,32 @@ def test_a_command_of_a_faster_controller_is_told(sample_time, is_told):
     for rows in (1, 4):  # a log may have more rows than the controller has commands
         fine = 0.02 / rows * np.arange(400 * rows)
         command = Column(fine, np.repeat(random.normal(size=len(times)), rows))
-        text = rate_hint(command, sample_time)
-        assert text.startswith("changes every 0.02 s") == is_told
-    assert rate_hint(Column(times, np.ones(len(times))), 0.1) == ""
+        hint = rate_hint(command, sample_time)
+        assert (hint is not None and hint.text.startswith("changes every 0.02 s")) == is_told
+    assert rate_hint(Column(times, np.ones(len(times))), 0.1) is None
 
 
 def test_single_commands_that_the_controller_did_not_give_are_told():
     replayed = command()
     logged = replayed + 1e-4 * np.random.default_rng(1).normal(size=500)
     logged[[120, 300]] += [50.0, -20.0]
-    text = command_hint(logged, replayed, DT, "N")
+    text = command_hint(logged, replayed, DT, "N").text
     assert text.startswith(
         "has single values that the analysed controller does not give, at 2.4 s and 6 s of the study"
     )
     kick = replayed.copy()
     kick[120] += 50.0
     assert "single values" not in command_hint(kick, 0.9 * kick, DT, "N")  # of a jump that both answer
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_an_interpolated_command_is_told_with_the_time_between_commands(rows):
+    """A command every 0.1 s in a table of 50 rows a second, or of 100."""
+    nodes = np.random.default_rng(4).normal(size=101)
+    times = DT / rows * np.arange(500 * rows)
+    lines = Column(times, np.interp(times, 0.1 * np.arange(101), nodes))
+    for sample_time in (DT, 0.1):
+        text = rate_hint(lines, sample_time).text
+        assert text.startswith("is a straight line from one command to the next, 0.1 s apart: the log was interpolated")
+    held = Column(times, nodes[np.floor(times / 0.1 + 1e-9).astype(int)])
+    assert rate_hint(held, DT) is None

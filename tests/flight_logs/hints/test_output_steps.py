@@ -38,7 +38,7 @@ def test_an_output_that_is_exchanged_with_its_reference_refuses_a_fit(flight):
     for names in (("y", "y_ref", "u_total"), ("y", "y_dot", "y_ref", "u_total")):
         log = log_of_signals({name: exchanged[name] for name in names})
         hints = replay_log(study, log).hints
-        assert hints.all()["y"] == "looks exchanged with y_ref: it is the study's reference"
+        assert hints.all()["y"].text == "looks exchanged with y_ref: it is the study's reference"
         assert not hints.others
         with pytest.raises(ConfigError, match="y looks exchanged with y_ref"):
             fit_log(study, log)
@@ -56,13 +56,13 @@ def test_an_output_that_is_the_error_is_told(flight, sign, words, begin):
     """By its jumps, which the rate does not have."""
     study, signals = flight
     log = log_of_signals(signals | {"y": signals["y"] + sign * signals["y_ref"]}, begin)
-    assert replay_log(study, log, commands=False).hints.jumps["y"].endswith(f"and y_dot has no such peak: {words}")
+    assert replay_log(study, log, commands=False).hints.jumps["y"].text.endswith(f"and y_dot has no such peak: {words}")
 
 
 def test_a_jump_beside_the_reference_is_a_reset(flight):
     study, signals = flight
     log = log_of_signals(signals | {"y": signals["y"] + np.where(np.arange(400) < 220, 0.0, 0.5)})
-    assert "a reset of the estimator that the log" in replay_log(study, log, commands=False).hints.jumps["y"]
+    assert "a reset of the estimator that the log" in replay_log(study, log, commands=False).hints.jumps["y"].text
 
 
 def test_steps_of_a_residual_are_compared_at_times_of_the_study(flight):

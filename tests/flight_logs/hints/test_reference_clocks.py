@@ -36,7 +36,7 @@ def test_a_clock_that_runs_too_fast_or_slow_is_told_by_the_reference_alone(stret
     for reference, values in ((PULSES, pulses(TIME)), (linear().table["reference"], 0.5 * np.sin(np.pi * TIME))):
         hints = hints_of(log_of_reference(begin + stretch * TIME, values), reference)
         speed = "fast" if stretch > 1.0 else "slow"
-        text = hints.shifts["y_ref"]
+        text = hints.shifts["y_ref"].text
         assert text.startswith(f"is the study's with times x {stretch:g}: the log's clock is ")
         assert f"{max(stretch, 1.0 / stretch):.4g} times too {speed}" in text
         assert text.endswith(f'scale the times (time = {{ column = "t", scale = {1.0 / stretch:.4g} }})')
@@ -48,7 +48,7 @@ def test_the_scale_removes_the_stretch():
     scale = 1e-3
     time = 1.02 * np.concatenate([DT * np.arange(-100, 0), TIME])
     log = log_of_reference(time + 10.0, pulses(time / 1.02), start=10.0, clock=TimeSource("ms", scale))
-    text = hints_of(log).shifts["y_ref"]
+    text = hints_of(log).shifts["y_ref"].text
     assert text.endswith('scale the times (time = { column = "ms", scale = 0.0009804 } and start = 9.80392)')
     mended = log_of_reference((time + 10.0) / 1.02, pulses(time / 1.02), start=10.0 / 1.02)
     assert hints_of(mended).all() == {}
@@ -65,8 +65,8 @@ def test_another_reference_is_told_with_what_it_means():
     for values in others:
         hints = hints_of(log_of_reference(TIME, values))
         assert hints.shifts == {}
-        assert hints.others["y_ref"].startswith("differs from the study's by ")
-        assert "The draws follow the study's reference" in hints.others["y_ref"]
+        assert hints.others["y_ref"].text.startswith("differs from the study's by ")
+        assert "The draws follow the study's reference" in hints.others["y_ref"].text
 
 
 def test_the_same_reference_is_not():
@@ -95,7 +95,7 @@ def test_a_late_reference_does_not_move_a_fit_of_logged_commands():
     log = log_of(y, u)
     late = log._replace(columns=log.columns | {"y_ref": Column(TIME, pulses(TIME - 0.2))})
     study = linear(reference=PULSES)
-    assert replay_log(study, late, commands=False).hints.shifts["y_ref"] == (
+    assert replay_log(study, late, commands=False).hints.shifts["y_ref"].text == (
         "is the study's, 0.2 s later: if y and the command are as late, set start to 0.2 s; if not, only its topic is "
         "late, and a fit of logged commands does not use it"
     )

@@ -71,9 +71,9 @@ def test_a_log_that_begins_tilted_and_turning_is_told():
     """The tilt is the angle of two rotations after each other: cos = cos(roll) cos(pitch)."""
     hints = hints_of(study({}, []), *flight(0.12, -0.05, (0.3, 0.0, -0.4)))
     tilt = np.degrees(np.arccos(np.cos(0.12) * np.cos(0.05)))
-    assert f"with a tilt of 0 degrees, the log with one of {tilt:.3g}" in hints["plant.roll"]
-    assert "Set plant.roll = 0.12 and plant.pitch = -0.05" in hints["plant.roll"]
-    assert "the log begins with 0.5. Set plant.body_rate = [0.3, 0, -0.4]" in hints["plant.body_rate"]
+    assert f"with a tilt of 0 degrees, the log with one of {tilt:.3g}" in hints["plant.roll"].text
+    assert "Set plant.roll = 0.12 and plant.pitch = -0.05" in hints["plant.roll"].text
+    assert "the log begins with 0.5. Set plant.body_rate = [0.3, 0, -0.4]" in hints["plant.body_rate"].text
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_a_table_has_the_attitude_under_its_own_names(tmp_path):
     table = {"time": {"column": "ms", "scale": 0.001}, "start": start, "signals": {"x_y": "x_y"}}
     chosen = study({}, [])
     hints = attitude_hints(chosen, read_log(file, chosen.loop.channels, table))
-    assert "Set plant.roll = 0.12 and plant.pitch = -0.05" in hints["plant.roll"]
+    assert "Set plant.roll = 0.12 and plant.pitch = -0.05" in hints["plant.roll"].text
 
 
 def test_a_log_without_an_attitude_says_nothing():

@@ -183,7 +183,7 @@ def test_a_jump_that_the_log_does_not_state_refuses_a_fit(tmp_path):
     np.testing.assert_allclose(fit_log(linear(), stated).estimates, plain.estimates, rtol=1e-4)
     hints = replay_log(linear(), stated, commands=False).hints.estimator
     told = "tells a reset of the estimator at 4 s (x by 0.4, y by 0 m): the jump is taken out"
-    assert hints["vehicle_local_position.xy_reset_counter"].startswith(told)
+    assert hints["vehicle_local_position.xy_reset_counter"].text.startswith(told)
     silent = dj.read_log(ulog(tmp_path / "c.ulg", jump, stated=False, estimate=flight), table=table)
     told = (
         r"at 4 s \(x by about 0\.\d+, y .*part before with loop.duration = 4 or a part after with a start of 4 s; `all"
@@ -192,7 +192,7 @@ def test_a_jump_that_the_log_does_not_state_refuses_a_fit(tmp_path):
         fit_log(linear(), silent)
     assert (
         "does not state"
-        in replay_log(linear(), silent, commands=False).hints.estimator["vehicle_local_position.xy_reset_counter"]
+        in replay_log(linear(), silent, commands=False).hints.estimator["vehicle_local_position.xy_reset_counter"].text
     )
     short = linear(loop={"duration": 3.0, "sample_time": DT})
     assert replay_log(short, silent, commands=False).hints.estimator == {}

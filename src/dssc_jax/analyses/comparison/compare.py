@@ -2,80 +2,36 @@
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Self
 
-import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.rivals import Contestants, ControllerTable, with_controller
+from dssc_jax.analyses.comparison.contest import Contest, ContestAnswer, ContestPart, controller_axis
+from dssc_jax.analyses.comparison.rivals import Contestants
 from dssc_jax.analyses.comparison.tuning import Tuning, best_gains, gain_ranges, untuned_reason, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
-from dssc_jax.analyses.margins.joined import name_axis
-from dssc_jax.closed_loop.metrics.requirements import violated
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.results.result import headline_measure
-from dssc_jax.runs import run as running
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
-from dssc_jax.statistics.order import upper_quantiles
+from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 
 @dataclass(frozen=True)
-class MetricDifference:
-    """The median of a metric's difference between two controllers, draw by draw."""
-
-    difference: Annotated[float, Quantity("that of the metric", "median of the metric of a minus that of b")]
-    interval: Annotated[tuple[float, float], Quantity("that of the metric", "interval of that median")]
-
-
-@dataclass(frozen=True)
-class ControllerPair:
-    """Two controllers on the same draws: failure probability of a minus that of b."""
-
-    a: Annotated[str, Quantity("", "one controller")]
-    b: Annotated[str, Quantity("", "the other controller")]
-    draws: Annotated[int, Quantity("1", "number of draws")]
-    only_a: Annotated[int, Quantity("1", "draws on which only a fails")]
-    only_b: Annotated[int, Quantity("1", "draws on which only b fails")]
-    difference: Annotated[float, Quantity("1", "failure probability of a minus that of b")]
-    interval: Annotated[tuple[float, float], Quantity("1", "interval of the difference, for paired draws")]
-    p_value: Annotated[float, Quantity("1", "exact test of McNemar")]
-    metrics: dict[str, MetricDifference]
-
-
-@dataclass(frozen=True)
-class ControllerAnswer:
-    """A controller's failures and its metrics."""
-
-    controller: Annotated[ControllerTable, Quantity("", "table of the controller in a study file")]
-    failures: Annotated[int, Quantity("1", "failed draws")]
-    probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability (Clopper-Pearson)")]
-    violations: Annotated[dict[str, int], Quantity("1", "draws that violate each requirement")]
-    median: Annotated[dict[str, float], Quantity("that of the metric", "median of each metric")]
-
-
-@dataclass(frozen=True)
-class ContestAnswer:
-    """Controllers on the same draws, singly and in pairs."""
-
-    controllers: dict[str, ControllerAnswer]
-    pairs: list[ControllerPair]
-
-
-@dataclass(frozen=True)
 class TunedContestAnswer:
-    """Controllers with gains that were tuned on equal budgets."""
+    """The contest of controllers whose gains were tuned on equal budgets, with the budget in words.
+
+    In JSON the fields of ``contest`` stand among its own.
+    """
 
     budget: Annotated[str, Quantity("", "the budget of each controller")]
     contest: ContestAnswer = field(metadata={MERGED: True})
@@ -83,7 +39,10 @@ class TunedContestAnswer:
 
 @dataclass(frozen=True)
 class ComparisonAnswer:
-    """Controllers with the study's gains or those that follow from it, and with tuned gains."""
+    """Controllers with the gains that the study gives, or that follow from it, and with tuned gains.
+
+    ``tuned`` is None if nothing was tuned. In JSON the fields of ``corresponding`` stand among its own.
+    """
 
     draws: Annotated[int, Quantity("1", "number of draws")]
     confidence: Annotated[float, Quantity("1", "confidence of each interval")]
@@ -93,122 +52,6 @@ class ComparisonAnswer:
     tuned: TunedContestAnswer | None
     untuned: Annotated[dict[str, str], Quantity("", "why none of a controller's gains could be tuned, by controller")]
     seconds: Annotated[float, Quantity("s", "computing time")]
-
-
-class Contest(NamedTuple):
-    """The results of several controllers on the same draws.
-
-    Args:
-        tables: The ``[controller]`` table of each controller.
-        dataset: Along ``controller`` and ``draw`` it has ``failed``, ``outcome`` and every metric that all controllers
-            have; along ``draw`` the uncertain numbers.
-    """
-
-    tables: dict[str, ControllerTable]
-    dataset: xr.Dataset
-
-    @classmethod
-    def of(cls, study: Study, tables: dict[str, ControllerTable], progress: Callable[[], None]) -> "Contest":
-        """Run the study with every controller.
-
-        Args:
-            study: The study without its sweep.
-            tables: The ``[controller]`` table of each controller.
-            progress: Called after each run.
-        """
-        parts: list[xr.Dataset] = []
-        for name, table in tables.items():
-            parts.append(running.run(with_controller(study, name, table)).dataset)
-            progress()
-        first = parts[0]
-        uncertain = []
-        common = []
-        for name in first:
-            if all("law" in part.get(name, part["outcome"]).attrs for part in parts):
-                uncertain.append(name)
-            elif all(name in part for part in parts):
-                common.append(name)
-        axis = controller_axis(tables)
-        dataset = xr.concat([part[common] for part in parts], dim=axis, join="exact").assign(first[uncertain])
-        failed = dataset["outcome"] != Outcome.OK
-        dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
-        return cls(tables, dataset)
-
-    def metrics(self, study: Study) -> list[str]:
-        """Names of the study's metrics that all controllers have."""
-        return [measure.name for measure in study.measures if measure.name in self.dataset]
-
-    def pairs(self, study: Study, confidence: float = CONFIDENCE) -> list[ControllerPair]:
-        """Compare every two controllers a and b draw by draw, by their failures and by each metric that both have."""
-        pairs = []
-        for a, b in itertools.combinations(self.tables, 2):
-            first = self.dataset.sel(controller=a)
-            second = self.dataset.sel(controller=b)
-            failures = compare_failures(first["failed"].values, second["failed"].values, confidence)
-            metrics = {}
-            for name in self.metrics(study):
-                paired = compare_metrics(first[name].values, second[name].values, confidence=confidence)
-                metrics[name] = MetricDifference(paired.difference, paired.interval)
-            pairs.append(ControllerPair(a, b, **failures._asdict(), metrics=metrics))
-        return pairs
-
-    def answer(self, study: Study, confidence: float = CONFIDENCE) -> ContestAnswer:
-        """Failures, violations and median metrics of each controller, and the comparison of every pair."""
-        controllers = {}
-        for name, table in self.tables.items():
-            data = self.dataset.sel(controller=name)
-            failures = int(data["failed"].sum())
-            draws = data.sizes["draw"]
-            medians = {}
-            for measure in study.measures:
-                if measure.name in data:
-                    values = data[measure.name].values
-                    medians[measure.name] = upper_quantiles(values, [0.5], measure.metric.worst)[0]
-            violations = {}
-            for requirement in study.requirements:
-                if requirement.name in data:
-                    violations[requirement.label] = int(np.count_nonzero(violated(data[requirement.name].values)))
-            low, high = clopper_pearson(failures, draws, confidence)
-            controllers[name] = ControllerAnswer(
-                controller=table,
-                failures=failures,
-                probability=failures / draws,
-                interval=(low, high),
-                violations=violations,
-                median=medians,
-            )
-        return ContestAnswer(controllers, self.pairs(study, confidence))
-
-
-class ContestPart(NamedTuple):
-    """A contest without its data, which lie in the dataset of the comparison.
-
-    Args:
-        tables: The ``[controller]`` table of each controller.
-        variables: Names of the contest's variables in that dataset.
-    """
-
-    tables: dict[str, ControllerTable]
-    variables: tuple[str, ...]
-
-    @classmethod
-    def of(cls, contest: Contest) -> "ContestPart":
-        """The part that belongs to a contest."""
-        return cls(contest.tables, tuple(map(str, contest.dataset)))
-
-    def contest(self, dataset: xr.Dataset) -> Contest:
-        """The contest with its data.
-
-        Args:
-            dataset: The rows of the comparison's dataset that belong to these controllers, in their order.
-        """
-        labelled = dataset.assign_coords(controller=controller_axis(self.tables))
-        return Contest(self.tables, labelled[list(self.variables)])
-
-
-def controller_axis(names: Iterable[str]) -> xr.DataArray:
-    """The coordinate ``controller`` of a dataset, from the controllers' names."""
-    return name_axis("controller", names, "controller")
 
 
 @dataclass(eq=False)
@@ -245,7 +88,16 @@ class Comparison(Analysis):
         seconds: float,
         untuned: Mapping[str, str],
     ) -> Self:
-        """Create the comparison from its contests; arguments as of the class."""
+        """Create the comparison from its contests.
+
+        Args:
+            study: The study without its sweep.
+            corresponding: The contest with the gains that the study gives, or that follow from it.
+            tuned: The contest with tuned gains; None if nothing was tuned.
+            budget: The budget of the tuning.
+            seconds: Computing time [s].
+            untuned: The reason why a controller could not be tuned, by the name of the controller.
+        """
         dataset = corresponding.dataset
         if tuned is not None:
             names = controller_axis(f"{name}_tuned" for name in tuned.tables)
@@ -337,12 +189,14 @@ def compare(
     began = time.perf_counter()
     require_independent(study, "a comparison")
     study, tables, studies = Contestants.of(study, controllers)
-    steps = itertools.count(1)
-    total = len(tables) * (3 if candidates else 1)
+    step_numbers = itertools.count(1)
+    steps_of_controller = 3 if candidates else 1  # a run; then the tuning, and a run with its gains
+    total = len(tables) * steps_of_controller
 
     def step() -> None:
+        """Report that one more run or tuning is done."""
         if progress:
-            progress(next(steps), total)
+            progress(next(step_numbers), total)
 
     budget = Tuning.of(study, candidates, tuning_draws) if candidates else None
     if budget and len(study.loop.channels) > 1:
@@ -350,19 +204,19 @@ def compare(
     extents = ranges_by_controller(studies) if budget else {}
     untuned = {name: untuned_reason(studies[name], name) for name, ranges in extents.items() if not ranges}
     corresponding = Contest.of(study, tables, step)
-    contest = None
+    tuned = None
     if budget is not None and len(untuned) < len(tables):
-        better = {}
+        tuned_tables = {}
         for name, rival in studies.items():
             with errors_under(f"compare.{name}"):
-                better[name] = with_gains(tables[name], best_gains(rival, budget, extents[name]))
+                tuned_tables[name] = with_gains(tables[name], best_gains(rival, budget, extents[name]))
             step()
-        contest = Contest.of(study, better, step)
-    return Comparison.of(study, corresponding, contest, budget, time.perf_counter() - began, untuned)
+        tuned = Contest.of(study, tuned_tables, step)
+    return Comparison.of(study, corresponding, tuned, budget, time.perf_counter() - began, untuned)
 
 
 def ranges_by_controller(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[float, float]]]:
-    """The range of each number to tune, by controller; empty for a controller without a gain that can be tuned.
+    """The range of each gain to tune, by controller; empty for a controller without a gain that can be tuned.
 
     Args:
         studies: The study with each controller.

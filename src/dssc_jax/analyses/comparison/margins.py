@@ -29,7 +29,7 @@ from dssc_jax.study.code import code_names
 
 @dataclass(frozen=True)
 class MarginPair:
-    """Two controllers on the same draws: on which draws one goes further than the other."""
+    """Two controllers a and b on the same draws: on how many draws each goes further than the other."""
 
     a: Annotated[str, Quantity("", "one controller")]
     b: Annotated[str, Quantity("", "the other controller")]
@@ -43,7 +43,7 @@ class MarginPair:
 
 @dataclass(frozen=True)
 class MarginContestAnswer:
-    """The margins of several controllers, singly and in pairs."""
+    """The margins of several controllers over one number: each alone, and every two compared draw by draw."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
     unit: Annotated[str, Quantity("", "unit of the number")]
@@ -78,22 +78,32 @@ class MarginContest(Analysis):
 
     @classmethod
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
-        """Create the contest from the margins of its controllers; arguments as of the class."""
+        """Create the contest from the margins of its controllers.
+
+        Args:
+            study: The study without its sweep.
+            margins: The margins by controller.
+            tables: The ``[controller]`` table of each controller.
+            seconds: Computing time [s].
+        """
         dataset = join_margins(margins, "controller", "controller")
         contest = cls(study, dataset, margin_parts(margins), tables, seconds)
-        contest.margins = margins
+        contest.margins = margins  # in place of those that the property would read from the dataset
         return contest
 
     @classmethod
     def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
-        """See :class:`Analysis`; the stored controllers may name no code that the stored study does not name."""
+        """Load a contest from a folder; see :meth:`Analysis.load`.
+
+        The stored controllers may name no code that the stored study does not name.
+        """
         description = read_description(Path(folder), cls.kind)
         require_no_foreign_code(description["source"], description["study"], description["settings"].get("tables"))
         return super().load(folder, trust_code)
 
     @cached_property
     def margins(self) -> dict[str, Margins]:
-        """The margins by controller."""
+        """The margins by controller, read from the dataset."""
         return split_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
@@ -105,7 +115,11 @@ class MarginContest(Analysis):
     def pairs(self, confidence: float = CONFIDENCE) -> list[MarginPair]:
         """Compare every two controllers a and b: on how many draws one passes further along the walk than the other.
 
-        Draws on which both are censored alike are ties. Interval and test are exact for paired draws.
+        A walk leads from the safe value of the number to the other end. Draws on which both are censored alike are
+        ties. Interval and test are exact for paired draws.
+
+        Args:
+            confidence: Confidence of each interval.
         """
         pairs = []
         for a, b in itertools.combinations(self.margins, 2):
@@ -204,8 +218,8 @@ def compare_margins(
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     margins: dict[str, Margins] = {}
 
-    def advance(finished_lanes: int, total: int | None) -> None:
-        del total
+    def advance(finished_lanes: int, _: int | None) -> None:
+        """Report the lanes done for all controllers, from those done for the present one."""
         if progress:
             progress(len(margins) * lanes + finished_lanes, len(studies) * lanes)
 

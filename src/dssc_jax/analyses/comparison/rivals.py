@@ -1,8 +1,9 @@
-"""Gains of the other controllers if a study does not give them, from the article's correspondences (Table 2).
+"""The tables of the controllers of a comparison: a study's own, those that it states, and those derived from its DSSC.
 
-PI and SSC get the gains that DSSC synthesises at the origin. The STA, in its three sampled forms, gets kappa1 and
-kappa2 of the functions that approximate it, and the VGSTA also the smoothing delta. First-order sliding mode gets the
-gain rho. Error pole and nominal control are DSSC's. A name may include a sampled form or a limit: ``sta_proper``,
+If a study does not give the gains of another controller, they follow from the article's correspondences (Table 2). PI
+and SSC get the gains that DSSC synthesises at the origin. The STA, in its three sampled forms, gets kappa1 and kappa2
+of the functions that approximate it, and the VGSTA also the smoothing delta. First-order sliding mode gets the gain
+rho. Error pole and nominal control are DSSC's. A name may include a sampled form or a limit: ``sta_proper``,
 ``sta_limited``. A controller of one's own is named ``module:OBJECT``; error pole and nominal control are the study's,
 its other gains have their defaults.
 """
@@ -25,7 +26,9 @@ from dssc_jax.study.laws import UncertainValue
 from dssc_jax.study.tables import channel_table, merge_tables
 
 ControllerTable = TomlTable
+"""The ``[controller]`` table of a study file."""
 LIMITED = "limited"
+SINGLE = ""  # name of the channel of a plant that has only one
 COMMON_GAINS = ("l0", "nominal")
 """Error pole and nominal control, which any controller may share with DSSC."""
 
@@ -49,8 +52,9 @@ def rival_names() -> dict[str, RivalName]:
     names = {}
     for kind, entry in CONTROLLERS.items():
         names[kind] = RivalName(kind)
-        for form in filter(None, entry.members):
-            names[f"{kind}_{form}"] = RivalName(kind, form=str(form))
+        for form in entry.members:
+            if form:  # None: the kind has only one
+                names[f"{kind}_{form}"] = RivalName(kind, form=str(form))
         names[f"{kind}_{LIMITED}"] = RivalName(kind, limited=True)
     return names
 
@@ -65,13 +69,20 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
     A stored comparison then tells, like any study, which code it refers to. If the study has a ``[compare.NAME]``
     already, its gains are kept.
+
+    Args:
+        study: The study.
+        names: Names of all controllers of the comparison.
     """
-    tables = {}
+    added_tables = {}
     for name in names:
         stated_table = study.config.compare.get(name, {})
-        if ":" in name and name != controller_kinds(study) and "kind" not in stated_table:
-            tables[name] = merge_tables({"kind": name, **common_gains(study, name)}, stated_table)
-    return study.override({"compare": {**study.config.compare, **tables}}) if tables else study
+        is_own = ":" in name and name != controller_kinds(study)
+        if is_own and "kind" not in stated_table:
+            added_tables[name] = merge_tables({"kind": name, **common_gains(study, name)}, stated_table)
+    if not added_tables:
+        return study
+    return study.override({"compare": {**study.config.compare, **added_tables}})
 
 
 def controller_kinds(study: Study) -> str:
@@ -83,8 +94,8 @@ def controller_kinds(study: Study) -> str:
 def common_gains(study: Study, name: str) -> ControllerTable:
     """The gains that the study's controller and a user's own controller have in common, by key.
 
-    Gains of one channel are in a table under its name. Common gains are the error pole ``l0`` and the nominal control
-    ``nominal``, as far as the user's controller has them.
+    They are the error pole ``l0`` and the nominal control ``nominal``, as far as the user's controller has them. The
+    gains of one channel are in a table under its name.
 
     Args:
         study: The study.
@@ -92,23 +103,28 @@ def common_gains(study: Study, name: str) -> ControllerTable:
     """
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
-        fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)
+        forms = lookup(name, CONTROLLERS).members
+        own_controller = next(iter(forms.values()))  # its only form
+        fields = field_specs(own_controller.params)
     common = [key for key in COMMON_GAINS if key in fields]
     gains = {key: controller[key] for key in common if key in controller}
     for channel in study.loop.channels:
-        table = controller.get(channel, {})
-        of_channel = {key: table[key] for key in common if key in table}
-        if of_channel:
-            gains[channel] = of_channel
+        channel_gains = controller.get(channel, {})
+        common_of_channel = {key: channel_gains[key] for key in common if key in channel_gains}
+        if common_of_channel:
+            gains[channel] = common_of_channel
     return gains
 
 
 def controller_table(study: Study, name: str) -> ControllerTable:
     """The ``[controller]`` table of a controller in a comparison.
 
+    The study's ``[compare.NAME]`` has priority. It is a whole controller if it states another kind than the study's.
+    Otherwise it has changes: of the controller that NAME denotes without a table, where NAME is a kind, else of
+    ``[controller]``.
+
     Args:
-        study: The study. Its ``[compare.NAME]`` has priority. It is a whole controller if it states another kind, else
-            changes: of ``[controller]``, or, where NAME is a kind, of the controller that NAME denotes without a table.
+        study: The study.
         name: Name of the table, or kind of controller, optionally with a sampled form or ``limited`` to rho.
 
     Raises:
@@ -119,38 +135,42 @@ def controller_table(study: Study, name: str) -> ControllerTable:
         return corresponding_table(study, name)
     controller = study.config.controller
     table = {key: value for key, value in stated_table.items() if key != "tune"}
-    if "kind" in table:
-        return merge_tables(controller, table) if table["kind"] == controller_kinds(study) else table
-    return table_with_changes(study, name, table) if name in rival_names() else merge_tables(controller, table)
+    if "kind" not in table and name in rival_names():
+        return table_with_changes(study, name, table)
+    if table.get("kind", controller_kinds(study)) != controller_kinds(study):
+        return table
+    return merge_tables(controller, table)
 
 
 def corresponding_table(study: Study, name: str) -> ControllerTable:
     """The table of a controller that has no ``[compare.NAME]``: the study's own, or derived from DSSC.
 
-    For controllers of one's own see :func:`with_own_controllers`.
+    A user's own controller has such a table; see :func:`with_own_controllers`.
 
     Raises:
         ConfigError: There is no such controller, or its gains do not follow from the study's own.
     """
-    controller = study.config.controller
     study_kind = controller_kinds(study)
     if name == study_kind:
-        return dict(controller)
+        return dict(study.config.controller)
     names = rival_names()
     if name not in names:
         hint = nearest(name, [*names, *study.config.compare])
         raise ConfigError(f"compare.{name}", f"there is no such controller; {hint}")
     rival = names[name]
-    table = dict(controller) if rival.kind == study_kind else derive_table(study, name, rival.kind)
+    is_study_kind = rival.kind == study_kind
+    table = dict(study.config.controller) if is_study_kind else derive_table(study, name, rival.kind)
     if rival.limited:
         return with_limit(study, name, table)
-    return {**table, "discretisation": rival.form} if rival.form else table
+    if rival.form:
+        return {**table, "discretisation": rival.form}
+    return table
 
 
 def table_with_changes(study: Study, name: str, changes: ControllerTable) -> ControllerTable:
     """The table of a controller whose name states its kind, with the changes of a ``[compare.NAME]`` that states none.
 
-    If the controller's gains do not follow from the study's own, the changes are all its gains.
+    If the controller's gains do not follow from the study's own, the changes are all of its gains.
 
     Args:
         study: The study.
@@ -164,7 +184,7 @@ def table_with_changes(study: Study, name: str, changes: ControllerTable) -> Con
     try:
         table = corresponding_table(study, name)
     except ConfigError:
-        limit = CONTROLLERS[rival.kind].default_member.limit
+        limit = CONTROLLERS[rival.kind].default_member.limit  # name of the gain that limits the command; empty: none
         if not changes or (rival.limited and not limit):
             raise
         if rival.limited and limit not in changes:
@@ -174,12 +194,14 @@ def table_with_changes(study: Study, name: str, changes: ControllerTable) -> Con
     if rival.kind != controller_kinds(study):  # each channel has all gains, so that common changes go to each
         channels = study.loop.channels
         common_changes = {key: value for key, value in changes.items() if key not in channels}
-        table |= {channel: merge_tables(table[channel], common_changes) for channel in channels if channel in table}
+        for channel in channels:
+            if channel in table:
+                table[channel] = merge_tables(table[channel], common_changes)
     return merge_tables(table, changes)
 
 
 def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
-    """Derive the gains of another kind of controller from those of the study's DSSC, channel by channel.
+    """Derive the gains of another kind of controller from the gains of the study's DSSC, channel by channel.
 
     Args:
         study: The study.
@@ -205,9 +227,11 @@ def derive_table(study: Study, name: str, kind: str) -> ControllerTable:
                 table = {"kind": kind, **from_dssc(gains)}
         except ConfigError as error:
             raise ConfigError(f"compare.{name}", f"{error.rule}; give [compare.{name}]") from None
-        of_channel = channel_table(common, controller.get(channel, {})) if channel else common
-        tables[channel] = table | {key: of_channel[key] for key in COMMON_GAINS if key in of_channel}
-    return tables.get("", {"kind": kind, **tables})
+        stated_gains = common if channel == SINGLE else channel_table(common, controller.get(channel, {}))
+        tables[channel] = table | {key: stated_gains[key] for key in COMMON_GAINS if key in stated_gains}
+    if SINGLE in tables:
+        return tables[SINGLE]
+    return {"kind": kind, **tables}
 
 
 def require_numbers(gains: DsscGains) -> None:
@@ -226,7 +250,7 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
     Args:
         study: The study.
         name: Name of the controller in the comparison, for messages.
-        table: The table without a limit.
+        table: The ``[controller]`` table without a limit.
 
     Raises:
         ConfigError: The controller has no limit, or rho is not constant.
@@ -241,7 +265,7 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
         if not isinstance(gains, DsscGains):
             raise ConfigError(f"compare.{name}", "rho is DSSC's; give [compare.NAME] with a limit")
         limits[channel] = {limit: switching_gain(gains)}
-    return merge_tables(table, limits.get("", limits))
+    return merge_tables(table, limits.get(SINGLE, limits))
 
 
 def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
@@ -258,14 +282,14 @@ def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
     try:
         return study.override({"controller": table, "sweep": {}})
     except ConfigError as error:
-        raise ConfigError(f"compare.{name}", untied_rule(study, table) or str(error)) from None
+        rule = missing_pair_rule(study, table) or str(error)
+        raise ConfigError(f"compare.{name}", rule) from None
 
 
-def untied_rule(study: Study, table: ControllerTable) -> str:
-    """Why a controller does not fit the correlations of a study that it fits otherwise; empty if it fits them.
+def missing_pair_rule(study: Study, table: ControllerTable) -> str:
+    """The message for a controller that lacks a number which the study correlates with another; empty if it lacks none.
 
-    Without a pair the numbers of the others would have other draws, so that a pair is not left out silently.
-
+    Without the pair, the numbers of the other controllers would have other draws. So it is not left out silently.
     Args:
         study: The study.
         table: The ``[controller]`` table.
@@ -276,7 +300,7 @@ def untied_rule(study: Study, table: ControllerTable) -> str:
     except ConfigError:
         return ""
     for pair in correlation:
-        for gain in correlated_names({pair: 0.0}):
+        for gain in correlated_names({pair: 0.0}):  # the names alone matter, no coefficient
             if gain not in free.laws:
                 return (
                     f'has no uncertain number {gain}, which correlation."{pair}" ties to another, and all controllers '
@@ -301,13 +325,18 @@ class Contestants(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, controllers: Sequence[str]) -> "Contestants":
-        """The controllers with these names, of which there have to be two different ones at least.
+        """Find the tables of the controllers with some names, and put each into the study.
+
+        Args:
+            study: The study; its sweep is ignored.
+            controllers: Two different names or more.
 
         Raises:
             ConfigError: There are fewer, one is named twice or unknown, or a controller does not fit the study.
         """
         names = list(controllers)
-        if len(set(names)) < max(2, len(names)):
+        has_repetition = len(set(names)) < len(names)
+        if has_repetition or len(names) < 2:
             raise ConfigError("controllers", f"needs two different names or more, got {', '.join(names) or 'none'}")
         study = with_own_controllers(study.without_sweep(), names)
         tables = {name: controller_table(study, name) for name in names}

@@ -1,7 +1,7 @@
-"""Tune controllers on an equal budget: the same number of candidates, separate tuning draws and one objective."""
+"""Tune controllers on an equal budget: the same number of candidate gains, separate tuning draws and one objective."""
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,8 @@ from dssc_jax.study.laws import is_range
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.tables import set_dotted
 
-FACTOR = 10.0  # ranges reach from a tenth to ten times the study's own gain
+FACTOR = 10.0  # a range reaches from a tenth to ten times the study's own gain
+GIVEN = 0  # index of the candidate with the given gains
 RUNOFF = 1000  # further draws on which the best candidate has to be better than the given gains
 LOW = 5.0  # per cent: quantile of the worst slack that decides ties; a higher one would not see the failures to come
 
@@ -42,7 +43,7 @@ class Tuning:
 
     @classmethod
     def of(cls, study: Study, candidates: int = CANDIDATES, draws: int = TUNING_DRAWS) -> "Tuning":
-        """A budget whose draws differ from the study's.
+        """Create a budget whose draws differ from the study's.
 
         Raises:
             ConfigError: A count is out of range.
@@ -50,7 +51,8 @@ class Tuning:
         for name, count in (("candidates", candidates), ("tuning draws", draws)):
             if not 1 <= count <= MOST_CANDIDATES:
                 raise ConfigError(name, f"must be in 1 .. {MOST_CANDIDATES}, got {count}")
-        return cls(candidates, draws, (study.config.seed + 1) % 2**32)
+        other_seed = (study.config.seed + 1) % 2**32
+        return cls(candidates, draws, other_seed)
 
     @property
     def text(self) -> str:
@@ -85,13 +87,18 @@ def gain_ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[f
         extents[f"controller.{name}"] = (float(extent[0]), float(extent[1]))
     if extents:
         return extents
-    names = study.loop.controller[0].tunable_gains(study.template.controller[0])
-    for name in names:
+    for name in usual_gains(study):
         number = study.numbers.get(f"controller.{name}")
         if number is not None and untuned_cause(number) == "":
             value = nominal(number.value)
             extents[f"controller.{name}"] = (value / FACTOR, value * FACTOR)
     return extents
+
+
+def usual_gains(study: Study) -> Sequence[str]:
+    """Names of the gains that the study's controller declares as usually tuned, within ``[controller]``."""
+    controller = study.loop.controller[0]  # a plant of several channels is not tuned
+    return controller.tunable_gains(study.template.controller[0])
 
 
 def untuned_reason(study: Study, controller: str) -> str:
@@ -101,20 +108,23 @@ def untuned_reason(study: Study, controller: str) -> str:
         study: The study with the controller.
         controller: Name of the controller in the comparison.
     """
-    names = study.loop.controller[0].tunable_gains(study.template.controller[0])
-    numbers = {}
+    numbers = {}  # of the controller that may have laws, by their names within [controller]
     for number in study.numbers.values():
         section, _, name = number.name.partition(".")
         if section == "controller" and number.quantity.law:
             numbers[name] = number
+    names = usual_gains(study)
     causes = [f"{name} {untuned_cause(numbers.get(name))}" for name in names]
     reason = f"of its usual gains {', '.join(causes)}" if causes else "it declares no usual gains"
-    candidates = []
+    others = []
     for name, number in numbers.items():
-        is_given = name.partition(".")[0] in study.config.controller
+        key, _, _ = name.partition(".")
+        is_given = key in study.config.controller
         if name not in names and is_given and untuned_cause(number) == "":
-            candidates.append(name)
-    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(candidates)}" if candidates else reason
+            others.append(name)
+    if not others:
+        return reason
+    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(others)}"
 
 
 def untuned_cause(number: Number | None) -> str:
@@ -146,13 +156,15 @@ def best_gains(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, 
     medians = derived_medians(study, extents)
     trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **medians})
     candidates = candidate_points(trial, extents, budget.candidates, budget.seed)
-    evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
-    all_scores = candidate_scores(evaluator, candidates, np.arange(budget.draws))
-    best = min(range(len(all_scores)), key=all_scores.__getitem__)
-    pair = {name: column[[0, best]] for name, column in candidates.items()}
-    given_score, best_score = candidate_scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
-    winner = int(best_score < given_score)
-    return {name: float(column[winner]) for name, column in pair.items()}
+    most_lanes = min(budget.draws * budget.candidates, max(BLOCK, budget.draws))
+    evaluator = Evaluator(trial, extents, most_lanes)
+    scores = candidate_scores(evaluator, candidates, np.arange(budget.draws))
+    best = scores.index(min(scores))
+    finalists = {name: column[[GIVEN, best]] for name, column in candidates.items()}
+    runoff_draws = np.arange(budget.draws, budget.draws + RUNOFF)
+    given_score, best_score = candidate_scores(evaluator, finalists, runoff_draws)
+    winner = best if best_score < given_score else GIVEN
+    return {name: float(column[winner]) for name, column in candidates.items()}
 
 
 def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
@@ -171,9 +183,9 @@ def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
 def candidate_scores(
     evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray
 ) -> list[tuple[int, float]]:
-    """The score of each candidate: its failed draws, then minus a low quantile of its worst slack.
+    """The score of each candidate: its number of failed draws, then minus a low quantile of its worst slack.
 
-    Scores are compared as tuples. The smaller one is better.
+    Scores are compared as tuples: fewer failures are better, and among equals a larger slack.
 
     Args:
         evaluator: The compiled study.
@@ -184,21 +196,25 @@ def candidate_scores(
     total = len(next(iter(candidates.values())))
     per_batch = max(1, evaluator.lanes // len(draws))
     scores = []
-    for begin in range(0, total, per_batch):
-        part = {name: column[begin : begin + per_batch] for name, column in candidates.items()}
-        count = len(next(iter(part.values())))
+    for first in range(0, total, per_batch):
+        batch = {name: column[first : first + per_batch] for name, column in candidates.items()}
+        count = min(per_batch, total - first)
         lanes = {name: np.tile(column, count) for name, column in laws.items()}
-        lanes |= {name: np.repeat(column, len(draws)) for name, column in part.items()}
+        lanes |= {name: np.repeat(column, len(draws)) for name, column in batch.items()}
         results = evaluator(np.tile(draws, count), lanes)
-        table = {name: array.reshape(count, len(draws)) for name, array in results.items()}
-        failures = np.count_nonzero(table["outcome"] != Outcome.OK, axis=-1)
-        low = np.quantile(slack_or_metric(evaluator.swept, table), 0.01 * LOW, axis=-1, method="inverted_cdf")
-        scores += list(zip(failures.tolist(), (-low).tolist(), strict=True))
+        by_candidate = {name: array.reshape(count, len(draws)) for name, array in results.items()}
+        failures = np.count_nonzero(by_candidate["outcome"] != Outcome.OK, axis=-1)
+        slacks = slack_or_metric(evaluator.swept, by_candidate)
+        low_slacks = np.quantile(slacks, 0.01 * LOW, axis=-1, method="inverted_cdf")
+        scores += list(zip(failures.tolist(), (-low_slacks).tolist(), strict=True))
     return scores
 
 
 def slack_or_metric(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """What a tuning maximises in each lane: the worst slack, or without requirements minus the first metric."""
+    """What a tuning maximises in each lane: the worst slack; without requirements, minus the first metric.
+
+    A draw without the metric has minus infinity.
+    """
     if study.requirements or not study.measures:
         return worst_slack(study.requirements, results)
     values = results[study.measures[0].name]
@@ -210,7 +226,7 @@ def candidate_points(
 ) -> dict[str, np.ndarray]:
     """Candidates for the values of some numbers, shape (count,) each.
 
-    The first candidate has the study's own values, where it has them; the others are scrambled Sobol points that are
+    The first candidate has the study's own values, where it has them. The others are scrambled Sobol points that are
     even in the logarithm.
 
     Args:
@@ -220,19 +236,25 @@ def candidate_points(
         seed: Seed of the Sobol points.
     """
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(seed))
-    unit = sobol.random(max(1, 1 << (count - 1).bit_length()))[:count]
-    low, high = np.array(list(extents.values())).T[:, :, None]
-    columns = np.exp(np.log(low) + unit.T * np.log(high / low))
+    enough = 1 << (count - 1).bit_length()  # the least power of two >= count: so many Sobol points are even
+    points = sobol.random(enough)[:count]
+    low, high = np.array(list(extents.values())).T[:, :, None]  # shape (numbers, 1) each
+    columns = np.exp(np.log(low) + points.T * np.log(high / low))
     leaves = study.leaves()
     for column, name in zip(columns, extents, strict=True):
-        gain = leaves.get(name)
-        if isinstance(gain, float):
-            column[0] = gain
+        own_value = leaves.get(name)
+        if isinstance(own_value, float):
+            column[GIVEN] = own_value
     return dict(zip(extents, np.clip(columns, low, high), strict=True))
 
 
 def with_gains(table: TomlTable, gains: Mapping[str, float]) -> TomlTable:
-    """The ``[controller]`` table with other gains, which have dotted names from ``controller.`` on."""
+    """The ``[controller]`` table with other gains.
+
+    Args:
+        table: The table, which stays as it is.
+        gains: The gains by their dotted names in the study, from ``controller.`` on.
+    """
     holder = {"controller": copy.deepcopy(table)}
     for name, value in gains.items():
         set_dotted(holder, name, value)

@@ -21,7 +21,7 @@ def require_falsifiable(study: Study, budget: int) -> None:
 
 
 def require_label(study: Study, requirement: str) -> None:
-    """Require that a label is empty or names a requirement of the study.
+    """Require that a label is empty, so that all requirements count, or names a requirement of the study.
 
     Raises:
         ConfigError: The study has no requirement with this label.
@@ -44,8 +44,11 @@ def without_other_margins(study: Study, requirement: str) -> Study:
     counted_requirements = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
     if any(required.measure.metric.margin is not None for required in counted_requirements):
         return study
-    tables = list(zip(study.table.get("requirement", []), study.config.requirement, strict=True))
-    tables_without_margin = [table for table, parsed in tables if parsed.margin is None]
+    tables = study.table.get("requirement", [])
+    tables_without_margin = []
+    for table, parsed in zip(tables, study.config.requirement, strict=True):
+        if parsed.margin is None:
+            tables_without_margin.append(table)
     if len(tables_without_margin) == len(tables):
         return study
     return study.override({"requirement": tables_without_margin})

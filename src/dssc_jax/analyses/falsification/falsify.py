@@ -8,8 +8,8 @@ loop noise is that of draw 0, and the likelihood leaves it out.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Self
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -17,75 +17,27 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET
+from dssc_jax.analyses.falsification.answer import (
+    FalsifiedAnswer,
+    PointAnswer,
+    likelihood_answer,
+    value_text,
+)
 from dssc_jax.analyses.falsification.conditions import require_falsifiable, require_label, without_other_margins
-from dssc_jax.analyses.falsification.search import SearchPrograms, SimulatedPoints, WorstDrawSearch
+from dssc_jax.analyses.falsification.search import RAN_TO_END, SearchPrograms, SimulatedPoints, WorstDrawSearch
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.metrics.requirements import Requirement, counted_places
-from dssc_jax.core.quantities import Quantity, unit_and_meaning
+from dssc_jax.core.quantities import unit_and_meaning
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis
-from dssc_jax.results.fields import MERGED
 from dssc_jax.results.schema import ENDINGS
 from dssc_jax.statistics import Likelihood, mass_within
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.known_draws import study_of_draw
 
-DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
-
-
-@dataclass(frozen=True)
-class LikelihoodAnswer:
-    """How likely a draw is."""
-
-    distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal scores")]
-    log_density: Annotated[float, Quantity("1", "logarithm of the scores' density relative to the mode")]
-    mass: Annotated[float, Quantity("1", "probability of a draw at most this far")]
-
-
-@dataclass(frozen=True)
-class PointAnswer:
-    """A simulated draw."""
-
-    slack: Annotated[float, Quantity("1", "slack of the worst requirement, relative to its bound")]
-    worst_requirement: Annotated[str | None, Quantity("", "the worst requirement; None if the draw ends early")]
-    worst_value: Annotated[str | None, Quantity("", "metric of that requirement, with unit; None if it ends early")]
-    ending: Annotated[str | None, Quantity("", "how the draw ends early; None if it runs to its end")]
-    ended_at: Annotated[float | None, Quantity("s", "time at which it ends early")]
-    first_violated: Annotated[str | None, Quantity("", "requirement that it violates first, before it ends")]
-    violated_at: Annotated[float | None, Quantity("s", "time at which that violation is certain")]
-    witness: Annotated[dict[str, float], Quantity("that of the number", "value of each uncertain number")]
-    likelihood: LikelihoodAnswer
-
-
-@dataclass(frozen=True)
-class FalsifiedAnswer:
-    """The worst draw found, and the likeliest failure."""
-
-    within: LikelihoodAnswer | None
-    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
-    failed: Annotated[bool, Quantity("", "whether the worst draw fails")]
-    worst: PointAnswer = field(metadata={MERGED: True})
-    units: Annotated[dict[str, str], Quantity("", "unit of each uncertain number")]
-    nearest_failure: PointAnswer | None
-    worst_seen: Annotated[dict[str, str], Quantity("", "worst value of each requirement, of all complete draws")]
-    simulations: Annotated[int, Quantity("1", "simulations spent")]
-    stopped: Annotated[str, Quantity("", "why the search stopped before its budget was spent; empty if it spent it")]
-    first_failure: Annotated[int | None, Quantity("1", "simulations until the first failure; None if there was none")]
-    seconds: Annotated[float, Quantity("s", "computing time")]
-
-
-def value_text(requirement: Requirement, slack: float) -> str:
-    """The value of a required metric with its unit, from the slack to its bound in the metric's unit."""
-    value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
-    if np.isnan(value):
-        return "no number"
-    number, unit = requirement.shown(value)
-    return f"{number:.4g} {unit}".removesuffix(" 1")
-
-
-def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
-    """The distance, density and probability of a draw, for JSON."""
-    return LikelihoodAnswer(likelihood.distance, likelihood.log_density, likelihood.mass)
+DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all of its draws together
+NO_UNIT = ""  # of values whose unit depends on the metric
+NOTHING_VIOLATED = -1  # in place of the index of the requirement that is violated first
 
 
 @dataclass(eq=False)
@@ -128,14 +80,22 @@ class Falsified(Analysis):
         stopped: str = "",
         requirement: str = "",
     ) -> Self:
-        """Create the analysis from the set that was searched and the simulated points, in the order of the search."""
+        """Create the analysis from the simulated points.
+
+        Args:
+            region: The set that was searched.
+            batches: The simulated points in the order of the search.
+            seconds: Computing time [s].
+            stopped: Why the search stopped before its budget was spent; empty if it spent it.
+            requirement: Label of the only requirement that counts; empty: all count.
+        """
         simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
         study = region.study
         distances = region.distances(simulated.points)
-        columns = {
+        columns = {  # values, unit, meaning
             "slack": (simulated.slacks, "1", "signed slack"),
             "binding": (simulated.binding, "1", "index of the worst requirement"),
-            "distance_to_bound": (simulated.distances, "", "slack of the worst requirement in its metric's unit"),
+            "distance_to_bound": (simulated.distances, NO_UNIT, "slack of the worst requirement in its metric's unit"),
             "simulations": (simulated.simulation_counts, "1", "simulations spent until then"),
             "ended": (simulated.ended, "1", "outcome code of a draw that ended early, else 0"),
             "failed_at": (simulated.failed_at, "s", "time at which it ended early (NaN: it did not)"),
@@ -146,7 +106,7 @@ class Falsified(Analysis):
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
         for required, column in zip(study.requirements, simulated.single_slacks.T, strict=True):
-            columns[required.name] = (column, "", f"slack of {required.text} in its metric's unit")
+            columns[required.name] = (column, NO_UNIT, f"slack of {required.text} in its metric's unit")
         for name, column in region.values(simulated.points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         variables = {}
@@ -163,17 +123,17 @@ class Falsified(Analysis):
 
     @property
     def worst(self) -> int:
-        """Index of the point with the smallest slack."""
+        """Index of the simulated point with the smallest slack."""
         return int(np.argmin(self.dataset["slack"].values))
 
     @property
     def witness(self) -> dict[str, float]:
-        """Value of each uncertain number at the worst point."""
+        """Value of each uncertain number at the worst point, by dotted name."""
         return self.numbers_at(self.worst)
 
     @property
     def likelihood(self) -> Likelihood:
-        """How likely the worst point is."""
+        """How likely the draw of the worst point is."""
         return self.likelihood_at(self.worst)
 
     @property
@@ -183,42 +143,49 @@ class Falsified(Analysis):
         None if no simulated point failed. The nearest failure of all, the design point, is at most this far.
         """
         failed = self.dataset["slack"].values < 0.0
+        if not failed.any():
+            return None
         distances = np.where(failed, self.dataset["distance"].values, np.inf)
-        return int(np.argmin(distances)) if failed.any() else None
+        return int(np.argmin(distances))
 
     def numbers_at(self, point: int) -> dict[str, float]:
-        """Value of each uncertain number at a point."""
+        """Value of each uncertain number at a simulated point, by dotted name."""
         return {name: float(self.dataset[name][point]) for name in self.study.laws}
 
     def likelihood_at(self, point: int) -> Likelihood:
-        """How likely a point is."""
+        """How likely the draw of a simulated point is."""
         return Likelihood(float(self.dataset["distance"][point]), len(self.study.laws))
 
     @property
     def slack(self) -> float:
-        """Slack of the worst point."""
+        """Relative slack of the worst requirement at the worst point; negative: its draw fails."""
         return float(self.dataset["slack"][self.worst])
+
+    def binding_requirement_at(self, point: int) -> Requirement | None:
+        """The worst requirement of a point; None if its draw ends early, which violates all of them."""
+        if self.dataset["ended"].values[point] != RAN_TO_END:
+            return None
+        return self.study.requirements[int(self.dataset["binding"][point])]
 
     def binding_at(self, point: int) -> str | None:
         """The worst requirement of a point, in words; None if its draw ends early, which violates all of them."""
-        if self.dataset["ended"].values[point]:
-            return None
-        return self.study.requirements[int(self.dataset["binding"][point])].short
+        requirement = self.binding_requirement_at(point)
+        return None if requirement is None else requirement.short
 
     def value_at(self, point: int) -> str | None:
         """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
-        if self.binding_at(point) is None:
+        requirement = self.binding_requirement_at(point)
+        if requirement is None:
             return None
-        requirement = self.study.requirements[int(self.dataset["binding"][point])]
         return value_text(requirement, float(self.dataset["distance_to_bound"][point]))
 
     @property
     def worst_seen(self) -> dict[str, str]:
         """The worst value of each required metric with its unit, over all points whose draws run to their end."""
-        complete = self.dataset["ended"].values == 0
+        ran_to_end = self.dataset["ended"].values == RAN_TO_END
         texts = {}
         for requirement in self.study.requirements:
-            slacks = self.dataset[requirement.name].values[complete]
+            slacks = self.dataset[requirement.name].values[ran_to_end]
             if np.any(~np.isnan(slacks)):
                 texts[requirement.short] = value_text(requirement, float(np.nanmin(slacks)))
         return texts
@@ -226,23 +193,27 @@ class Falsified(Analysis):
     def ending_at(self, point: int) -> str | None:
         """How the draw of a point ends early, in words; None if it runs to its end."""
         code = int(self.dataset["ended"].values[point])
-        return ENDINGS[Outcome(code)] if code else None
+        return None if code == RAN_TO_END else ENDINGS[Outcome(code)]
 
     def course_at(self, point: int) -> str:
         """When and how the draw of a point fails, in words; empty if it runs to its end and meets all requirements."""
         ending = self.ending_at(point)
-        first = self.first_at(point)
-        violated_at = float(self.dataset["violated_at"].values[point])
-        violation = "" if first is None else f"violates {first} at {violated_at:.4g} s"
+        first_violated = self.first_at(point)
+        violation = ""
+        if first_violated is not None:
+            violated_at = float(self.dataset["violated_at"].values[point])
+            violation = f"violates {first_violated} at {violated_at:.4g} s"
         if ending is None:
-            return violation and f"it first {violation}"
-        text = f"it {ending} at {float(self.dataset['failed_at'].values[point]):.4g} s"
-        return f"{text}; before that it {violation}" if violation else f"{text}, before it violates any requirement"
+            return f"it first {violation}" if violation else ""
+        ended_at = float(self.dataset["failed_at"].values[point])
+        if violation:
+            return f"it {ending} at {ended_at:.4g} s; before that it {violation}"
+        return f"it {ending} at {ended_at:.4g} s, before it violates any requirement"
 
     def first_at(self, point: int) -> str | None:
-        """The requirement that a point violates first, before its draw ends; None if there is none."""
-        first = int(self.dataset["first"].values[point])
-        return self.study.requirements[first].short if first >= 0 else None
+        """The requirement that a point violates first, before its draw ends, in words; None if it violates none."""
+        index = int(self.dataset["first"].values[point])
+        return None if index == NOTHING_VIOLATED else self.study.requirements[index].short
 
     @property
     def simulations(self) -> int:
@@ -253,24 +224,28 @@ class Falsified(Analysis):
     def first_failure(self) -> int | None:
         """The number of simulations until the first failure was found; None if there was none."""
         failed = np.flatnonzero(self.dataset["slack"].values < 0.0)
-        return int(self.dataset["simulations"][failed[0]]) if failed.size else None
+        if not failed.size:
+            return None
+        return int(self.dataset["simulations"][failed[0]])
 
     @property
     def witness_study(self) -> Study:
         """The study whose only draw is the worst one: numbers replace the laws, and no design of draws is left."""
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
-        return study_of_draw(Study.from_table({**table, "draws": 1}, self.study.source), self.witness)
+        study_of_one_draw = Study.from_table({**table, "draws": 1}, self.study.source)
+        return study_of_draw(study_of_one_draw, self.witness)
 
     @property
     def headline(self) -> str:
         """Whether the worst draw fails, how far it is from the median draw, and what it does, in one line."""
         value = self.value_at(self.worst)
-        worst = self.binding_at(self.worst)
-        ending = self.ending_at(self.worst) if value is None else f"has {value} where {worst} is required"
+        course = self.ending_at(self.worst)
+        if value is not None:
+            course = f"has {value} where {self.binding_at(self.worst)} is required"
         verdict = "fails" if self.slack < 0.0 else "passes"
         region = "" if self.within is None else f" within {self.within:.4g} sigma"
         place = f"at {self.likelihood.distance:.3g} sigma"
-        return f"the worst of {self.simulations:,} simulations{region} {verdict} {place}: it {ending}"
+        return f"the worst of {self.simulations:,} simulations{region} {verdict} {place}: it {course}"
 
     def figure(self) -> Figure:
         """Plot the slacks along the search, and where the worst draw lies within its laws."""
@@ -280,11 +255,14 @@ class Falsified(Analysis):
     def answer(self) -> FalsifiedAnswer:
         """The worst draw and the likeliest failure, as ``summary.json`` has them."""
         nearest = self.nearest_failure
+        within = None
+        if self.within is not None:
+            within = likelihood_answer(Likelihood(self.within, len(self.study.laws)))
         required = self.study.requirements
-        places = counted_places(required, self.requirement)
+        counted = [required[place] for place in counted_places(required, self.requirement)]
         return FalsifiedAnswer(
-            within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(required[place].text for place in places),
+            within=within,
+            requirements=tuple(requirement.text for requirement in counted),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
@@ -297,7 +275,7 @@ class Falsified(Analysis):
         )
 
     def point_answer(self, point: int) -> PointAnswer:
-        """Slack, numbers and likelihood of a simulated draw, and how it fails."""
+        """Slack, numbers and likelihood of the draw of a simulated point, and how it fails."""
         ending = self.ending_at(point)
         first = self.first_at(point)
         return PointAnswer(
@@ -394,7 +372,7 @@ def search_worst_draw(
         requirement=requirement,
     )
     search.explore()
-    for stage in (search.climb, search.evolve):
-        if search.worst > -np.inf:
-            stage()
+    for improve in (search.climb, search.evolve):
+        if search.worst > -np.inf:  # nothing is worse than an infinite miss
+            improve()
     return Falsified.of(region, search.batches, time.perf_counter() - began, search.stopped, requirement)

@@ -26,11 +26,15 @@ from dssc_jax.study import Study
 EXPLORED = 0.25  # share of the budget for points that are spread evenly
 CLIMBED = 0.5  # share of the budget for gradient descents; evolution gets the remainder
 STARTS = 8  # largest number of descents
-CLIMB = 12  # least number of steps of each
+CLIMB = 12  # least number of steps of each descent
 STRIDE = 0.25  # first step of a descent, relative to the size of the set
 LONGER = 1.5  # factor of a step after success
 SHORTER = 0.3  # factor of a step after failure
 MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
+LEAST_MEMBERS = 8  # members of the evolution in any case
+GENERATION_COST = 20  # a generation takes at most one part in so many of the budget
+LARGEST_COST = 1e100  # of the evolution, in place of infinity
+RAN_TO_END = 0  # in place of the outcome code of an early end
 
 
 class SearchPrograms(NamedTuple):
@@ -48,7 +52,12 @@ class SearchPrograms(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, budget: int) -> "SearchPrograms":
-        """The programs of a study without a sweep, in batches as large as a search with this budget needs."""
+        """Create the programs of a study without a sweep, in batches as large as a search needs.
+
+        Args:
+            study: The study.
+            budget: Number of simulations of the search.
+        """
         size = len(study.laws)
         lanes = max(exploration_size(budget), population_size(budget, size))
         with_gradients = GradientEvaluator(study, {}, climb_count(budget, size), names=list(study.laws))
@@ -56,8 +65,13 @@ class SearchPrograms(NamedTuple):
 
 
 def exploration_size(budget: int) -> int:
-    """Number of points that are spread evenly before anything is known, a power of two."""
-    return 1 << int(np.log2(max(EXPLORED * budget, LEAST_BUDGET // 2)))
+    """Number of points that are spread evenly before anything is known: the largest power of two within their share.
+
+    Args:
+        budget: Number of simulations.
+    """
+    share = max(EXPLORED * budget, LEAST_BUDGET // 2)
+    return 1 << int(np.log2(share))
 
 
 def population_size(budget: int, size: int) -> int:
@@ -67,11 +81,11 @@ def population_size(budget: int, size: int) -> int:
         budget: Number of simulations.
         size: Number of uncertain numbers.
     """
-    return max(8, min(MEMBERS_PER_COORDINATE * size, budget // 20))
+    return max(LEAST_MEMBERS, min(MEMBERS_PER_COORDINATE * size, budget // GENERATION_COST))
 
 
 def climb_count(budget: int, size: int) -> int:
-    """Number of gradient descents, such that each can make several steps within its share of the budget.
+    """Number of gradient descents at once, such that each can make several steps within its share of the budget.
 
     Args:
         budget: Number of simulations.
@@ -145,11 +159,11 @@ class WorstDrawSearch:
             return ""
         if self.worst > -np.inf:
             return self.unspent
-        points = self.batches[-1]
-        place = int(np.argmin(points.slacks))
-        if points.ended[place]:
+        last_batch = self.batches[-1]
+        worst = int(np.argmin(last_batch.slacks))
+        if last_batch.ended[worst] != RAN_TO_END:
             return "a draw ended early, and no draw is worse"
-        label = self.requirements[int(points.binding[place])].label
+        label = self.requirements[int(last_batch.binding[worst])].label
         return f"a draw misses {label} by an infinite amount, and no draw is worse"
 
     @property
@@ -168,29 +182,27 @@ class WorstDrawSearch:
         Returns:
             The slack of the worst requirement, shape (n,), and the results.
         """
-        results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
-        self.requirements = self.requirements or with_typical_slacks(self.programs.study.requirements, results)
-        places = counted_places(self.requirements, self.requirement)
-        requirements = [self.requirements[place] for place in places]
-        slacks = worst_slack(requirements, results)
-        binding = np.array(places)[binding_requirement(requirements, results)]
-        all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
-        distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
-        simulation_counts = self.simulation_count + cost * np.arange(1, len(points) + 1)
-        ended = np.where(ended_early(results["outcome"]), results["outcome"], 0)
+        draw_0 = np.zeros(len(points), dtype=int)  # all have its in-loop noise
+        results = evaluator(draw_0, self.region.values(points))
+        if not self.requirements:
+            self.requirements = with_typical_slacks(self.programs.study.requirements, results)
+        places = np.array(counted_places(self.requirements, self.requirement))
+        slacks = worst_slack(self.relevant_requirements, results)
+        binding = places[binding_requirement(self.relevant_requirements, results)]
+        single_slacks = np.array([results[requirement.name] for requirement in self.requirements])
         first, violated_at = first_violation(self.requirements, results)
         self.batches.append(
             SimulatedPoints(
                 points=points,
                 slacks=slacks,
                 binding=binding,
-                distances=distances,
-                simulation_counts=simulation_counts,
-                ended=ended,
+                distances=np.take_along_axis(single_slacks, binding[None], 0)[0],
+                simulation_counts=self.simulation_count + cost * np.arange(1, len(points) + 1),
+                ended=np.where(ended_early(results["outcome"]), results["outcome"], RAN_TO_END),
                 failed_at=results["failed_at"],
                 first=first,
                 violated_at=violated_at,
-                single_slacks=all_slacks.T,
+                single_slacks=single_slacks.T,
             )
         )
         self.simulation_count += cost * len(points)
@@ -201,7 +213,8 @@ class WorstDrawSearch:
 
     def explore(self) -> None:
         """Simulate points that are spread evenly over the set."""
-        self.simulate(self.region.even_points(exploration_size(self.budget), self.rng), self.programs.plain)
+        points = self.region.even_points(exploration_size(self.budget), self.rng)
+        self.simulate(points, self.programs.plain)
 
     def worst_points(self, count: int) -> np.ndarray:
         """The points with the smallest slacks so far, the worst first, shape (count, laws)."""
@@ -215,7 +228,10 @@ class WorstDrawSearch:
         return [self.requirements[place] for place in counted_places(self.requirements, self.requirement)]
 
     def single_slacks(self) -> np.ndarray:
-        """Slack of each requirement that counts, relative to its scale, at all points so far; (n, requirements)."""
+        """Slack of each requirement that counts, relative to its scale, at all points so far; shape (n, requirements).
+
+        A missing slack is minus infinity.
+        """
         places = counted_places(self.requirements, self.requirement)
         scales = np.array([requirement.scale for requirement in self.relevant_requirements])
         slacks = np.concatenate([batch.single_slacks[:, places] for batch in self.batches]) / scales
@@ -233,10 +249,12 @@ class WorstDrawSearch:
         """
         points = np.concatenate([batch.points for batch in self.batches])
         slacks = self.single_slacks()
-        targets = np.resize(np.argsort(slacks.min(axis=0), kind="stable"), count)
+        most_critical_first = np.argsort(slacks.min(axis=0), kind="stable")
+        targets = np.resize(most_critical_first, count)  # repeated in turn
         starts: list[int] = []
         for target in targets:
-            unused = [index for index in np.argsort(slacks[:, target], kind="stable").tolist() if index not in starts]
+            worst_first = np.argsort(slacks[:, target], kind="stable").tolist()
+            unused = [index for index in worst_first if index not in starts]
             apart = (index for index in unused if self.is_apart(points[index], points[starts]))
             starts.append(next(apart, unused[0]))
         return points[starts], targets
@@ -248,7 +266,8 @@ class WorstDrawSearch:
     def climb(self) -> None:
         """Run several projected gradient descents at once, each of one slack and with a step length of its own.
 
-        Native code has no derivatives, and an early end has no slack. Evolution then gets this share of the budget.
+        A simulation with derivatives costs 1 + d plain ones, for d uncertain numbers. Native code has no derivatives,
+        and an early end has no slack. Evolution then gets this share of the budget.
         """
         if native_code(self.programs.study) or not self.relevant_requirements:
             return
@@ -261,15 +280,16 @@ class WorstDrawSearch:
         _, results = self.simulate(points, evaluator, cost)
         best, slopes = self.slacks_and_slopes(points, results, targets)
         stride = np.full(len(points), STRIDE)
-        for _ in range(share // (cost * len(points)) - 1):
+        steps = share // (cost * len(points)) - 1
+        for _ in range(steps):
             trial = self.region.descend(points, slopes, stride)
             _, results = self.simulate(trial, evaluator, cost)
             slacks, trial_slopes = self.slacks_and_slopes(trial, results, targets)
-            better = slacks < best
-            points = np.where(better[:, None], trial, points)
-            slopes = np.where(better[:, None], trial_slopes, slopes)
+            is_better = slacks < best
+            points = np.where(is_better[:, None], trial, points)
+            slopes = np.where(is_better[:, None], trial_slopes, slopes)
             best = np.minimum(best, slacks)
-            stride = stride * np.where(better, LONGER, SHORTER)
+            stride = stride * np.where(is_better, LONGER, SHORTER)
             if self.worst == -np.inf:
                 return
 
@@ -278,37 +298,43 @@ class WorstDrawSearch:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The slack that each descent follows, shape (n,), and its derivatives by the coordinates, shape (n, laws).
 
+        A derivative that is not finite counts as 0.
+
         Args:
             points: The point of each descent, shape (n, laws).
             results: The results there, with derivatives by the uncertain numbers.
             targets: Index of the requirement of each descent, shape (n,).
         """
         laws = list(self.programs.study.laws)
-        slacks = np.array([worst_slack([requirement], results) for requirement in self.relevant_requirements])
-        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in self.relevant_requirements])
+        all_slacks = np.array([worst_slack([required], results) for required in self.relevant_requirements])
+        all_gradients = np.array([worst_slopes([required], results, laws) for required in self.relevant_requirements])
         descents = np.arange(len(points))
-        slopes = self.region.slopes(points, gradients[targets, descents])
-        return slacks[targets, descents], np.where(np.isfinite(slopes), slopes, 0.0)
+        slopes = self.region.slopes(points, all_gradients[targets, descents])
+        return all_slacks[targets, descents], np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:
         """Run differential evolution, starting from the worst points so far."""
         count = population_size(self.budget, self.size)
         first_generation: Any = self.worst_points(count)
         remaining_budget = self.budget - self.simulation_count
-        generations = remaining_budget // count - 1
+        generations = remaining_budget // count - 1  # SciPy simulates the first one again
         self.unspent = f"the {remaining_budget % count} simulations left are fewer than a generation of {count}"
         if generations < 1:
             self.unspent = f"the {remaining_budget} simulations left are fewer than two generations of {count}"
             return
 
         def cost(columns: np.ndarray) -> np.ndarray:
+            """The slack of each member of a generation, shape (n,), from coordinates of shape (laws, n)."""
             slacks, _ = self.simulate(self.region.project(np.atleast_2d(columns.T)), self.programs.plain)
-            return np.clip(slacks, -1e100, 1e100)
+            return np.clip(slacks, -LARGEST_COST, LARGEST_COST)
+
+        def is_over(point: np.ndarray, convergence: float) -> bool:
+            """Whether the evolution can end, since nothing is worse than an infinite miss."""
+            return self.worst == -np.inf
 
         evolution = differential_evolution(
             cost, [self.region.limits] * self.size, init=first_generation, rng=self.rng, tol=0.0,
-            maxiter=generations, polish=False, vectorized=True, updating="deferred",
-            callback=lambda x, convergence: self.worst == -np.inf,
+            maxiter=generations, polish=False, vectorized=True, updating="deferred", callback=is_over,
         )  # fmt: skip
         if evolution.nit < generations:
             self.unspent = f"all {count} draws of the last generation are equally bad"

@@ -1,4 +1,7 @@
-"""Sets of draws in which the worst one is searched: the laws' support, or a ball around the median draw."""
+"""Sets of draws in which the worst one is searched: the laws' support, or a ball around the median draw.
+
+A point of a set has one coordinate for each uncertain number: the quantile level of its law, or a normal score.
+"""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -12,7 +15,7 @@ from dssc_jax.engine.sampling import Arrays, inside_cube, mixing, values_at_leve
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 
-SEARCH_EDGE = 1e-6  # outermost level of the support: limit of the search in the tails of unbounded laws
+SEARCH_EDGE = 1e-6  # outermost level of the support: where the search ends in the tails of unbounded laws
 MOST_SIGMA = 8.0  # beyond, float64 hardly tells levels near 1 apart
 SCORE_STEP = 1e-3  # of a central difference of a law's quantiles, in its score
 LEVEL_GAP = 0.25
@@ -47,7 +50,7 @@ class SearchSet(ABC):
 
     @abstractmethod
     def project(self, points: np.ndarray) -> np.ndarray:
-        """The points of the set that are nearest to some points, shape (n, laws) both."""
+        """Move points to the nearest points of the set, shape (n, laws) both."""
 
     @abstractmethod
     def levels(self, points: np.ndarray) -> np.ndarray:
@@ -59,7 +62,12 @@ class SearchSet(ABC):
 
     @abstractmethod
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Derivatives by the coordinates from ``gradients``, those by the uncertain numbers; shape (n, laws) all."""
+        """Convert derivatives by the uncertain numbers to derivatives by the coordinates, shape (n, laws) both.
+
+        Args:
+            points: The points, shape (n, laws).
+            gradients: Derivatives of a slack by the uncertain numbers there.
+        """
 
     @abstractmethod
     def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
@@ -95,10 +103,11 @@ class Support(SearchSet):
 
     def even_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Sobol points of the cube, shape (count, laws)."""
-        return self.project(qmc.Sobol(self.size, rng=rng).random(count))
+        sobol = qmc.Sobol(self.size, rng=rng)
+        return self.project(sobol.random(count))
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """The points with each coordinate clipped to its limits, shape (n, laws) both."""
+        """Clip each coordinate to its limits, shape (n, laws) both."""
         return np.clip(points, *self.limits)
 
     def levels(self, points: np.ndarray) -> np.ndarray:
@@ -106,22 +115,24 @@ class Support(SearchSet):
         return points
 
     def scores(self, points: np.ndarray) -> np.ndarray:
-        """Normal scores of the levels, made independent by the inverse of the copula's root, shape (n, laws)."""
-        return np.linalg.solve(mixing(self.study), special.ndtri(points).T).T
+        """Independent normal scores, shape (n, laws): the scores of the levels, which the copula's root has mixed."""
+        mixed_scores = special.ndtri(points)
+        return np.linalg.solve(mixing(self.study), mixed_scores.T).T
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Derivatives by the levels from those by the numbers, with differences of the laws' quantiles."""
-        half = 0.5 * SEARCH_EDGE
-        rates = np.empty_like(points)
+        """Convert derivatives by the numbers to derivatives by the levels, with differences of the laws' quantiles."""
+        half_step = 0.5 * SEARCH_EDGE
+        number_slopes = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
-            low, high = np.clip(points[:, i] + np.array([[-half], [half]]), half, 1.0 - half)
-            rates[:, i] = (law.quantile(high) - law.quantile(low)) / (high - low)
-        return gradients * rates
+            low = np.clip(points[:, i] - half_step, half_step, 1.0 - half_step)
+            high = np.clip(points[:, i] + half_step, half_step, 1.0 - half_step)
+            number_slopes[:, i] = (law.quantile(high) - law.quantile(low)) / (high - low)
+        return gradients * number_slopes
 
     def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
         """Step against the slopes, so that the fastest level changes by the stride; see :class:`SearchSet`."""
-        largest = np.max(np.abs(slopes), axis=1, keepdims=True)
-        return self.project(points - stride[:, None] * slopes / np.where(largest > 0.0, largest, 1.0))
+        steepest = np.max(np.abs(slopes), axis=1, keepdims=True)
+        return self.project(points - stride[:, None] * slopes / one_for_zero(steepest))
 
     def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
         """Whether one level at least differs by more than :data:`LEVEL_GAP`."""
@@ -151,45 +162,52 @@ class ScoreBall(SearchSet):
         The direction is that of a normal point. The radius is k u^(1/d), with u uniform.
         """
         points = inside_cube(qmc.Sobol(self.size + 1, rng=rng).random(count))
-        directions = special.ndtri(points[:, :-1])
-        lengths = np.linalg.norm(directions, axis=1)
-        scale = self.radius * points[:, -1] ** (1.0 / self.size) / np.where(lengths > 0.0, lengths, 1.0)
-        scale[0] = 0.0
-        return directions * scale[:, None]
+        uniform = points[:, -1]
+        normal_points = special.ndtri(points[:, :-1])
+        lengths = np.linalg.norm(normal_points, axis=1)
+        scale = self.radius * uniform ** (1.0 / self.size) / one_for_zero(lengths)
+        scale[0] = 0.0  # the median draw
+        return normal_points * scale[:, None]
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """The points, with those outside moved radially onto the sphere, shape (n, laws) both."""
+        """Move points outside the ball radially onto its surface, shape (n, laws) both."""
         lengths = np.linalg.norm(points, axis=1, keepdims=True)
-        return points * np.minimum(1.0, self.radius / np.where(lengths > 0.0, lengths, 1.0))
+        return points * np.minimum(1.0, self.radius / one_for_zero(lengths))
 
     def levels(self, points: np.ndarray) -> np.ndarray:
         """Quantile levels of the correlated scores, shape (n, laws)."""
-        return inside_cube(special.ndtr(points @ mixing(self.study).T))
+        correlated_scores = points @ mixing(self.study).T
+        return inside_cube(special.ndtr(correlated_scores))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
         """The coordinates themselves, shape (n, laws)."""
         return points
 
     def slopes(self, points: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """Derivatives by the scores from those by the numbers, with differences of the laws' quantiles."""
-        matrix = mixing(self.study)
-        scores = points @ matrix.T
-        rates = np.empty_like(points)
+        """Convert derivatives by the numbers to derivatives by the scores, with differences of the laws' quantiles."""
+        mixing_matrix = mixing(self.study)
+        correlated_scores = points @ mixing_matrix.T
+        number_slopes = np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
-            low = inside_cube(special.ndtr(scores[:, i] - SCORE_STEP))
-            high = inside_cube(special.ndtr(scores[:, i] + SCORE_STEP))
-            rates[:, i] = (law.quantile(high) - law.quantile(low)) / (2.0 * SCORE_STEP)
-        return (gradients * rates) @ matrix
+            low = inside_cube(special.ndtr(correlated_scores[:, i] - SCORE_STEP))
+            high = inside_cube(special.ndtr(correlated_scores[:, i] + SCORE_STEP))
+            number_slopes[:, i] = (law.quantile(high) - law.quantile(low)) / (2.0 * SCORE_STEP)
+        return (gradients * number_slopes) @ mixing_matrix
 
     def descend(self, points: np.ndarray, slopes: np.ndarray, stride: np.ndarray) -> np.ndarray:
         """Step straight against the slopes, by the stride times the radius; see :class:`SearchSet`."""
         lengths = np.linalg.norm(slopes, axis=1)
-        scale = self.radius * stride / np.where(lengths > 0.0, lengths, 1.0)
+        scale = self.radius * stride / one_for_zero(lengths)
         return self.project(points - scale[:, None] * slopes)
 
     def are_apart(self, point: np.ndarray, start: np.ndarray) -> bool:
         """Whether the distance of two points is more than :data:`SCORE_GAP` radii."""
         return bool(np.linalg.norm(point - start) > SCORE_GAP * self.radius)
+
+
+def one_for_zero(lengths: np.ndarray) -> np.ndarray:
+    """Lengths >= 0 as divisors: 1 in place of 0, where the dividend is 0, too."""
+    return np.where(lengths > 0.0, lengths, 1.0)
 
 
 def search_set(study: Study, sigma: float | None = None, mass: float | None = None) -> SearchSet:

@@ -1,4 +1,4 @@
-"""A change of all laws at once: the failure probability over the size of the change."""
+"""The worst failure probability under a change of all laws at once, over the size of the change."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ import numpy as np
 
 from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
-POINTS = 25  # sizes of a curve
+POINTS = 25  # evenly spaced sizes of a curve
 BEYOND = 1.5  # ratio of the largest size of a curve to the guaranteed size
 
 
 @dataclass(frozen=True)
 class AllChanges:
-    """One kind of change of all laws at once, a shift of the means or a widening, by its size.
+    """One kind of change of all laws at once: a shift of all means, or a widening of all laws, of any size.
 
     Args:
         draws: The draws, weighted by the changed laws.
@@ -34,13 +34,16 @@ class AllChanges:
             Sizes, shape (points,), and for each size three columns, shape (points, 3): the worst failure probability by
             the weights and its upper limit, NaN where the weights are not trusted, and the limit whatever draws fail.
         """
-        end = max(self.largest.explored, BEYOND * self.guaranteed, np.finfo(float).eps)
-        sizes = np.union1d(np.linspace(0.0, end, POINTS), [self.largest.explored])
+        explored = self.largest.explored
+        end = max(explored, BEYOND * self.guaranteed, np.finfo(float).eps)
+        sizes = np.union1d(np.linspace(0.0, end, POINTS), [explored])
         rows = []
         for size in sizes:
-            weighted_estimate = (np.nan, np.nan)
-            if size <= self.largest.explored and self.largest.explored > 0.0:
+            probability = np.nan
+            upper_limit = np.nan
+            if explored > 0.0 and size <= explored:
                 worst = self.draws.worst(float(size))
-                weighted_estimate = (worst.probability, worst.interval[1])
-            rows.append((*weighted_estimate, self.limit_at(float(size))))
+                probability = worst.probability
+                upper_limit = worst.interval[1]
+            rows.append((probability, upper_limit, self.limit_at(float(size))))
         return sizes, np.array(rows)

@@ -1,4 +1,4 @@
-"""The answer of how wrong the laws may be."""
+"""The answer of `laws`: how wrong the laws of a study may be before too many draws fail."""
 
 from dataclasses import dataclass
 from typing import Annotated, Self
@@ -24,7 +24,7 @@ class FailureShare:
 
 @dataclass(frozen=True)
 class Guaranteed:
-    """Changes within which the limit is kept whatever set of draws fails."""
+    """The largest changes of all laws that keep the limit whatever set of draws fails."""
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, with confidence")]
     widening: Annotated[
@@ -34,7 +34,7 @@ class Guaranteed:
 
 @dataclass(frozen=True)
 class Estimates:
-    """How wrong the laws may be, without the draws' own uncertainty."""
+    """How wrong the laws may be by the best estimate, that is without regard to the draws' own uncertainty."""
 
     total_variation: Annotated[float, Quantity("1", "total variation")]
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]
@@ -45,7 +45,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class WeightedAnswer:
-    """The weighted draws' answer for one kind of change of all laws."""
+    """What the weighted draws say of one kind of change of all laws: the largest change that keeps the limit."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
@@ -57,7 +57,12 @@ class WeightedAnswer:
 
     @classmethod
     def of(cls, largest: LargestChange, change: Change) -> Self:
-        """The answer in the units of the change."""
+        """Convert the largest change to the unit of answers: a shift in standard deviations, or a relative width.
+
+        Args:
+            largest: The largest change, as a size.
+            change: The kind of change, which converts sizes.
+        """
         return cls(
             bound=change.amount(largest.bound),
             estimate=None if largest.estimate is None else change.amount(largest.estimate),
@@ -109,7 +114,7 @@ class LawError:
 
 @dataclass(frozen=True)
 class LawErrorsAnswer:
-    """How wrong the laws may be before the failure probability can exceed the limit."""
+    """How wrong the laws may be before the failure probability can exceed the limit: all of them, and one by one."""
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     limit: Annotated[float, Quantity("1", "largest failure probability allowed")]

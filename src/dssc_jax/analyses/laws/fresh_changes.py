@@ -17,6 +17,7 @@ from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
 HALVINGS = 8  # halvings of the last doubling
 TRIAL = 0.3  # size at which the direction is taken from draws whose weights are not trusted
+TOWARDS_FAILURE = 1.0  # sign that asks for the change with the most failures
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,17 @@ class FreshLimits:
 
 
 def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
-    """The direction of the worst change: an amount for each law, shape (laws,), of which the largest has size 1.
+    """The direction of the worst change: an amount for each law, shape (laws,), the largest of size 1.
 
-    Where the weights are not trusted at all, they still give a direction, that at the size :data:`TRIAL`.
+    Where the weights are trusted at no size, they still give a direction, at the size :data:`TRIAL`.
+
+    Args:
+        draws: The weighted draws.
+        largest: The largest change by the weights.
     """
-    amounts = largest.worst.amounts if largest.explored > 0.0 else draws.extreme(TRIAL, 1.0)
+    amounts = largest.worst.amounts
+    if largest.explored == 0.0:
+        amounts = draws.extreme(TRIAL, TOWARDS_FAILURE)
     return amounts / max(float(np.abs(amounts).max()), np.finfo(float).tiny)
 
 
@@ -65,27 +72,48 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange,
 
     @lru_cache
     def failures(size: float) -> int:
-        return fresh.failures(draws.change.apply(size * direction, fresh.scores))
+        """Number of new draws that fail under the change of this size."""
+        return fresh.count_failures(draws.change.apply(size * direction, fresh.scores))
 
-    def upper(size: float) -> float:
-        return float(clopper_pearson(failures(size), fresh.count, draws.confidence)[1])
+    def interval(size: float) -> list[float]:
+        """Lower and upper limit of the failure probability under the change of this size."""
+        return clopper_pearson(failures(size), fresh.count, draws.confidence).tolist()
 
-    bound = largest_size(lambda size: upper(size) <= limit)
-    estimate = largest_size(lambda size: failures(size) <= limit * fresh.count)
-    low, high = clopper_pearson(failures(bound), fresh.count, draws.confidence).tolist()
+    def keeps_limit(size: float) -> bool:
+        """Whether the upper limit of the failure probability keeps the limit."""
+        _, high = interval(size)
+        return high <= limit
+
+    def keeps_limit_by_estimate(size: float) -> bool:
+        """Whether the share of failing draws keeps the limit."""
+        return failures(size) <= limit * fresh.count
+
+    bound = largest_size(keeps_limit)
+    estimate = largest_size(keeps_limit_by_estimate)
+    low, high = interval(bound)
     amount = draws.change.amount
-    estimated_amount = None if estimate == LARGEST else amount(estimate)
+    estimated_amount = None if estimate == LARGEST else amount(estimate)  # None: the limit is not reached
     return FreshLimit(amount(bound), estimated_amount, failures(bound), (low, high))
 
 
 def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float) -> FreshLimits:
-    """Find the largest change of each kind with the same new draws; arguments as of :func:`fresh_limit`."""
+    """Find the largest change of each kind with the same new draws, in the worst direction by the weights.
+
+    Args:
+        fresh: The new draws.
+        changes: The kinds of change, each with the weighted draws.
+        limit: Largest failure probability allowed.
+    """
     limits = {kind.draws.change.name: fresh_limit(fresh, kind.draws, kind.largest, limit) for kind in changes}
     return FreshLimits(fresh.count, fresh.simulated, limits)
 
 
 def largest_size(holds: Callable[[float], bool]) -> float:
-    """The size up to which a condition holds, between 0 and :data:`LARGEST`: doubled, then bisected."""
+    """The size up to which a condition holds, between 0 and :data:`LARGEST`: doubled, then bisected.
+
+    Args:
+        holds: (size) -> whether the condition holds; if it fails at a size, it fails at all larger ones.
+    """
     if not holds(0.0):
         return 0.0
     inside = 0.0

@@ -30,6 +30,7 @@ class FreshDraws:
     progress: ProgressCallback | None = None
 
     def __post_init__(self) -> None:
+        """Start the count of simulations, for all changes together."""
         self.simulated = 0
 
     @cached_property
@@ -44,14 +45,17 @@ class FreshDraws:
 
     @cached_property
     def engine(self) -> Engine:
-        """The compiled study."""
+        """The compiled study, which simulates the draws."""
         return Engine(self.study, min(BLOCK, self.count))
 
-    def failures(self, scores: np.ndarray) -> int:
-        """Simulate the draws with changed scores, shape (count, laws), and count the failures."""
-        values = values_at_levels(self.study, inside_cube(special.ndtr(scores)))
-        outcomes = evaluate(self.engine, values, self.indices)["outcome"]
+    def count_failures(self, scores: np.ndarray) -> int:
+        """Simulate the draws with changed scores, shape (count, laws), and count the failures.
+
+        A score is changed, and not a law: the draw takes the value at the changed score in the study's own law.
+        """
+        levels = inside_cube(special.ndtr(scores))
+        outcomes = evaluate(self.engine, values_at_levels(self.study, levels), self.indices)["outcome"]
         self.simulated += self.count
         if self.progress:
-            self.progress(self.simulated, None)
+            self.progress(self.simulated, None)  # the total is not known
         return int(np.count_nonzero(outcomes != Outcome.OK))

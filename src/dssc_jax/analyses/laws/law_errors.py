@@ -19,6 +19,7 @@ from scipy import special
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.conditions import criterion_of, require_share
 from dssc_jax.analyses.defaults import LIMIT
+from dssc_jax.analyses.laws.all_changes import AllChanges
 from dssc_jax.analyses.laws.answer import (
     Estimates,
     FailureShare,
@@ -35,8 +36,8 @@ from dssc_jax.analyses.laws.law_tables import (
     FAILING,
     KNOWLEDGE,
     MEDIAN_ENDS,
+    NOT_CLEAR,
     TABLE,
-    AllChanges,
     law_errors_dataset,
 )
 from dssc_jax.core.errors import ConfigError
@@ -48,11 +49,14 @@ from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import NO_LAW, StatedAmounts, StatedError, confidence_of
 from dssc_jax.runs.run import run
 from dssc_jax.statistics import CONFIDENCE
+from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.statistics.law_changes import Shift, Widening
 from dssc_jax.statistics.worst_changes import largest_change
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
+
+UNCHANGED_WIDTH = 1.0  # relative width of a law that is not widened
 
 
 @dataclass(eq=False)
@@ -122,12 +126,17 @@ class LawErrors(Analysis):
 
     @property
     def answer(self) -> LawErrorsAnswer:
-        """How wrong the laws may be, together and one by one, as ``summary.json`` has it."""
+        """How wrong the laws may be, together and one by one, as ``summary.json`` has it.
+
+        The weights and the guarantee each give a bound. Either is wrong with a probability of 2.5 % at most, so that
+        the larger one holds.
+        """
         probability = self.failures / self.draws
         estimated_radii = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
         radii = {name: ball.largest_radius(self.interval[1], self.limit) for name, ball in BALLS.items()}
         shift = self.weights["mean_shift"]
         widening = self.weights["widening"]
+        guaranteed_widening = self.guaranteed.widening or UNCHANGED_WIDTH
         return LawErrorsAnswer(
             requirements=criterion_of(self.study),
             limit=self.limit,
@@ -135,9 +144,8 @@ class LawErrors(Analysis):
             confidence=CONFIDENCE,
             failure=FailureShare(self.failures, probability, self.interval, self.interval_method),
             **radii,
-            # either bound is wrong with a probability of 2.5 % at most, so the larger one counts; a width of 1 is none
             mean_shift=max(shift.bound, self.guaranteed.mean_shift),
-            widening=max(widening.bound, self.guaranteed.widening or 1.0),
+            widening=max(widening.bound, guaranteed_widening),
             guaranteed=self.guaranteed,
             estimates=Estimates(**estimated_radii, mean_shift=shift.estimate, widening=widening.estimate),
             weights=self.weights,
@@ -158,9 +166,10 @@ class LawErrors(Analysis):
 
     def measure_next(self) -> str | None:
         """The number whose knowledge removes most of the variance of failure; None if none is known to remove any."""
-        removed = np.where(self.dataset["removed_low"].values > 0.0, self.dataset["removed"].values, -np.inf)
-        if not np.isfinite(removed).any():
+        is_known_to_remove = self.dataset["removed_low"].values > 0.0
+        if not is_known_to_remove.any():
             return None
+        removed = np.where(is_known_to_remove, self.dataset["removed"].values, -np.inf)
         return str(self.dataset[TABLE].values[removed.argmax()])
 
     def by_law(self) -> dict[str, LawError]:
@@ -171,6 +180,9 @@ class LawErrors(Analysis):
             shift = float(row["shift"])
             towards = int(row["towards"])
             law = self.study.laws[name]
+            shifted_median = None
+            if towards != NOT_CLEAR:
+                shifted_median = float(law.quantile(special.ndtr(towards * shift)))
             rows[name] = LawError(
                 mean_shift=shift,
                 mean_shift_estimate=none_if_nan(float(row["shift_estimate"])),
@@ -178,7 +190,7 @@ class LawErrors(Analysis):
                 widening=float(row["widening"]),
                 widening_estimate=none_if_nan(float(row["widening_estimate"])),
                 median=law.median,
-                shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
+                shifted_median=shifted_median,
                 in_worst_shift=float(row["worst_shift"]),
                 failing=failing_values(law, row),
                 failing_median_interval=failing_median_interval(law, row),
@@ -193,35 +205,43 @@ def none_if_nan(value: float) -> float | None:
 
 
 def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | None:
-    """The 5 %, 50 % and 95 % quantile of a number in failed draws; None if no draw fails.
+    """The 5 %, 50 % and 95 % quantile of a number in failed draws, in its unit; None if no draw fails.
 
     Args:
         law: Law of the number.
-        row: The number's row of the dataset, which has the levels of these quantiles.
+        row: The number's row of the dataset, which has the levels of these quantiles in its law.
     """
     low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
     return None if np.isnan(middle) else (low, middle, high)
 
 
 def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | None:
-    """The interval of a number's median in failed draws; None if too few draws fail.
+    """The interval of a number's median in failed draws, in its unit; None if too few draws fail.
 
     Args:
         law: Law of the number.
-        row: The number's row of the dataset, which has the levels of the ends.
+        row: The number's row of the dataset, which has the levels of the ends in its law.
     """
     low, high = (float(law.quantile(row[name].values)) for name in MEDIAN_ENDS)
     return None if np.isnan(low) else (low, high)
 
 
 def read_knowledge(row: xr.Dataset) -> Knowledge | None:
-    """The value of knowing a number, from its row of the dataset; None if too few draws failed."""
-    parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
-        float(row[name]) for name in KNOWLEDGE
-    )
-    if parts == 0.0:
+    """The value of knowing in which part of its law a number lies; None if too few draws failed.
+
+    Args:
+        row: The number's row of the dataset.
+    """
+    values = {name: float(row[name]) for name in KNOWLEDGE}
+    if values["parts"] == 0.0:
         return None
-    return Knowledge(int(parts), removed, (removed_low, removed_high), changes, (changes_low, changes_high))
+    return Knowledge(
+        parts=int(values["parts"]),
+        removed=values["removed"],
+        removed_interval=(values["removed_low"], values["removed_high"]),
+        changes=values["changes"],
+        changes_interval=(values["changes_low"], values["changes_high"]),
+    )
 
 
 def laws(
@@ -265,29 +285,17 @@ def laws(
     result = result_of(subject, progress)
     study = result.study
     draws = ScoredDraws.of(study, result.failed.values)
-    free = draws.free(draws.names)
-    if not free.any():
+    if not draws.names:
         raise ConfigError(study.source, NO_LAW)
     low, high = result.method.failure_interval(draws.failed).tolist()
     bounds = draws.bounds((low, high))
-    guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
     confidence = confidence_of(result.method)
-    shifts = draws.weighted(Shift, confidence)
-    widenings = draws.weighted(Widening, confidence)
-    shift_of_all = AllChanges(
-        shifts,
-        largest_change(shifts, limit),
-        guaranteed.mean_shift,
-        lambda size: bounds.interval_after_shift(free, size)[1],
-    )
-    widening_of_all = AllChanges(
-        widenings,
-        largest_change(widenings, limit),
-        math.log(guaranteed.widening or 1.0),
-        lambda size: (bounds.interval_after_widening(free, math.exp(size)) or (0.0, math.nan))[1],
-    )
+    shift_of_all = shift_of_all_means(draws, bounds, confidence, limit)
+    widening_of_all = widening_of_all_laws(draws, bounds, confidence, limit)
     changes = (shift_of_all, widening_of_all)
-    new = FreshDraws(study, len(draws.failed), fresh, progress)
+    free = draws.free(draws.names)
+    guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
+    new = FreshDraws(study, len(draws.failed), fresh, progress)  # simulates nothing yet
     return LawErrors(
         study,
         law_errors_dataset(draws, shift_of_all, widening_of_all, bounds, limit),
@@ -297,15 +305,60 @@ def laws(
         interval=(low, high),
         interval_method=result.method.name,
         guaranteed=guaranteed,
-        weights={part.draws.change.name: WeightedAnswer.of(part.largest, part.draws.change) for part in changes},
+        weights={kind.draws.change.name: WeightedAnswer.of(kind.largest, kind.draws.change) for kind in changes},
         stated=amounts.errors(draws, (low, high), confidence),
         fresh=fresh_limits(new, changes, limit) if fresh and draws.failed.any() else None,
         seconds=time.perf_counter() - began,
     )
 
 
+def shift_of_all_means(draws: ScoredDraws, bounds: AnyFailures, confidence: float, limit: float) -> AllChanges:
+    """The largest shift of all means that keeps the limit; its sizes are in standard deviations.
+
+    Args:
+        draws: The draws of the result with their scores.
+        bounds: Bounds that hold whatever set of draws fails.
+        confidence: Confidence of statements from the weights.
+        limit: Largest failure probability allowed.
+    """
+    free = draws.free(draws.names)
+    shifts = draws.weighted(Shift, confidence)
+
+    def limit_at(size: float) -> float:
+        """Upper limit of the failure probability after any shift of this size."""
+        _, high = bounds.interval_after_shift(free, size)
+        return high
+
+    return AllChanges(shifts, largest_change(shifts, limit), bounds.largest_shift(free, limit), limit_at)
+
+
+def widening_of_all_laws(draws: ScoredDraws, bounds: AnyFailures, confidence: float, limit: float) -> AllChanges:
+    """The largest widening of all laws that keeps the limit; a size is the logarithm of the relative width.
+
+    Args:
+        draws: The draws of the result with their scores.
+        bounds: Bounds that hold whatever set of draws fails; none for widenings if the laws are correlated.
+        confidence: Confidence of statements from the weights.
+        limit: Largest failure probability allowed.
+    """
+    free = draws.free(draws.names)
+    widenings = draws.weighted(Widening, confidence)
+    guaranteed_width = bounds.largest_widening(free, limit) or UNCHANGED_WIDTH
+
+    def limit_at(size: float) -> float:
+        """Upper limit of the failure probability after any widening of this size; NaN if the laws are correlated."""
+        interval = bounds.interval_after_widening(free, math.exp(size))
+        return math.nan if interval is None else interval[1]
+
+    return AllChanges(widenings, largest_change(widenings, limit), math.log(guaranteed_width), limit_at)
+
+
 def result_of(subject: Study | Result, progress: ProgressCallback | None) -> Result:
-    """The result itself, or that of a study, which is run without its sweep.
+    """The subject itself if it is a result, or the result of a study, which is run without its sweep.
+
+    Args:
+        subject: The result or the study.
+        progress: Called with the simulations done.
 
     Raises:
         ConfigError: A result has a sweep, or draws are not independent.

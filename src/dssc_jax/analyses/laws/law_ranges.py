@@ -29,7 +29,14 @@ from dssc_jax.statistics.worst_changes import LEAST_EFFECTIVE
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import LAWS
 
-TABLE = "argument"
+TABLE = "argument"  # name of the dataset's dimension
+COLUMNS = {
+    "low": "lowest value of the argument",
+    "high": "highest value of the argument",
+    "at_lowest": "its value for the lowest failure probability",
+    "at_highest": "its value for the highest failure probability",
+}
+"""Columns of the dataset, with their meanings."""
 MOST_DOUBLINGS = 4
 """Largest number of times that the draws are doubled, if their weights are too uneven."""
 
@@ -53,7 +60,7 @@ class ExtremeLaws:
 
 @dataclass(frozen=True)
 class LawRangesAnswer:
-    """Lowest and highest failure probability over all laws within their ranges."""
+    """Lowest and highest failure probability over all laws within their ranges, and the laws that have them."""
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     limit: Annotated[float, Quantity("1", "largest failure probability allowed")]
@@ -72,7 +79,7 @@ class LawRangesAnswer:
 
 @dataclass(eq=False)
 class LawRanges(Analysis):
-    """Lowest and highest failure probability over all laws within their ranges.
+    """Lowest and highest failure probability over the box of laws: all laws whose arguments lie within their ranges.
 
     The dataset has along ``argument``, the arguments that are ranges: ``low`` and ``high``, the range, and
     ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest failure probability.
@@ -115,7 +122,9 @@ class LawRanges(Analysis):
         low, high = self.interval
         if high <= self.limit:
             return "kept by all laws"
-        return "exceeded by all laws" if low > self.limit else "not decided"
+        if low > self.limit:
+            return "exceeded by all laws"
+        return "not decided"
 
     @property
     def verified(self) -> bool:
@@ -183,9 +192,9 @@ def law_ranges(
     """
     began = time.perf_counter()
     require_share("limit", limit)
-    count = study.config.draws if fresh is None else fresh
-    if count < 1:
-        raise ConfigError("fresh", f"must be at least 1, got {count}")
+    fresh_count = study.config.draws if fresh is None else fresh
+    if fresh_count < 1:
+        raise ConfigError("fresh", f"must be at least 1, got {fresh_count}")
     study = study.without_sweep()
     require_independent(study, "an interval over all laws of a range")
     if not study.ranged_laws:
@@ -198,8 +207,9 @@ def law_ranges(
             break
         draws = simulator.mixture(2 * len(draws.failed))
     require_even_weights(draws, study)
-    lowest = simulator.check(draws.lowest(), len(draws.failed), count)
-    highest = simulator.check(draws.highest(), len(draws.failed), count)
+    first_new_draw = len(draws.failed)
+    lowest = simulator.check(draws.lowest(), first_new_draw, fresh_count)
+    highest = simulator.check(draws.highest(), first_new_draw, fresh_count)
     return LawRanges(
         study,
         law_ranges_dataset(study, lowest, highest),
@@ -208,13 +218,17 @@ def law_ranges(
         least_effective=draws.least_effective,
         lowest=lowest,
         highest=highest,
-        fresh_draws=count,
+        fresh_draws=fresh_count,
         seconds=time.perf_counter() - began,
     )
 
 
 def require_even_weights(draws: RangedDraws, study: Study) -> None:
     """Require weights that are even enough to give the failure probability under every law of the box.
+
+    Args:
+        draws: The weighted draws.
+        study: The study, for the message.
 
     Raises:
         ConfigError: The weights are too uneven; the message has the number of draws that would do.
@@ -241,8 +255,9 @@ class DrawSimulator:
     """
 
     def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        """Compile the study; draws of other laws are passed to it as values."""
         self.ranged = study.ranged_laws
-        self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})
+        self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})  # in their middles
         self.engine = Engine(self.middle, min(BLOCK, study.config.draws))
         self.progress = progress
         self.simulation_count = 0
@@ -250,20 +265,21 @@ class DrawSimulator:
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """The first ``count`` draws of the mixture; those simulated before are not simulated again."""
-        indices = np.arange(len(self.failed), count)
-        values = draw(self.middle, indices)
-        points = unit_points(self.middle, indices)
+        """The first ``count`` draws of the mixture; draws simulated before are not simulated again."""
+        new_indices = np.arange(len(self.failed), count)
+        values = draw(self.middle, new_indices)
+        points = unit_points(self.middle, new_indices)  # shape (n, laws)
         for column, name in enumerate(self.middle.laws):
             if name in self.ranged:
                 values[name] = mixture_values(self.ranged[name], points[:, column])
-        self.failed = np.concatenate([self.failed, self.failures(values, indices)])
+        self.failed = np.concatenate([self.failed, self.failures(values, new_indices)])
         for name in self.ranged:
-            self.values[name] = np.concatenate([self.values.get(name, np.empty(0)), values[name]])
+            known_values = self.values.get(name, np.empty(0))
+            self.values[name] = np.concatenate([known_values, values[name]])
         return RangedDraws(self.ranged, dict(self.values), self.failed, CONFIDENCE)
 
     def failures(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
-        """Whether draws fail, shape (n,).
+        """Simulate draws and tell which of them fail, shape (n,).
 
         Args:
             values: Value of each uncertain number, shape (n,) each.
@@ -272,7 +288,7 @@ class DrawSimulator:
         outcomes = evaluate(self.engine, dict(values), indices)["outcome"]
         self.simulation_count += len(indices)
         if self.progress:
-            self.progress(self.simulation_count, None)
+            self.progress(self.simulation_count, None)  # the total is not known
         return outcomes != Outcome.OK
 
     def check(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
@@ -298,22 +314,26 @@ class DrawSimulator:
 
 
 def law_ranges_dataset(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) -> xr.Dataset:
-    """The dataset of :class:`LawRanges`: a row for each argument that is a range."""
-    rows = []
+    """The dataset of :class:`LawRanges`: along ``argument``, each argument of a law that is a range.
+
+    Args:
+        study: The study.
+        lowest: The laws with the smallest lower limit of the failure probability.
+        highest: The laws with the largest upper limit of the failure probability.
+    """
+    labels = []
+    columns: dict[str, list[float]] = {name: [] for name in COLUMNS}
     for name, law in study.ranged_laws.items():
         for place, (low, high) in enumerate(law.ranges):
-            if low < high:
-                ends = [extreme.laws[name][law.kind][place] for extreme in (lowest, highest)]
-                rows.append((f"{name}: {LAWS[law.kind].argument_names[place]}", low, high, *ends))
-    labels, *columns = zip(*rows, strict=True)
-    meanings = {
-        "low": "lowest value of the argument",
-        "high": "highest value of the argument",
-        "at_lowest": "its value for the lowest failure probability",
-        "at_highest": "its value for the highest failure probability",
-    }
-    data = {}
-    for (name, meaning), column in zip(meanings.items(), columns, strict=True):
-        data[name] = (TABLE, np.array(column), unit_and_meaning("that of the argument", meaning))
-    coordinates = {TABLE: (TABLE, list(labels), {"long_name": "argument of a law"})}
-    return xr.Dataset(data, coords=coordinates, attrs={"title": study.name})
+            if low == high:
+                continue  # this argument is a number
+            labels.append(f"{name}: {LAWS[law.kind].argument_names[place]}")
+            columns["low"].append(low)
+            columns["high"].append(high)
+            columns["at_lowest"].append(lowest.laws[name][law.kind][place])
+            columns["at_highest"].append(highest.laws[name][law.kind][place])
+    variables = {}
+    for name, meaning in COLUMNS.items():
+        variables[name] = (TABLE, np.array(columns[name]), unit_and_meaning("that of the argument", meaning))
+    coordinates = {TABLE: (TABLE, labels, {"long_name": "argument of a law"})}
+    return xr.Dataset(variables, coords=coordinates, attrs={"title": study.name})

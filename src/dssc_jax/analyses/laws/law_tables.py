@@ -38,7 +38,8 @@ Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a variable."""
 
 CLEAR = 2.0  # standard deviations of a mean score that could also be 0
-DIRECTIONS = {1: "larger", -1: "smaller", 0: "not clear"}
+LARGER, SMALLER, NOT_CLEAR = 1, -1, 0
+DIRECTIONS = {LARGER: "larger", SMALLER: "smaller", NOT_CLEAR: "not clear"}
 """Which values of a number fail more often, in words, by the sign of their mean score."""
 
 
@@ -54,24 +55,38 @@ def law_errors_dataset(
         bounds: Bounds that hold whatever set of draws fails.
         limit: Largest failure probability allowed.
     """
+    columns = law_columns(draws, shift.draws, widening.draws, bounds, limit)
+    columns |= knowledge_columns(draws, shift.draws.confidence, limit)
+    worst_shift = dict(zip(draws.study.laws, shift.largest.worst.amounts, strict=True))
+    amounts = np.array([worst_shift[name] for name in draws.names])
+    columns["worst_shift"] = (TABLE, amounts, unit_and_meaning(DEVIATIONS, "part in the worst shift of all means"))
     sizes, shifted = shift.curves()
     log_widths, widened = widening.curves()
-    worst = dict(zip(draws.study.laws, shift.largest.worst.amounts, strict=True))
-    columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
-    part = np.array([worst[name] for name in draws.names])
-    columns |= knowledge_columns(draws, shift.draws.confidence, limit)
-    columns["worst_shift"] = (TABLE, part, unit_and_meaning(DEVIATIONS, "part in the worst shift of all means"))
-    for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
-        columns[prefix] = (dimension, curve[:, 0], unit_and_meaning("1", "worst failure probability"))
-        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], unit_and_meaning("1", "its upper limit"))
-        guarantee = unit_and_meaning("1", "upper limit whatever draws fail")
-        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], guarantee)
+    columns |= curve_columns("shifted", "size", shifted)
+    columns |= curve_columns("widened", "width", widened)
     coordinates = {
         TABLE: (TABLE, np.array(draws.names), {"long_name": "uncertain number"}),
         "size": ("size", sizes, unit_and_meaning(DEVIATIONS, "shift of all means")),
         "width": ("width", np.exp(log_widths), unit_and_meaning("1", "relative width of all laws")),
     }
     return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.study.name})
+
+
+def curve_columns(prefix: str, dimension: str, curves: np.ndarray) -> dict[str, Column]:
+    """The three curves of one kind of change of all laws as columns of the dataset.
+
+    Args:
+        prefix: What the change has done to the laws, with which the names of the columns begin.
+        dimension: Name of the dimension along which the change grows.
+        curves: The worst failure probability by the weights, its upper limit, and the limit whatever draws fail; shape
+            (points, 3).
+    """
+    probability, upper_limit, guarantee = curves.T
+    return {
+        prefix: (dimension, probability, unit_and_meaning("1", "worst failure probability")),
+        f"{prefix}_limit": (dimension, upper_limit, unit_and_meaning("1", "its upper limit")),
+        f"{prefix}_guaranteed": (dimension, guarantee, unit_and_meaning("1", "upper limit whatever draws fail")),
+    }
 
 
 def law_columns(
@@ -86,22 +101,28 @@ def law_columns(
         bounds: Bounds that hold whatever set of draws fails.
         limit: Largest failure probability allowed.
     """
-    table = np.empty((len(draws.names), 5))
-    for row, name in zip(table, draws.names, strict=True):
-        free = draws.free([name])
+    rows = []  # of each law: shift, its estimate, direction, width, its estimate
+    for name in draws.names:
+        free = draws.free([name])  # this law alone changes
         shift = largest_change(replace(shifts, free=free), limit)
         widening = largest_change(replace(widenings, free=free), limit)
-        row[0] = max(shift.bound, bounds.largest_shift(free, limit))
-        row[1] = np.nan if shift.estimate is None else shift.estimate
-        row[2] = failing_direction(shifts, free)
-        row[3] = max(float(np.exp(widening.bound)), bounds.largest_widening(free, limit) or 1.0)
-        row[4] = np.nan if widening.estimate is None else np.exp(widening.estimate)
+        width = max(float(np.exp(widening.bound)), bounds.largest_widening(free, limit) or 1.0)  # 1: no widening
+        rows.append(
+            (
+                max(shift.bound, bounds.largest_shift(free, limit)),
+                np.nan if shift.estimate is None else shift.estimate,
+                failing_direction(shifts, free),
+                width,
+                np.nan if widening.estimate is None else np.exp(widening.estimate),
+            )
+        )
+    shift_bounds, shift_estimates, directions, widths, width_estimates = np.array(rows, dtype=float).T
     return {
-        "shift": (TABLE, table[:, 0], unit_and_meaning(DEVIATIONS, "shift of the mean, with confidence")),
-        "shift_estimate": (TABLE, table[:, 1], unit_and_meaning(DEVIATIONS, "shift of the mean, estimate")),
-        "towards": (TABLE, table[:, 2].astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
-        "widening": (TABLE, table[:, 3], unit_and_meaning("1", "relative width, with confidence")),
-        "widening_estimate": (TABLE, table[:, 4], unit_and_meaning("1", "relative width, estimate")),
+        "shift": (TABLE, shift_bounds, unit_and_meaning(DEVIATIONS, "shift of the mean, with confidence")),
+        "shift_estimate": (TABLE, shift_estimates, unit_and_meaning(DEVIATIONS, "shift of the mean, estimate")),
+        "towards": (TABLE, directions.astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
+        "widening": (TABLE, widths, unit_and_meaning("1", "relative width, with confidence")),
+        "widening_estimate": (TABLE, width_estimates, unit_and_meaning("1", "relative width, estimate")),
     }
 
 
@@ -114,26 +135,60 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
         limit: Largest failure probability allowed.
     """
     laws = list(draws.study.laws)
-    columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING, *MEDIAN_ENDS)}
+    rows = []
     for name in draws.names:
         levels = special.ndtr(draws.scores[:, laws.index(name)])
-        part = part_information(levels, draws.failed, limit, confidence)
-        knowledge = (0, *[np.nan] * (len(KNOWLEDGE) - 1))
-        if part is not None:
-            knowledge = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
-        failing = levels[draws.failed]
-        quantiles = np.quantile(failing, list(FAILING.values())) if failing.size else [np.nan] * len(FAILING)
-        ends = median_ends(failing, confidence)
-        for column, number in zip(columns.values(), (*knowledge, *quantiles, *ends), strict=True):
-            column.append(float(number))
+        row = knowledge_of(levels, draws.failed, limit, confidence)
+        rows.append(row | failing_levels(levels[draws.failed], confidence))
     meanings = dict(KNOWLEDGE)
     for name, quantile in FAILING.items():
         meanings[name] = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
     for name in MEDIAN_ENDS:
         meanings[name] = "an end of the interval of the median level in failed draws"
+    columns = {}
+    for name, meaning in meanings.items():
+        columns[name] = (TABLE, np.array([row[name] for row in rows]), unit_and_meaning("1", meaning))
+    return columns
+
+
+def knowledge_of(levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float) -> dict[str, float]:
+    """The value of knowing in which part of its law a number lies: the :data:`KNOWLEDGE` of one number.
+
+    Without enough failures there are 0 parts, and the other values are NaN.
+
+    Args:
+        levels: Level of the number's law in each draw, shape (n,).
+        failed: Whether each draw failed, shape (n,).
+        limit: Largest failure probability allowed.
+        confidence: Confidence of the intervals.
+    """
+    information = part_information(levels, failed, limit, confidence)
+    if information is None:
+        return dict.fromkeys(KNOWLEDGE, np.nan) | {"parts": 0.0}
+    removed_low, removed_high = information.removed_interval
+    changes_low, changes_high = information.changes_interval
     return {
-        name: (TABLE, np.array(columns[name]), unit_and_meaning("1", meaning)) for name, meaning in meanings.items()
+        "parts": float(information.parts),
+        "removed": float(information.removed),
+        "removed_low": float(removed_low),
+        "removed_high": float(removed_high),
+        "changes": float(information.changes),
+        "changes_low": float(changes_low),
+        "changes_high": float(changes_high),
     }
+
+
+def failing_levels(levels: np.ndarray, confidence: float) -> dict[str, float]:
+    """Quantiles of a number's levels in failed draws, and the ends of the interval of the median; NaN if none failed.
+
+    Args:
+        levels: Levels of the number's law in the failed draws, shape (failures,).
+        confidence: Confidence of the interval.
+    """
+    row = dict.fromkeys(FAILING, np.nan)
+    if levels.size:
+        row = {name: float(np.quantile(levels, quantile)) for name, quantile in FAILING.items()}
+    return row | dict(zip(MEDIAN_ENDS, median_ends(levels, confidence), strict=True))
 
 
 def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
@@ -146,16 +201,22 @@ def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
     if not levels.size:
         return np.nan, np.nan
     low, high = quantile_interval(levels, 0.5, confidence)
-    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else (np.nan, np.nan)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return np.nan, np.nan
+    return float(low), float(high)
 
 
 def failing_direction(shifts: WeightedDraws, free: np.ndarray) -> int:
-    """1 if the mean score of the failed draws is clearly above 0, -1 if it is clearly below, else 0.
+    """Which values of the free numbers fail more often: :data:`LARGER`, :data:`SMALLER` or :data:`NOT_CLEAR`.
+
+    Larger values fail if the mean score of the failed draws is clearly above 0, and smaller ones if it is below.
 
     Args:
         shifts: The weighted draws with their scores.
         free: Whether each law is considered, shape (laws,).
     """
-    failing = shifts.scores[shifts.failed][:, free]
-    total = float(failing.sum())
-    return int(np.sign(total)) if abs(total) > CLEAR * np.sqrt(failing.size) else 0
+    failing_scores = shifts.scores[shifts.failed][:, free]
+    total = float(failing_scores.sum())
+    if abs(total) <= CLEAR * np.sqrt(failing_scores.size):  # the standard deviation of a sum of so many scores
+        return NOT_CLEAR
+    return LARGER if total > 0.0 else SMALLER

@@ -18,7 +18,7 @@ from dssc_jax.study.laws import LAWS, Law, RangedLaw
 
 MOST_CORNERS = 256  # corners of the whole box that are tried
 EVALUATIONS = 100  # evaluations in the search by DIRECT, for each range
-TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, which may be 0 in many places
+TIE = 1e-3  # weight of the estimate beside the lower limit, which may be 0 in many places
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def mixture_laws(law: RangedLaw) -> list[Law]:
 
 
 def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
-    """Draw values of a number's mixture.
+    """Draw values of a number's mixture, shape (n,).
 
     The levels from 0 to 1 are divided into as many equal parts as the mixture has laws. A level draws from the law of
     its part, at the place within the part as that law's level.
@@ -55,20 +55,21 @@ def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
     """
     laws = mixture_laws(law)
     positions = levels * len(laws)
-    component_indices = np.minimum(positions.astype(int), len(laws) - 1)
+    parts = np.minimum(positions.astype(int), len(laws) - 1)
     tiny = np.finfo(float).eps
-    component_levels = np.clip(positions - component_indices, tiny, 1.0 - tiny)
-    return np.choose(component_indices, [component.quantile(component_levels) for component in laws])
+    levels_in_parts = np.clip(positions - parts, tiny, 1.0 - tiny)
+    return np.choose(parts, [component.quantile(levels_in_parts) for component in laws])
 
 
 def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
-    """Logarithm of the density of a number's mixture at values, shape (n,) both."""
+    """Natural logarithm of the density of a number's mixture at values, shape (n,) both."""
     laws = mixture_laws(law)
-    return special.logsumexp([log_density(component, values) for component in laws], axis=0) - np.log(len(laws))
+    log_densities = [log_density(component, values) for component in laws]
+    return special.logsumexp(log_densities, axis=0) - np.log(len(laws))
 
 
 def log_density(law: Law, values: np.ndarray) -> np.ndarray:
-    """Logarithm of a law's density at values, shape (n,) both."""
+    """Natural logarithm of a law's density at values, shape (n,) both."""
     density = LAWS[law.kind].log_density
     assert density is not None  # a law without one has no ranges
     return density(law.arguments, values)
@@ -100,19 +101,28 @@ class RangedDraws:
     @cached_property
     def bounds(self) -> list[tuple[float, float]]:
         """The ranges that are searched: those with different ends, number by number."""
-        return [pair for law in self.laws.values() for pair in law.ranges if pair[0] < pair[1]]
+        ranges = []
+        for law in self.laws.values():
+            ranges += [(low, high) for low, high in law.ranges if low < high]
+        return ranges
 
     def laws_at(self, point: np.ndarray) -> dict[str, Law]:
-        """The law of each number at a point of the box, which has one coordinate for each of :attr:`bounds`."""
+        """The law of each number at a point of the box.
+
+        Args:
+            point: Arguments of the laws, one for each of :attr:`bounds`, shape (ranges,).
+        """
         coordinates = iter(point.tolist())
         laws = {}
         for name, law in self.laws.items():
-            arguments = tuple(low if low == high else next(coordinates) for low, high in law.ranges)
-            laws[name] = Law(law.kind, arguments)
+            arguments = []
+            for low, high in law.ranges:
+                arguments.append(low if low == high else next(coordinates))
+            laws[name] = Law(law.kind, tuple(arguments))
         return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
-        """Logarithm of the weight that each draw has under laws of the box, shape (n,)."""
+        """Natural logarithm of the weight that each draw has under laws of the box, shape (n,)."""
         log_densities = [log_density(law, self.values[name]) for name, law in laws.items()]
         return np.sum(log_densities, axis=0) - self.log_proposal
 
@@ -131,14 +141,18 @@ class RangedDraws:
         middle = np.mean(self.bounds, axis=1)
         if 2 ** len(self.bounds) <= MOST_CORNERS:
             return np.array([*product(*self.bounds), middle])
-        ends = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
         low, high = np.array(self.bounds).T
-        return np.array([*np.where(ends == 0, low, high), middle])
+        is_high = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds))) == 1
+        return np.array([*np.where(is_high, high, low), middle])
 
     @cached_property
     def least_effective(self) -> float:
         """The smallest effective number of draws over the corners of the box and its middle."""
-        return min(effective_size(np.exp(self.log_weights(self.laws_at(point)))) for point in self.corners)
+        sizes = []
+        for point in self.corners:
+            weights = np.exp(self.log_weights(self.laws_at(point)))
+            sizes.append(effective_size(weights))
+        return min(sizes)
 
     @property
     def trusted(self) -> bool:
@@ -146,24 +160,28 @@ class RangedDraws:
         return self.least_effective >= LEAST_EFFECTIVE
 
     def highest(self) -> WeightedLaws:
-        """The laws of the box with the largest upper limit of the failure probability."""
+        """Search for the laws of the box with the largest upper limit of the failure probability."""
 
-        def cost(laws: dict[str, Law]) -> float:
-            return -self.estimate(laws).interval[1]
+        def minus_upper_limit(laws: dict[str, Law]) -> float:
+            """The cost of laws: minus their upper limit."""
+            _, high = self.estimate(laws).interval
+            return -high
 
-        return self.estimate(self.laws_at(self._search(cost)))
+        return self.estimate(self.laws_at(self._search(minus_upper_limit)))
 
     def lowest(self) -> WeightedLaws:
-        """The laws of the box with the smallest lower limit of the failure probability."""
+        """Search for the laws of the box with the smallest lower limit of the failure probability."""
 
-        def cost(laws: dict[str, Law]) -> float:
+        def lower_limit(laws: dict[str, Law]) -> float:
+            """The cost of laws: their lower limit; of equal ones the estimate decides."""
             estimate = self.estimate(laws)
-            return estimate.interval[0] + TIE * estimate.probability
+            low, _ = estimate.interval
+            return low + TIE * estimate.probability
 
-        return self.estimate(self.laws_at(self._search(cost)))
+        return self.estimate(self.laws_at(self._search(lower_limit)))
 
     def _search(self, cost: Callable[[dict[str, Law]], float]) -> np.ndarray:
-        """The point of the box with the lowest cost that a search finds, shape (ranges,).
+        """Search the box for the point with the lowest cost, shape (ranges,).
 
         The best of the corners and of the point that DIRECT finds is improved by descent.
 
@@ -171,20 +189,21 @@ class RangedDraws:
             cost: (law of each number) -> what to minimise.
         """
         low = np.array(self.bounds)[:, 0]
-        scale = np.ptp(self.bounds, axis=1)
+        width = np.ptp(self.bounds, axis=1)
 
         def cost_at(point: np.ndarray) -> float:
+            """The cost at a point of the box."""
             return cost(self.laws_at(point))
 
         def point_at(shares: np.ndarray) -> np.ndarray:
-            return low + scale * np.clip(shares, 0.0, 1.0)
+            """The point of the box at shares of the widths, from 0 to 1."""
+            return low + width * np.clip(shares, 0.0, 1.0)
 
-        candidates = list(self.corners)
-        candidates.append(optimize.direct(cost_at, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x)
-        best = min(candidates, key=cost_at)
+        by_direct = optimize.direct(cost_at, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x
+        best = min([*self.corners, by_direct], key=cost_at)
         descent = optimize.minimize(
             lambda shares: cost_at(point_at(shares)),
-            (best - low) / scale,
+            (best - low) / width,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(low),
         )

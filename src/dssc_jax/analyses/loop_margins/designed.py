@@ -37,17 +37,18 @@ def designed_margins(loop: ClosedLoop, sample_time: float) -> DesignedMargins:
         loop: The closed loop in sampled time.
         sample_time: T_s [s].
     """
-    matrices = loop.a[None], loop.b[None], loop.c[None]
+    matrices = loop.a[None], loop.b[None], loop.c[None]  # of a batch with one loop
+    poles = np.linalg.eigvals(loop.a)[None]
     respond = response_of(*matrices)
-    angles = margin_angles(*matrices, np.linalg.eigvals(loop.a)[None])
+    angles = margin_angles(*matrices, poles)
     margins = classical_margins(respond, angles, sample_time)
-    gains, phases = crossing_frequencies(respond, angles, sample_time)
+    gain_crossovers, phase_crossings = crossing_frequencies(respond, angles, sample_time)
     return DesignedMargins(
         gain_margin=float(margins.gain_upper[0]),
         gain_lower_margin=float(margins.gain_lower[0]),
         phase_margin=float(margins.phase[0]),
         phase_margin_at=float(margins.crossover[0]),
         delay_margin=float(margins.delay[0]),
-        gain_crossovers=tuple(gains.tolist()),
-        phase_crossings=tuple(phases.tolist()),
+        gain_crossovers=tuple(gain_crossovers.tolist()),
+        phase_crossings=tuple(phase_crossings.tolist()),
     )

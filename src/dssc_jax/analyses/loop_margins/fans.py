@@ -2,7 +2,7 @@
 
 import numpy as np
 
-FAN_LEVELS = (0.05, 0.5, 0.95)
+FAN_LEVELS = (0.05, 0.5, 0.95)  # of the quantiles
 TURN = 2.0 * np.pi  # [rad]
 
 FANS = {
@@ -27,38 +27,37 @@ def fan_quantiles(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -
     response = response[has_response]
     if not len(response):
         return {name: np.full((len(FAN_LEVELS), response.shape[1]), np.nan) for name in FANS}
-    loop = -response / (1.0 + response)
-    columns = {
+    loop = -response / (1.0 + response)  # L = T/(1 - T) with T = -G
+    values_by_name = {
         "loop_gain": np.abs(loop),
         "loop_phase": joint_phase(loop, poles[has_response], angles),
         "sensitivity": np.abs(1.0 + response),
         "complementary": np.abs(response),
     }
-    return {name: np.quantile(values, FAN_LEVELS, axis=0) for name, values in columns.items()}
+    return {name: np.quantile(values, FAN_LEVELS, axis=0) for name, values in values_by_name.items()}
 
 
 def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Phases of several loop transfer functions [rad], unwrapped so that they can be compared.
+    """Phases of several loop transfer functions [rad], shape (draws, frequencies), unwrapped for a comparison.
 
     A phase is known up to whole turns. Each curve is made continuous over frequency. The part of its phase that comes
     from its poles is computed exactly, since a light resonance turns the phase by half a turn between two frequencies
     of the grid. The curves are then shifted by whole turns until they agree at the frequency where most loops cross the
-    gain 1. Where a curve still lies more than half a turn from the median of all, as beyond a resonance that is
-    unstable in some draws, it is shifted there.
+    gain 1. A curve may still lie more than half a turn from the median of all, as beyond a resonance that is unstable
+    in some draws; it is shifted there.
 
     Args:
         loop: L, shape (draws, frequencies).
         poles: Poles of L, shape (draws, states).
         angles: omega T_s, ascending, shape (frequencies,).
-
-    Returns:
-        Shape (draws, frequencies).
     """
     phase_of_poles = pole_phase(poles, angles)
-    phase = np.unwrap(np.angle(loop * np.exp(1j * phase_of_poles)), axis=1) - phase_of_poles
+    phase_of_zeros = np.unwrap(np.angle(loop * np.exp(1j * phase_of_poles)), axis=1)
+    phase = phase_of_zeros - phase_of_poles
     with np.errstate(divide="ignore"):
-        distance = np.median(np.abs(np.log(np.abs(loop))), axis=0)
-    crossover_phase = phase[:, np.argmin(distance)]
+        log_gain = np.log(np.abs(loop))
+    distance_from_crossover = np.median(np.abs(log_gain), axis=0)
+    crossover_phase = phase[:, np.argmin(distance_from_crossover)]
     middle = np.angle(np.mean(np.exp(1j * crossover_phase)))
     middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
     phase -= TURN * np.round((crossover_phase - middle) / TURN)[:, None]
@@ -67,7 +66,10 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
 
 
 def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Sum of the arguments of e^(i theta) - p over the poles p [rad], continuous in theta; shape (draws, angles).
+    """Sum of the arguments of e^(j theta) - p over the poles p [rad], shape (draws, angles), continuous in theta.
+
+    With z = e^(j theta), z - p = z (1 - p/z) for a pole inside the unit circle, and z - p = -p (1 - z/p) for a pole
+    outside. In both cases the second factor has a positive real part, so that its argument does not jump.
 
     Args:
         poles: Shape (draws, states).
@@ -77,8 +79,9 @@ def pole_phase(poles: np.ndarray, angles: np.ndarray) -> np.ndarray:
     total = np.zeros((len(poles), angles.size))
     for column in poles.T:
         p = column[:, None]
-        inside = np.abs(p) <= 1.0
+        is_inside = np.abs(p) <= 1.0
+        outer_p = np.where(is_inside, 2.0, p)  # 2 in place of a p that could be 0; the result is not used
         phase_inside = angles + np.angle(1.0 - p / z)
-        phase_outside = np.angle(-p) + np.angle(1.0 - z / np.where(inside, 2.0, p))
-        total += np.where(inside, phase_inside, phase_outside)
+        phase_outside = np.angle(-p) + np.angle(1.0 - z / outer_p)
+        total += np.where(is_inside, phase_inside, phase_outside)
     return total

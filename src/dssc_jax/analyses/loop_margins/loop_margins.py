@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.analyses.loop_margins.dataset import BrokenLoop, margins_dataset, multiloop_columns
 from dssc_jax.analyses.loop_margins.multiloop import multiloop_margins
 from dssc_jax.analyses.loop_margins.operating_points import operating_points
-from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
+from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
 from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
@@ -82,21 +83,24 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
         if progress:
             progress(count * study.config.draws, len(matrices) * study.config.draws)
     dataset = margins_dataset(study, broken_loops, common_angles / sample_time)
-    multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in points.items()}
+    multiloop = {}
+    for name, operating in points.items():
+        multiloop[name] = multiloop_margins(study.loop.channels, operating, sample_time)
     dataset = dataset.merge(multiloop_columns(multiloop))
     return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
 
 
 class BrokenMatrices(NamedTuple):
-    """The closed loops of n draws as x_(k+1) = A x_k + b w_k, v_k = c x_k; w is added to the signal v at a break point.
+    """The closed loops of n draws, with an input and an output at a break point: x+ = A x + b w, v = c x.
 
-    Only draws with an operating point within the limits have such a loop, and only states between w and v are kept.
+    At the break point w is added to the signal v. Only draws with an operating point within the limits have such a
+    loop, and only the states are kept through which w acts on v.
 
     Args:
-        closed: Whether each draw is one of these, shape (draws,).
-        a: Shape (n, states, states).
-        b: Shape (n, states).
-        c: Shape (n, states).
+        closed: Whether each draw is one of the n, shape (draws,).
+        a: A, shape (n, states, states).
+        b: b, shape (n, states).
+        c: c, shape (n, states).
         poles: Eigenvalues of A, shape (n, states).
     """
 
@@ -108,9 +112,9 @@ class BrokenMatrices(NamedTuple):
 
 
 def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, BrokenMatrices]:
-    """The closed loops at an operating point, for each break point by name; one without a loop is left out."""
+    """The closed loops at an operating point by break point; those without an effect are left out."""
     matrices = operating.matrices
-    parts = {}
+    by_name = {}
     for point, name in enumerate(place_names(study.loop.channels)):
         closed = operating.closed(point)
         state_indices = matrices.loop_states(point, closed)
@@ -118,8 +122,8 @@ def matrices_by_break_point(study: Study, operating: Operating) -> dict[str, Bro
             a = matrices.a[np.ix_(closed, state_indices, state_indices)]
             b = matrices.b[closed][:, state_indices, point]
             c = matrices.c[closed][:, point, state_indices]
-            parts[name] = BrokenMatrices(closed, a, b, c, np.linalg.eigvals(a))
-    return parts
+            by_name[name] = BrokenMatrices(closed, a, b, c, np.linalg.eigvals(a))
+    return by_name
 
 
 def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
@@ -131,20 +135,22 @@ def broken_loop(matrices: BrokenMatrices, common_angles: np.ndarray, sample_time
         sample_time: T_s [s].
     """
     has_closed_loop, a, b, c, poles = matrices
-    g = np.full((len(has_closed_loop), common_angles.size), np.nan, complex)
-    g[has_closed_loop] = response_of(a, b, c)(np.broadcast_to(common_angles, (len(a), common_angles.size)))
-    if np.nanmax(np.abs(g)) < NO_EFFECT:
+    draws = len(has_closed_loop)
+    responses = np.full((draws, common_angles.size), np.nan, complex)
+    angles_of_draws = np.broadcast_to(common_angles, (len(a), common_angles.size))
+    responses[has_closed_loop] = response_of(a, b, c)(angles_of_draws)
+    if np.nanmax(np.abs(responses)) < NO_EFFECT:
         return None
-    open_loop_poles = np.full((len(has_closed_loop), a.shape[-1]), np.nan, complex)
+    open_loop_poles = np.full((draws, a.shape[-1]), np.nan, complex)
     open_loop_poles[has_closed_loop] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-    stable = np.max(np.abs(poles), axis=1) < 1.0
-    status = np.full(len(has_closed_loop), Status.NO_OPERATING_POINT.value)
-    status[has_closed_loop] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
-    columns = {field: np.full(len(has_closed_loop), np.nan) for field in ClassicalMargins._fields}
-    if stable.any():
+    is_stable = np.max(np.abs(poles), axis=1) < 1.0
+    status = np.full(draws, Status.NO_OPERATING_POINT.value)
+    status[has_closed_loop] = np.where(is_stable, Status.STABLE.value, Status.UNSTABLE.value)
+    margins = {name: np.full(draws, np.nan) for name in ClassicalMargins._fields}
+    if is_stable.any():
         all_poles = np.concatenate([poles, open_loop_poles[has_closed_loop]], axis=1)
-        angles = grid_with_poles(common_angles, all_poles[stable])
-        margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
-        for field, values in margins._asdict().items():
-            columns[field][status == Status.STABLE] = values
-    return BrokenLoop(columns, status, g, open_loop_poles)
+        angles = grid_with_poles(common_angles, all_poles[is_stable])
+        respond = response_of(a[is_stable], b[is_stable], c[is_stable])
+        for name, values in classical_margins(respond, angles, sample_time)._asdict().items():
+            margins[name][status == Status.STABLE] = values
+    return BrokenLoop(margins, status, responses, open_loop_poles)

@@ -1,8 +1,9 @@
 """The disk margin of all loops at once: the command of every channel is perturbed by a separate factor.
 
-With G(z) from the signals added at all commands to the commands before the sums, and factors
-f_i = (1 + delta_i/2)/(1 - delta_i/2), the loop is singular where I - (G + I/2) Delta is. So the multiloop disk margin
-is the inverse of the largest structured singular value of G + I/2 over frequency.
+G(z) is the response from signals added at all commands to the commands before the sums. With factors
+f_i = (1 + delta_i/2)/(1 - delta_i/2) and Delta = diag(delta_i), the loop is singular where I - (G + I/2) Delta is. The
+structured singular value mu of G + I/2 is the inverse of the size of the smallest such Delta. So the multiloop disk
+margin alpha is the inverse of the largest mu over frequency.
 
 Reference:
     P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
@@ -14,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.structured import balancing_scales, lower_bounds, scaled_norms, upper_bounds
-from dssc_jax.closed_loop.break_points import BreakPoint, place_names
+from dssc_jax.closed_loop.break_points import BreakPoint, place_name, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
-from dssc_jax.engine.linearisation.response import golden_section_peak, grid_with_poles, loop_grids
+from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids
+from dssc_jax.engine.linearisation.roots_and_peaks import golden_section_peak
 
 MOST_PEAKS = 8  # largest number of peaks of the balanced bound that are computed with the sharp bound
 REFINED_PEAKS = 2  # number of these peaks around which the largest bound is searched
@@ -44,8 +46,8 @@ class MultiloopMargins(NamedTuple):
     factors: np.ndarray
 
 
-class JointLoops:
-    """n closed loops with an input and an output at each of several break points.
+class JointLoops(NamedTuple):
+    """n closed loops x+ = A x + B w, v = C x, with an input w and an output v at each of several break points.
 
     Args:
         a: A, shape (n, states, states).
@@ -53,18 +55,21 @@ class JointLoops:
         c: C, shape (n, channels, states).
     """
 
-    def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-        self.a = a
-        self.b = b
-        self.c = c
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
 
     def at(self, angles: np.ndarray) -> np.ndarray:
-        """G + I/2 with G = C (z I - A)^-1 B, at angles of z of shape (n, m); shape (n, m, channels, channels)."""
+        """M = G + I/2 with G = C (z I - A)^-1 B and z = e^(j theta), shape (n, m, channels, channels).
+
+        Args:
+            angles: theta, shape (n, m).
+        """
         identity = np.eye(self.a.shape[-1])
         responses = []
         for theta in angles.T:
-            matrix = np.exp(1j * theta)[:, None, None] * identity - self.a
-            responses.append(self.c @ np.linalg.solve(matrix, self.b))
+            matrices = np.exp(1j * theta)[:, None, None] * identity - self.a
+            responses.append(self.c @ np.linalg.solve(matrices, self.b))
         return np.stack(responses, axis=1) + 0.5 * np.eye(self.b.shape[-1])
 
 
@@ -104,17 +109,17 @@ def joint_places(
         has_operating_point: Whether each draw has an operating point, shape (draws,).
     """
     names = place_names(channels)
-    places = np.array([names.index(f"{channel} {BreakPoint.INPUT}".strip()) for channel in channels])
+    places = np.array([names.index(place_name(channel, BreakPoint.INPUT)) for channel in channels])
     is_coupled = np.any(matrices.a[has_operating_point] != 0.0, axis=0)
     is_driven = np.any(matrices.b[has_operating_point] != 0.0, axis=0)
     is_read = np.any(matrices.c[has_operating_point] != 0.0, axis=0)
-    forward = np.array([closure(is_driven[:, place], is_coupled.T) for place in places])
-    backward = np.array([closure(is_read[place], is_coupled) for place in places])
-    effective = np.flatnonzero(np.any(forward & backward, axis=1))
+    influenced = np.array([closure(is_driven[:, place], is_coupled.T) for place in places])  # shape (channels, states)
+    influencing = np.array([closure(is_read[place], is_coupled) for place in places])
+    effective = np.flatnonzero(np.any(influenced & influencing, axis=1))
     if len(effective) < 2:
         return None
-    states = np.flatnonzero(np.any(forward[effective], axis=0) & np.any(backward[effective], axis=0))
-    return JointPlaces(effective.tolist(), places[effective], states)
+    is_between = np.any(influenced[effective], axis=0) & np.any(influencing[effective], axis=0)
+    return JointPlaces(effective.tolist(), places[effective], np.flatnonzero(is_between))
 
 
 def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time: float) -> MultiloopMargins | None:
@@ -130,10 +135,10 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     joint = joint_places(channels, matrices, has_operating_point)
     if joint is None:
         return None
-    stable = np.flatnonzero(has_operating_point)
-    poles = np.linalg.eigvals(matrices.a[np.ix_(stable, joint.states, joint.states)])
-    inside = np.max(np.abs(poles), axis=1) < 1.0
-    stable = stable[inside]
+    candidates = np.flatnonzero(has_operating_point)
+    poles = np.linalg.eigvals(matrices.a[np.ix_(candidates, joint.states, joint.states)])
+    is_stable = np.max(np.abs(poles), axis=1) < 1.0
+    stable = candidates[is_stable]
     draws = len(has_operating_point)
     margins = MultiloopMargins(
         channels=tuple(channels[i] for i in joint.channels),
@@ -148,7 +153,7 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
             matrices.b[np.ix_(stable, joint.states, joint.points)],
             matrices.c[np.ix_(stable, joint.points, joint.states)],
         )
-        stable_margins = joint_margins(loops, poles[inside], sample_time)
+        stable_margins = joint_margins(loops, poles[is_stable], sample_time)
         for name, values in stable_margins._asdict().items():
             getattr(margins, name)[stable] = values
     return margins
@@ -166,10 +171,11 @@ def joint_margins(
         bound: The upper bound of mu whose peak over frequency is searched.
     """
     angles = grid_with_poles(loop_grids(poles), poles)
-    critical_angle, largest = peak_bound(loops, angles, bound)
-    lower, diagonals = lower_bounds(loops.at(critical_angle[:, None])[:, 0])
-    factors = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)
-    return JointMargins(1.0 / largest, 1.0 / lower, critical_angle / sample_time, factors)
+    critical_angle, largest_mu = peak_bound(loops, angles, bound)
+    critical_matrices = loops.at(critical_angle[:, None])[:, 0]
+    lower_mu, deltas = lower_bounds(critical_matrices)
+    factors = (1.0 + 0.5 * deltas) / (1.0 - 0.5 * deltas)
+    return JointMargins(1.0 / largest_mu, 1.0 / lower_mu, critical_angle / sample_time, factors)
 
 
 def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
@@ -178,14 +184,15 @@ def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    return scaled_norms(matrices, balancing_scales(matrices))[0]
+    norms, _ = scaled_norms(matrices, balancing_scales(matrices))
+    return norms
 
 
 def peak_bound(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> tuple[np.ndarray, np.ndarray]:
-    """The angle at which an upper bound of mu has its peak, and the bound there, shape (n,) each.
+    """The angle at which an upper bound of mu has its peak over frequency, and the bound there, shape (n,) each.
 
-    The balanced bound shows the peaks on the grid. The given bound decides among the highest ones, around which a
-    golden-section search refines it.
+    The balanced bound shows the peaks on the grid. The bound of interest decides among the highest ones, around which
+    a golden-section search refines it.
 
     Args:
         loops: The loops.
@@ -194,25 +201,36 @@ def peak_bound(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bound
     """
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape
-    flat = responses.reshape(-1, channels, channels)
-    rough_bounds = balanced_bounds(flat).reshape(count, columns)
-    padded_bounds = np.pad(rough_bounds, ((0, 0), (1, 1)), constant_values=-np.inf)
-    is_top = (rough_bounds >= padded_bounds[:, :-2]) & (rough_bounds >= padded_bounds[:, 2:])
-    tops = np.argsort(-np.where(is_top, rough_bounds, 0.0), axis=1)[:, :MOST_PEAKS]
-    peak_responses = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
+    peaks = highest_peaks(responses)
+    peak_responses = np.take_along_axis(responses, peaks[:, :, None, None], 1).reshape(-1, channels, channels)
     sharp_bounds = bound(peak_responses).reshape(count, -1)
     order = np.argsort(-sharp_bounds, axis=1)[:, :REFINED_PEAKS]
-    candidates = np.take_along_axis(tops, order, 1)
-    places = [np.take_along_axis(angles, candidates, 1)]
-    values = [np.take_along_axis(sharp_bounds, order, 1)]
-    for column in candidates.T:
-        at = column[:, None]
-        low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)
-        high = np.take_along_axis(angles, np.minimum(at + 1, columns - 1), 1)
-        place, value = golden_section_peak(lambda theta: bound(loops.at(theta)[:, 0])[:, None], low, high)
-        places.append(place)
-        values.append(value)
-    all_values = np.concatenate(values, axis=1)
-    best = np.argmax(all_values, axis=1)[:, None]
-    angle = np.take_along_axis(np.concatenate(places, axis=1), best, 1)[:, 0]
-    return angle, np.take_along_axis(all_values, best, 1)[:, 0]
+    refined_peaks = np.take_along_axis(peaks, order, 1)
+    tried_angles = [np.take_along_axis(angles, refined_peaks, 1)]
+    tried_bounds = [np.take_along_axis(sharp_bounds, order, 1)]
+    for peak in refined_peaks.T:
+        column = peak[:, None]
+        low = np.take_along_axis(angles, np.maximum(column - 1, 0), 1)
+        high = np.take_along_axis(angles, np.minimum(column + 1, columns - 1), 1)
+        angle, value = golden_section_peak(lambda theta: bound(loops.at(theta)[:, 0])[:, None], low, high)
+        tried_angles.append(angle)
+        tried_bounds.append(value)
+    all_angles = np.concatenate(tried_angles, axis=1)
+    all_bounds = np.concatenate(tried_bounds, axis=1)
+    best = np.argmax(all_bounds, axis=1)[:, None]
+    return np.take_along_axis(all_angles, best, 1)[:, 0], np.take_along_axis(all_bounds, best, 1)[:, 0]
+
+
+def highest_peaks(responses: np.ndarray) -> np.ndarray:
+    """Columns of the :data:`MOST_PEAKS` highest peaks of the balanced bound of mu, shape (n, peaks), the highest first.
+
+    Args:
+        responses: M = G + I/2 on a grid of angles, shape (n, m, channels, channels).
+    """
+    count, columns, channels, _ = responses.shape
+    bounds = balanced_bounds(responses.reshape(-1, channels, channels)).reshape(count, columns)
+    padded_bounds = np.pad(bounds, ((0, 0), (1, 1)), constant_values=-np.inf)
+    left_neighbours = padded_bounds[:, :-2]
+    right_neighbours = padded_bounds[:, 2:]
+    is_peak = (bounds >= left_neighbours) & (bounds >= right_neighbours)
+    return np.argsort(-np.where(is_peak, bounds, 0.0), axis=1)[:, :MOST_PEAKS]

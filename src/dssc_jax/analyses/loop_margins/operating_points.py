@@ -9,20 +9,16 @@ import numpy as np
 from dssc_jax.closed_loop.break_points import place_names, sample_map, start_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.equilibria import RestingLoop, require_derivative
 from dssc_jax.engine.linearisation.matrices import Operating
-from dssc_jax.engine.linearisation.operating_points import (
-    EQUILIBRIUM,
-    Linearisation,
-    RestingLoop,
-    corner_notes,
-    lane_loop,
-    require_derivative,
-)
+from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM, Linearisation, corner_notes, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.study import Study
+
+AT_REST = 1  # index of a sample at rest; only the first sample, 0, may differ from all others
 
 
 class OperatingPoints(NamedTuple):
@@ -52,7 +48,8 @@ def operating_points(study: Study, times: tuple[float, ...]) -> OperatingPoints:
     if times:
         points = operating_points_in_flight(study, times, parts)
     else:
-        points = {EQUILIBRIUM: equilibria(RestingLoop(study, parts), study.config.draws)[0]}
+        operating, _ = equilibria(RestingLoop(study, parts), study.config.draws)
+        points = {EQUILIBRIUM: operating}
     return OperatingPoints(points, tuple(substitute_notes(parts)))
 
 
@@ -81,20 +78,23 @@ def equilibria(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    raw_findings = examination(lane_loop(study, parts, is_resting=True), parts)(values, indices, states, 1)
-    findings = resting.linearise.resolve_open_loops(values, indices, states, 1, raw_findings)
+    examine = examination(lane_loop(study, parts, is_resting=True), parts)
+    raw_findings = examine(values, indices, states, AT_REST)
+    findings = resting.linearise.resolve_open_loops(values, indices, states, AT_REST, raw_findings)
     notes = corner_notes(study, parts, findings[is_settled], EQUILIBRIUM)
     is_smooth = is_settled & ~np.any((raw_findings == Finding.CORNER) | (raw_findings == Finding.DEFECT), axis=1)
     has_corner = np.any(findings == Finding.CORNER, axis=1)
 
-    def after(pushed: np.ndarray) -> np.ndarray:
-        return resting.linearise.next_states(values, indices, pushed, 1, resting.smooth(draws))
+    def next_states(pushed: np.ndarray) -> np.ndarray:
+        """The states of all draws one sample after some states, shape (draws, states) both."""
+        return resting.linearise.next_states(values, indices, pushed, AT_REST, resting.smooth(draws))
 
     if is_smooth.any():
-        require_derivative(study, after, states, matrices, is_smooth, signal_states)
+        require_derivative(study, next_states, states, matrices, is_smooth, signal_states)
     if has_corner.any():
-        matrices = resting.linearise(values, indices, states, 1, findings)
-    return Operating(matrices, is_settled, np.any(findings == Finding.BEYOND, axis=1), notes), findings
+        matrices = resting.linearise(values, indices, states, AT_REST, findings)
+    is_limited = np.any(findings == Finding.BEYOND, axis=1)
+    return Operating(matrices, is_settled, is_limited, notes), findings
 
 
 def operating_points_in_flight(
@@ -114,9 +114,10 @@ def operating_points_in_flight(
         ConfigError: A time is outside the flight, or the times do not ascend.
     """
     samples = tuple(round(t / study.config.loop.sample_time) for t in times)
-    if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
-        rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
-        raise ConfigError("times", rule)
+    is_ascending = list(samples) == sorted(set(samples))
+    if not is_ascending or samples[0] < 0 or samples[-1] >= study.loop.steps:
+        listed_times = ", ".join(f"{t:g}" for t in times)
+        raise ConfigError("times", f"must ascend within [0, {study.config.loop.duration:g}) s, got {listed_times}")
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
     flight_states = states_in_flight(study, values, indices, samples)
@@ -127,15 +128,16 @@ def operating_points_in_flight(
         findings = examine(values, indices, states, k)
         findings = linearise.resolve_open_loops(values, indices, states, k, findings)
         matrices = linearise(values, indices, states, k, findings)
-        finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+        is_finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+        is_limited = np.any(findings == Finding.BEYOND, axis=1)
         name = f"t = {t:g} s"
-        notes = corner_notes(study, parts, findings[finite], name)
-        operating[name] = Operating(matrices, finite, np.any(findings == Finding.BEYOND, axis=1), notes)
+        notes = corner_notes(study, parts, findings[is_finite], name)
+        operating[name] = Operating(matrices, is_finite, is_limited, notes)
     return operating
 
 
 def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
-    """The states of n draws before some samples of their flights, a list of arrays of shape (n, states).
+    """The states of n draws before some samples of their flights, an array of shape (n, states) for each sample.
 
     The time loop runs in Python: compiling that of a vehicle takes minutes, and its single steps take seconds.
 
@@ -147,16 +149,21 @@ def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples:
     """
 
     def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        """The state of one draw before its first sample; traced."""
         return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
 
     def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
+        """The state of one draw after sample k; traced."""
         sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
-        return sample(state, jnp.zeros(len(place_names(study.loop.channels)), state.dtype))[0]
+        nothing_added = jnp.zeros(len(place_names(study.loop.channels)), state.dtype)
+        next_state, _ = sample(state, nothing_added)
+        return next_state
 
     recorded = []
     with arithmetic():
         states = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
-        advance_all = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
+        over_draws = (0, 0, 0, None)  # axes of the arguments; k is the same for all draws
+        advance_all = jax.jit(jax.vmap(advance, in_axes=over_draws), compiler_options=plain_options())
         for k in range(samples[-1] + 1):
             if k in samples:
                 recorded.append(np.asarray(states))

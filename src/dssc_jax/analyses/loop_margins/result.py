@@ -1,26 +1,21 @@
-"""Classical margins of all draws: dataset, statistics and answer."""
+"""Classical margins of all draws: their statistics and answer."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.loop_margins.fans import FAN_LEVELS, FANS, fan_quantiles
-from dssc_jax.analyses.loop_margins.multiloop import MultiloopMargins
-from dssc_jax.core.quantities import Quantity, unit_and_meaning
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, tolerance_limits
 from dssc_jax.statistics.order import upper_quantiles
-from dssc_jax.study import Study
 
 SHARE_WITHIN = 0.95  # share of all draws within the tolerance limit
-LINES = 60  # number of draws whose frequency responses are stored
+
 MARGIN_UNIT = "that of the margin"
 
 
@@ -60,25 +55,9 @@ MARGIN_KINDS = {
 """The margins that are computed for every draw, operating point and break point, by name."""
 
 
-class BrokenLoop(NamedTuple):
-    """Margins and frequency responses of all draws at one break point and one operating point.
-
-    Args:
-        margins: Margins by name, shape (draws,) each; NaN for a draw without margins.
-        status: A :class:`Status` for each draw, shape (draws,).
-        response: G = -T on the common grid, shape (draws, frequencies).
-        poles: Poles of L, shape (draws, states); NaN for a draw without an operating point within the limits.
-    """
-
-    margins: dict[str, np.ndarray]
-    status: np.ndarray
-    response: np.ndarray
-    poles: np.ndarray
-
-
 @dataclass(frozen=True)
 class MarginStatistics:
-    """A margin over all draws, at one break point and one operating point."""
+    """The statistics of one margin over all draws, at one break point and one operating point."""
 
     unit: Annotated[str, Quantity("", "unit of the margin")]
     median: Annotated[float, Quantity(MARGIN_UNIT, "median; None: infinite, or the loop is unstable")]
@@ -90,7 +69,10 @@ class MarginStatistics:
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """The draws at one break point and one operating point."""
+    """How many draws have a stable loop, and statistics of their margins, at one break and operating point.
+
+    In JSON the margins stand by their names among its own fields.
+    """
 
     stable: Annotated[int, Quantity("1", "draws with a stable loop")]
     stable_interval: Annotated[tuple[float, float], Quantity("1", "interval of their share of all draws")]
@@ -100,7 +82,7 @@ class LoopStatistics:
 
 @dataclass(frozen=True)
 class MultiloopStatistics:
-    """The disk margin of all loops at once, at one operating point."""
+    """Statistics of the disk margin of all loops at once, and its worst perturbation, at one operating point."""
 
     margin: Annotated[MarginStatistics, Quantity("1", "alpha that is guaranteed: an upper bound of mu by D-scales")]
     found: Annotated[float, Quantity("1", "worst alpha of a perturbation that makes a loop singular; None: unstable")]
@@ -172,7 +154,12 @@ class LoopMargins(Analysis):
         return np.where(np.isnan(values), np.inf, values)
 
     def statistics(self, point: str, loop: str) -> LoopStatistics:
-        """Number of stable loops, and median, worst case and tolerance limit of every margin, at one break point."""
+        """Number of stable loops, and median, worst case and tolerance limit of every margin.
+
+        Args:
+            point: Name of the operating point.
+            loop: Name of the break point.
+        """
         status = self.dataset["status"].sel(operating_point=point, loop=loop).values
         stable = int(np.count_nonzero(status == Status.STABLE))
         low, high = clopper_pearson(stable, len(status))
@@ -187,12 +174,16 @@ class LoopMargins(Analysis):
         )
 
     def multiloop(self, point: str) -> MultiloopStatistics:
-        """Statistics of the disk margin of all loops at once, at one operating point."""
+        """Statistics of the disk margin of all loops at once, at one operating point.
+
+        Args:
+            point: Name of the operating point.
+        """
         data = self.dataset.sel(operating_point=point)
         guaranteed = data["multiloop_disk"].values
         attained = data["multiloop_found"].values
-        margins = np.where(np.isnan(guaranteed), -np.inf, guaranteed)
-        attained_margins = np.where(np.isnan(attained), np.inf, attained)
+        margins = np.where(np.isnan(guaranteed), -np.inf, guaranteed)  # an unstable loop has the worst margin
+        attained_margins = np.where(np.isnan(attained), np.inf, attained)  # and no perturbation
         worst = data.isel(draw=int(np.argmin(attained_margins)))
         channels = list(map(str, data["channel"].values))
         return MultiloopStatistics(
@@ -217,8 +208,8 @@ class LoopMargins(Analysis):
     def headline(self) -> str:
         """Phase and delay margin at the first break point and the worst operating point, in one line."""
         first = self.loops[0]
-        statistics = [self.statistics(point, first) for point in self.points]
-        worst = min(statistics, key=lambda point: point.margins["disk"].tolerance_limit)
+        by_point = [self.statistics(point, first) for point in self.points]
+        worst = min(by_point, key=lambda statistics: statistics.margins["disk"].tolerance_limit)
         phase = worst.margins["phase"]
         delay = worst.margins["delay"]
         draws = self.dataset.sizes["draw"]
@@ -261,93 +252,14 @@ def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
         values: The margin of every draw, shape (draws,); infinite for a draw without one.
         kind: The kind of margin.
     """
-    lower, upper = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, kind.side)
+    lower_limit, upper_limit = tolerance_limits(values, SHARE_WITHIN, CONFIDENCE, kind.side)
     large_is_good = kind.side == "lower"
+    (median,) = upper_quantiles(values, [0.5])
     return MarginStatistics(
         unit=kind.unit,
-        median=float(upper_quantiles(values, [0.5])[0]),
+        median=float(median),
         median_interval=quantile_interval(values, 0.5),
         worst=float(values.min() if large_is_good else values.max()),
-        tolerance_limit=lower if large_is_good else upper,
+        tolerance_limit=lower_limit if large_is_good else upper_limit,
         side=kind.side,
     )
-
-
-def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
-    """The disk margins of all loops at once as variables of a dataset, along ``operating_point`` and ``draw``.
-
-    The dataset is empty if one operating point has no such margin, or others have those of other channels.
-
-    Args:
-        multiloop: The margins of all draws, by operating point.
-    """
-    margins = [part for part in multiloop.values() if part is not None]
-    if len(margins) < len(multiloop) or len({part.channels for part in margins}) > 1:
-        return xr.Dataset()
-    dims = ("operating_point", "draw")
-    channel_dims = (*dims, "channel")
-    factors = np.stack([part.factors for part in margins])
-    of_perturbation = "of the perturbation that was found"
-    columns = {
-        "disk": (dims, [part.guaranteed for part in margins], "1", "disk margin alpha of all loops at once"),
-        "found": (dims, [part.attained for part in margins], "1", "alpha of a perturbation that was found"),
-        "frequency": (dims, [part.frequency for part in margins], "rad/s", "critical frequency"),
-        "gain": (channel_dims, np.abs(factors), "1", f"gain {of_perturbation}"),
-        "phase": (channel_dims, np.angle(factors), "rad", f"phase {of_perturbation}"),
-    }
-    variables = {}
-    for name, (dimensions, values, unit, meaning) in columns.items():
-        variables[f"multiloop_{name}"] = (dimensions, np.stack(values), unit_and_meaning(unit, meaning))
-    return xr.Dataset(variables, coords={"channel": list(margins[0].channels)})
-
-
-def margins_dataset(
-    study: Study, answers: Mapping[str, Mapping[str, BrokenLoop]], frequencies: np.ndarray
-) -> xr.Dataset:
-    """The dataset of :class:`LoopMargins`.
-
-    Args:
-        study: The study.
-        answers: Margins and responses of all draws, by operating point and break point.
-        frequencies: Frequencies of the responses [rad/s], shape (frequencies,).
-    """
-    points = list(answers)
-    loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))
-    draws = study.config.draws
-    shape = (len(points), len(loops))
-    blank = BrokenLoop(
-        {name: np.full(draws, np.nan) for name in MARGIN_KINDS},
-        np.full(draws, Status.NO_OPERATING_POINT.value),
-        np.full((draws, frequencies.size), np.nan, complex),
-        np.full((draws, 0), np.nan, complex),
-    )
-    broken_loops = []
-    for point in points:
-        broken_loops += [answers[point].get(loop, blank) for loop in loops]
-    columns: dict[str, tuple[tuple[str, ...], np.ndarray, Mapping[str, object]]] = {}
-    for name, kind in MARGIN_KINDS.items():
-        values = np.stack([broken.margins[name] for broken in broken_loops]).reshape(*shape, draws)
-        columns[name] = (LoopMargins.table, values, unit_and_meaning(kind.unit, kind.meaning))
-    flags = {"flag_values": [s.value for s in Status], "flag_meanings": " ".join(s.name.lower() for s in Status)}
-    status = np.stack([broken.status for broken in broken_loops]).reshape(*shape, draws)
-    columns["status"] = (LoopMargins.table, status, {"long_name": "whether the loop has margins", **flags})
-    angles = frequencies * study.config.loop.sample_time
-    with np.errstate(all="ignore"):
-        fans = [fan_quantiles(broken.response, broken.poles, angles) for broken in broken_loops]
-        plotted_responses = np.stack([(-broken.response / (1.0 + broken.response))[:LINES] for broken in broken_loops])
-    for name, (unit, meaning) in FANS.items():
-        values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(FAN_LEVELS), -1)
-        dims = (*LoopMargins.table[:2], "level", "frequency")
-        columns[name] = (dims, values, unit_and_meaning(unit, f"{meaning}, quantile over the draws"))
-    for name, part in (("real", np.real(plotted_responses)), ("imaginary", np.imag(plotted_responses))):
-        values = part.reshape(*shape, -1, frequencies.size)
-        attributes = unit_and_meaning("1", f"{name} part of the loop transfer function L")
-        columns[f"loop_{name}"] = ((*LoopMargins.table[:2], "line", "frequency"), values, attributes)
-    coords = {
-        "operating_point": ("operating_point", np.array(points), {"long_name": "where the loop is linearised"}),
-        "loop": ("loop", np.array(loops), {"long_name": "where the loop is broken"}),
-        "draw": ("draw", np.arange(draws), {"long_name": "draw index"}),
-        "level": ("level", np.array(FAN_LEVELS), unit_and_meaning("1", "level of the quantile")),
-        "frequency": ("frequency", frequencies, unit_and_meaning("rad/s", "frequency")),
-    }
-    return xr.Dataset(columns, coords=coords, attrs={"title": study.name})

@@ -14,19 +14,21 @@ References:
 
 import numpy as np
 
-BALANCING_STEPS = 30
+BALANCING_STEPS = 30  # passes over all channels
 ELLIPSOID_STEPS = 300
 FIRST_RADIUS = 2.0  # radius of the first ellipsoid in log D, about the balanced D
+STILL = 1e-12  # change of log mu from the centre to the edge of an ellipsoid, below which it no longer moves
 POWER_STEPS = 100
 STARTS = 8  # starts of the power iteration
-TINY = 1e-300
+TINY = 1e-300  # in place of 0 in a denominator
 ONE_WAY = 1e-8  # least ratio of row and column in a step, so that a coupling in one direction is scaled away
 
 
 def balancing_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the Frobenius norm of D M D^-1, shape (n, channels) (Osborne).
 
-    For two channels this D also minimises the largest singular value.
+    Each step scales one channel so that its row and its column become equally large. For two channels this D also
+    minimises the largest singular value.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -39,8 +41,10 @@ def balancing_scales(matrices: np.ndarray) -> np.ndarray:
             scaled_squares = squares * np.exp(2.0 * (logs[:, :, None] - logs[:, None, :]))
             row = np.sum(scaled_squares[:, channel, :], axis=1)
             column = np.sum(scaled_squares[:, :, channel], axis=1)
-            coupled = (row > TINY) | (column > TINY)
-            ratio = np.where(coupled, column + ONE_WAY * row, 1.0) / np.where(coupled, row + ONE_WAY * column, 1.0)
+            is_coupled = (row > TINY) | (column > TINY)
+            ratio = np.where(is_coupled, column + ONE_WAY * row, 1.0) / np.where(
+                is_coupled, row + ONE_WAY * column, 1.0
+            )
             logs[:, channel] += 0.25 * np.log(ratio)
     return logs
 
@@ -52,7 +56,8 @@ def scaled_norms(matrices: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np
         matrices: M, shape (n, channels, channels).
         logs: log D, shape (n, channels), by which the subgradient is taken.
     """
-    left_vectors, values, right_vectors = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
+    ratios = np.exp(logs[:, :, None] - logs[:, None, :])  # entry i, j of D M D^-1 is M_ij times D_i/D_j
+    left_vectors, values, right_vectors = np.linalg.svd(matrices * ratios)
     slopes = np.abs(left_vectors[:, :, 0]) ** 2 - np.abs(right_vectors[:, 0, :]) ** 2
     return values[:, 0], slopes
 
@@ -63,40 +68,43 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    return scaled_norms(matrices, best_scales(matrices))[0]
+    norms, _ = scaled_norms(matrices, best_scales(matrices))
+    return norms
 
 
 def best_scales(matrices: np.ndarray) -> np.ndarray:
     """log D of the diagonal D that minimises the largest singular value of D M D^-1, shape (n, channels).
 
-    The ellipsoid method finds it. It needs no smoothness: at the best D the two largest singular values are often
-    equal. Any D gives a valid bound of mu, so an inexact minimum is safe.
+    The ellipsoid method finds it: each step keeps the half of an ellipsoid in which the subgradient allows the minimum,
+    and encloses it by a smaller ellipsoid. It needs no smoothness; at the best D the two largest singular values are
+    often equal. Any D gives a valid bound of mu, so an inexact minimum is safe. The first log D stays 0, since a common
+    factor of D changes nothing.
 
     Args:
         matrices: M, shape (n, channels, channels).
     """
-    logs = balancing_scales(matrices)
+    best_logs = balancing_scales(matrices)
     free = matrices.shape[1] - 1
-    if free < 2:
-        return logs
-    best, slopes = scaled_norms(matrices, logs)
+    if free < 2:  # two channels: the balanced D is the best
+        return best_logs
+    least_norms, slopes = scaled_norms(matrices, best_logs)
     count = len(matrices)
     shape = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
-    centre = logs[:, 1:] - logs[:, :1]
+    centre = best_logs[:, 1:] - best_logs[:, :1]
     for _ in range(ELLIPSOID_STEPS):
         slope = slopes[:, 1:]
         reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, shape, slope), TINY))
-        is_moving = reach > 1e-12
-        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]
+        is_moving = reach > STILL
+        direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]  # from the centre to the edge, uphill
         centre = centre - np.where(is_moving[:, None], direction, 0.0) / (free + 1.0)
         outer = direction[:, :, None] * direction[:, None, :]
-        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)
+        shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)  # about the lower half
         shape = np.where(is_moving[:, None, None], shrunk, shape)
-        trial = np.concatenate([np.zeros((count, 1)), centre], axis=1)
-        norms, slopes = scaled_norms(matrices, trial)
-        logs = np.where((norms < best)[:, None], trial, logs)
-        best = np.minimum(best, norms)
-    return logs
+        logs = np.concatenate([np.zeros((count, 1)), centre], axis=1)
+        norms, slopes = scaled_norms(matrices, logs)
+        best_logs = np.where((norms < least_norms)[:, None], logs, best_logs)
+        least_norms = np.minimum(least_norms, norms)
+    return best_logs
 
 
 def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,24 +119,26 @@ def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     count, channels, _ = matrices.shape
     random = np.random.default_rng(0)
-    best = np.zeros(count)
+    bounds = np.zeros(count)
     diagonals = np.full((count, channels), np.nan, complex)
     rows = np.arange(count)
     for start in range(STARTS):
-        phases = np.exp(2j * np.pi * random.random((count, channels))) if start else np.ones((count, channels), complex)
-        units = power_iteration(matrices, phases)
+        vectors = np.ones((count, channels), complex)
+        if start > 0:
+            vectors = np.exp(2j * np.pi * random.random((count, channels)))
+        units = power_iteration(matrices, vectors)
         eigenvalues = np.linalg.eigvals(matrices * units[:, None, :])
         largest = eigenvalues[rows, np.argmax(np.abs(eigenvalues), axis=1)]
-        better = np.abs(largest) > best
-        best = np.where(better, np.abs(largest), best)
-        diagonals[better] = units[better] / largest[better, None]
-    return best, diagonals
+        is_better = np.abs(largest) > bounds
+        bounds = np.where(is_better, np.abs(largest), bounds)
+        diagonals[is_better] = units[is_better] / largest[is_better, None]
+    return bounds, diagonals
 
 
 def power_iteration(matrices: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Diagonals U of unit modulus for which the spectral radius of M U is large, shape (n, channels).
 
-    This is the power iteration of Packard and Doyle for diagonal complex perturbations.
+    This is the power iteration of Packard and Doyle for diagonal complex perturbations, with their vectors a, b, z, w.
 
     Args:
         matrices: M, shape (n, channels, channels).
@@ -136,10 +146,12 @@ def power_iteration(matrices: np.ndarray, start: np.ndarray) -> np.ndarray:
     """
 
     def unit(vectors: np.ndarray) -> np.ndarray:
+        """The entries divided by their moduli; 1 for an entry of 0."""
         size = np.abs(vectors)
         return np.where(size > TINY, vectors / np.maximum(size, TINY), 1.0)
 
     def normalised(vectors: np.ndarray) -> np.ndarray:
+        """The vectors divided by their lengths."""
         return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), TINY)
 
     b = normalised(start)

@@ -1,4 +1,4 @@
-"""Robustness margins: how far one number of the loop can change before a draw fails, for every draw.
+"""Robustness margins: how far a number of the loop can change before a draw fails, for every draw.
 
 The number moves from the first bound, the safe end, to the second. A draw's critical value is the last passing value
 found before the first failure. It is bracketed on a grid and refined by bisection, for all draws at once. A draw that

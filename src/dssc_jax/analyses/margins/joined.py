@@ -1,4 +1,4 @@
-"""Join several margins over one walk into one dataset, and separate them again."""
+"""Join several margins over the same walk into a dataset, and separate them again."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,20 +16,20 @@ from dssc_jax.study import Study
 
 
 def name_axis(dimension: str, names: Iterable[str], meaning: str) -> xr.DataArray:
-    """The coordinate of a dimension whose elements have names.
+    """The names of a dimension's elements as its coordinate in a dataset.
 
     Args:
         dimension: Name of the dimension.
         names: Name of each element.
-        meaning: Meaning of the dimension.
+        meaning: What the elements are, in words.
     """
     return xr.DataArray(np.array(list(names)), dims=dimension, name=dimension, attrs={"long_name": meaning})
 
 
 def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -> xr.Dataset:
-    """Join margins into one dataset along a new dimension of names.
+    """Join the datasets of margins along a new dimension of names; :func:`split_margins` separates them again.
 
-    A variable that one of the margins does not have is NaN there.
+    Where one of the margins lacks a variable, the variable is NaN.
 
     Args:
         margins: Margins by name.
@@ -58,27 +58,30 @@ class MarginPart(NamedTuple):
 
 @dataclass(frozen=True)
 class NamedMargins:
-    """The margins of one study within an answer for several studies."""
+    """The answer for the margins of a study, with the study's name, within an answer for several studies."""
 
     study: Annotated[str, Quantity("", "name of the study")]
     margins: MarginAnswer = field(metadata={MERGED: True})
 
 
 def medians_text(margins: Mapping[str, Margins]) -> str:
-    """Name and median critical value of each of several margins, in one line: ``dssc 0.41, sta 0.2``."""
+    """Name and median critical value of each of several margins, in a line: ``dssc 0.41, sta before the start``."""
     texts = []
     for name, margin in margins.items():
-        median = margin.median
-        texts.append(f"{name} {'before the start' if median is None else f'{median:.4g}'}")
+        median_text = "before the start" if margin.median is None else f"{margin.median:.4g}"
+        texts.append(f"{name} {median_text}")
     return ", ".join(texts)
 
 
 def margin_parts(margins: Mapping[str, Margins]) -> dict[str, MarginPart]:
-    """What :func:`split_margins` needs besides the joined dataset, for each margin by its name."""
+    """What a joined dataset does not say of each of its margins, by name, for :func:`split_margins`."""
     parts = {}
     for name, margin in margins.items():
-        variables = tuple(map(str, margin.dataset))
-        parts[name] = MarginPart(stored_fields(margin), variables, margin.dataset["slack"].attrs["units"])
+        parts[name] = MarginPart(
+            settings=stored_fields(margin),
+            variables=tuple(map(str, margin.dataset)),
+            slack_unit=margin.dataset["slack"].attrs["units"],
+        )
     return parts
 
 
@@ -96,6 +99,6 @@ def split_margins(
     margins = {}
     for name, part in parts.items():
         data = dataset.sel({dimension: name}, drop=True)[list(part.variables)]
-        data = data.assign(slack=data["slack"].assign_attrs(units=part.slack_unit))
+        data = data.assign(slack=data["slack"].assign_attrs(units=part.slack_unit))  # the join kept only one unit
         margins[name] = restored_analysis(Margins, study_of(name), data, part.settings)
     return margins

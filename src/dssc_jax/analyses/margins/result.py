@@ -23,7 +23,7 @@ UNNAMED = {
     CLOCK: Quantity("s", "sample time T_s", above=0.0),
     SPREAD: Quantity("1", "spread of all laws about their medians", at_least=0.0),
 }
-"""What can be walked besides the loop's own numbers."""
+"""Unit and meaning of what can be walked besides the loop's own numbers."""
 CONTENT = 0.95  # share of draws that pass up to the lower tolerance limit
 PARAMETER_UNIT = "that of the number"
 
@@ -41,7 +41,7 @@ class Degradation:
 
 @dataclass(frozen=True)
 class MarginAnswer:
-    """The critical values of all draws, and their statistics."""
+    """The answer for margins: the critical values of all draws, and their statistics."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
     unit: Annotated[str, Quantity("", "unit of the number")]
@@ -71,11 +71,11 @@ class MarginAnswer:
 
 @dataclass(eq=False)
 class Margins(Analysis):
-    """The critical values of a study's draws.
+    """How far a number can change before each draw of a study fails: the critical values of the draws.
 
     The dataset has along ``draw``: ``critical``, ``censoring``, ``non_monotone`` and all drawn numbers, and after a
-    simulation ``violated_first`` (:class:`~dssc_jax.analyses.margins.search.FirstViolated`). Along ``value`` and
-    ``draw`` it has ``slack``, that of the worst requirement relative to its bound.
+    simulation ``violated_first`` (:class:`~dssc_jax.analyses.margins.search.FirstViolated`). Along ``value``, the grid
+    of the walk, and ``draw`` it has ``slack``, the slack of the worst requirement relative to its bound.
 
     Args:
         parameter: The number that is varied.
@@ -112,7 +112,7 @@ class Margins(Analysis):
         compile_seconds: float = 0.0,
         unit: str = "1",
     ) -> Self:
-        """Create the margins of a study from the critical values that a search found.
+        """The margins of a study, from the critical values that a search found.
 
         Args:
             study: The study.
@@ -128,26 +128,25 @@ class Margins(Analysis):
         quantity = study.quantities.get(parameter) or UNNAMED[parameter]
         attributes = unit_and_meaning(quantity.unit, quantity.meaning)
         codes = {"flag_values": [code.value for code in Censoring], "flag_meanings": "before inside beyond"}
-        columns = {
-            "critical": (critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
-            "censoring": (critical.censoring, {"long_name": "side of the walk on which the value lies", **codes}),
-            "non_monotone": (critical.non_monotone, {"long_name": "passes again beyond a failure"}),
+        side_attributes = {"long_name": "side of the walk on which the value lies", **codes}
+        variables: dict[str, tuple[object, np.ndarray, object]] = {
+            "critical": ("draw", critical.value, attributes | {"long_name": f"critical {quantity.meaning}"}),
+            "censoring": ("draw", critical.censoring, side_attributes),
+            "non_monotone": ("draw", critical.non_monotone, {"long_name": "passes again beyond a failure"}),
         }
         if critical.violated is not None:
-            columns["violated_first"] = (
-                critical.violated,
-                unit_and_meaning("1", "index of the requirement violated first"),
-            )
+            meaning = "index of the requirement violated first"
+            variables["violated_first"] = ("draw", critical.violated, unit_and_meaning("1", meaning))
         for name, values in drawn_numbers.items():
-            law = study.quantities[name]
-            columns[name] = (values, unit_and_meaning(law.unit, law.meaning))
+            drawn = study.quantities[name]
+            variables[name] = ("draw", values, unit_and_meaning(drawn.unit, drawn.meaning))
+        variables["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))
         index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})
         data = xr.Dataset(
-            {name: (("draw",), values, attrs) for name, (values, attrs) in columns.items()},
+            variables,
             coords={"draw": index, "value": (("value",), walk.grid, attributes)},
             attrs={"title": study.name, "parameter": parameter},
         )
-        data["slack"] = (("value", "draw"), critical.slack, unit_and_meaning(unit, "signed slack"))
         return cls(
             study=study,
             dataset=data,
@@ -163,7 +162,7 @@ class Margins(Analysis):
     def reached(self) -> np.ndarray:
         """How far along the walk each draw passes, shape (draws,).
 
-        It is the critical value, with its sign changed if the walk descends, so that a larger one is always farther.
+        It is the critical value, with its sign changed if the walk descends, so that a larger number is always farther.
         Draws that fail at the start have -inf, draws that pass to the end inf.
         """
         critical = self.dataset["critical"].values
@@ -173,16 +172,16 @@ class Margins(Analysis):
         return np.where(censoring == Censoring.INSIDE, direction * critical, outside)
 
     def at_rank(self, rank: int) -> float | None:
-        """The critical value at a rank among the draws, counted from 1 at the safe end of the walk.
+        """The critical value of the draw at a rank: 1 is the draw that fails nearest to the start of the walk.
 
         It is the walk's end if that draw passes to the end, and None if it fails at the start.
         """
-        value = np.sort(self.reached)[rank - 1]
-        if np.isposinf(value):
+        reach_of_draw = np.sort(self.reached)[rank - 1]
+        if np.isposinf(reach_of_draw):
             return self.walk.end
-        if np.isneginf(value):
+        if np.isneginf(reach_of_draw):
             return None
-        return float(value if self.walk.end > self.walk.start else -value)
+        return float(reach_of_draw if self.walk.end > self.walk.start else -reach_of_draw)
 
     @property
     def median(self) -> float | None:
@@ -214,9 +213,12 @@ class Margins(Analysis):
         failures = (slack < 0.0).sum("draw").values
         draws = slack.sizes["draw"]
         band = clopper_pearson(failures, draws, 1.0 - (1.0 - confidence) / slack.sizes["value"])
-        columns = {"probability": failures / draws, "lower": band[:, 0], "upper": band[:, 1]}
         return xr.Dataset(
-            {name: (("value",), column) for name, column in columns.items()},
+            {
+                "probability": ("value", failures / draws),
+                "lower": ("value", band[:, 0]),
+                "upper": ("value", band[:, 1]),
+            },
             coords={"value": slack["value"]},
             attrs={"confidence": confidence, "band": "simultaneous: Bonferroni over Clopper-Pearson"},
         )
@@ -236,7 +238,7 @@ class Margins(Analysis):
             count = int(np.count_nonzero(violated == index))
             if count:
                 counts[name] = count
-        return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
+        return {name: counts[name] for name in sorted(counts, key=counts.__getitem__, reverse=True)}
 
     @property
     def headline(self) -> str:
@@ -246,7 +248,7 @@ class Margins(Analysis):
         return f"median critical {self.parameter}: {middle}; 95 % of all draws pass up to: {lower}"
 
     def value_text(self, value: float | None) -> str:
-        """A value of the walk with its unit; None is a value before the start."""
+        """A value of the walk with its unit, as text; None stands for a value before the start."""
         if value is None:
             return "before the start"
         unit = self.dataset["critical"].attrs["units"]

@@ -1,6 +1,6 @@
 """Find the critical values of many draws at once: bracketing on a grid, then bisection."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -30,15 +30,15 @@ class Censoring(IntEnum):
 
 @dataclass(frozen=True)
 class Walk:
-    """The walk from the safe end to the other end, evenly spaced in the number or its logarithm.
+    """The walk of a number from the safe end to the other end, even in the number or its logarithm.
 
     Args:
         start: The safe end.
         end: The other end, larger or smaller than the start.
         log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid, including both ends.
-        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest one
-            that divides the duration into whole samples. None for any other number.
+        parted: The duration of the flight [s], if the number is the sample time: values then move to the nearest
+            value that divides the duration into whole samples. None for any other number.
     """
 
     start: float
@@ -48,13 +48,16 @@ class Walk:
     parted: float | None = None
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """The values at fractions of the walk in [0, 1], of the same shape."""
+        """The values at shares of the way from the start, at 0, to the end, at 1; of the same shape."""
         if self.log:
             value = np.exp((1.0 - share) * np.log(self.start) + share * np.log(self.end))
         else:
             value = (1.0 - share) * self.start + share * self.end
         value = np.clip(value, min(self.start, self.end), max(self.start, self.end))
-        return value if self.parted is None else self.parted / np.round(self.parted / value)
+        if self.parted is None:
+            return value
+        samples = np.round(self.parted / value)
+        return self.parted / samples
 
     @property
     def grid(self) -> np.ndarray:
@@ -84,9 +87,10 @@ class Critical(NamedTuple):
 class FirstViolated:
     """Record of the requirement that each of n draws violates at its failure nearest to the start of a walk.
 
-    A search tries the values of the walk in any order, so a nearer failure replaces the one recorded before.
+    A search tries the values of the walk in any order, so a nearer failure replaces the recorded failure.
     ``requirement`` has shape (n,): the index of the requirement; the number of requirements for a draw that ended
-    early; -1 without a failure.
+    early; -1 for a draw without a failure so far. ``distance`` is the distance of that failure from the start,
+    shape (n,).
 
     Args:
         draws: Number n of draws.
@@ -94,12 +98,13 @@ class FirstViolated:
     """
 
     def __init__(self, draws: int, start: float) -> None:
+        """Record no failure of any draw."""
         self.start = start
         self.requirement = np.full(draws, -1)
         self.distance = np.full(draws, np.inf)
 
     def slack(self, draws: np.ndarray, values: np.ndarray, study: Study, results: Arrays) -> np.ndarray:
-        """The signed slack of some draws, shape (m,); what they violate is recorded.
+        """Compute the signed slack of some simulated draws, shape (m,), and record what they violate.
 
         Args:
             draws: Indices of the draws, shape (m,).
@@ -110,7 +115,7 @@ class FirstViolated:
         requirements = study.requirements
         slack = worst_slack(requirements, results)
         distance = np.abs(values - self.start)
-        violated = np.full(len(draws), len(requirements))
+        violated = np.full(len(draws), len(requirements))  # without requirements, a failure is an early end
         if requirements:
             ended = ended_early(results["outcome"])
             violated = np.where(ended, violated, binding_requirement(requirements, results))
@@ -118,6 +123,18 @@ class FirstViolated:
         self.requirement[draws[nearer]] = violated[nearer]
         self.distance[draws[nearer]] = distance[nearer]
         return slack
+
+
+def join_critical(blocks: Sequence[Critical]) -> Critical:
+    """The critical values of all draws, from the critical values of their blocks in order."""
+    violated = [block.violated for block in blocks if block.violated is not None]
+    return Critical(
+        value=np.concatenate([block.value for block in blocks]),
+        censoring=np.concatenate([block.censoring for block in blocks]),
+        non_monotone=np.concatenate([block.non_monotone for block in blocks]),
+        slack=np.concatenate([block.slack for block in blocks], axis=1),
+        violated=np.concatenate(violated) if violated else None,
+    )
 
 
 def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int = BISECTIONS) -> Critical:
@@ -135,17 +152,22 @@ def search_critical(slack_at: WalkSlack, draws: int, walk: Walk, bisections: int
     indices = np.arange(draws)
     slack = np.stack([slack_at(indices, np.full(draws, value)) for value in walk.grid])
     passes = slack >= 0.0
-    first_failure = np.where(passes.all(axis=0), walk.points, np.argmin(passes, axis=0))
+    first_failure = np.where(passes.all(axis=0), walk.points, np.argmin(passes, axis=0))  # index on the grid
     censoring = np.full(draws, Censoring.INSIDE)
     censoring[first_failure == 0] = Censoring.BEFORE
     censoring[first_failure == walk.points] = Censoring.BEYOND
     value = np.full(draws, np.nan)
     crossing_draws = np.flatnonzero(censoring == Censoring.INSIDE)
+
+    def crossing_draws_pass(share: np.ndarray) -> np.ndarray:
+        """Whether each crossing draw passes at a share of the walk."""
+        return slack_at(crossing_draws, walk.at(share)) >= 0.0
+
     if crossing_draws.size:
         cells = walk.points - 1
         safe = (first_failure[crossing_draws] - 1) / cells
         failing = first_failure[crossing_draws] / cells
-        safe, _ = bisect(lambda share: slack_at(crossing_draws, walk.at(share)) >= 0.0, safe, failing, bisections)
+        safe, _ = bisect(crossing_draws_pass, safe, failing, bisections)
         value[crossing_draws] = walk.at(safe)
     passes_again = passes & (np.arange(walk.points)[:, None] > first_failure)
-    return Critical(value, censoring, np.any(passes_again, axis=0), slack)
+    return Critical(value, censoring, non_monotone=np.any(passes_again, axis=0), slack=slack)

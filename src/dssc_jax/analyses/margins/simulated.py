@@ -11,13 +11,14 @@ import numpy as np
 from dssc_jax.analyses.conditions import criterion_of
 from dssc_jax.analyses.defaults import BISECTIONS, MOST_BISECTIONS, MOST_POINTS, POINTS
 from dssc_jax.analyses.margins.result import Margins
-from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, search_critical
+from dssc_jax.analyses.margins.search import CLOCK, Critical, FirstViolated, Walk, join_critical, search_critical
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, execute, join_batches, values_of_draws
+from dssc_jax.engine.batching import BLOCK, Engine, Layout, execute, join_batches, values_of_draws
+from dssc_jax.engine.clock import Clock
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
@@ -40,7 +41,7 @@ def margin(
     prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Margins:
-    """Find the critical value of one number of the loop for every draw of a study.
+    """Find the critical value of a number of the loop for every draw: the last value before the draw first fails.
 
     The number replaces its law; everything else is drawn. With ``spread`` instead of a number, all laws are widened
     together: each drawn number's distance from the median is scaled by the value, in the logarithm if the law is
@@ -52,7 +53,7 @@ def margin(
         study: The study, or its file; its own sweep is ignored.
         over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
             tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
-        bounds: The safe end, where draws are expected to pass, then the other end, which may be the smaller one.
+        bounds: The safe end, where draws are expected to pass, then the other end, which may be smaller.
         log: Space the values evenly in the logarithm.
         points: Number of values in the bracketing grid. A failure between two neighbouring values is not noticed if the
             draw passes at both.
@@ -76,20 +77,34 @@ def margin(
     began = time.perf_counter()
     study = study.without_sweep()
     clock = Clock()
-    parted = study.config.loop.duration if over == CLOCK else None
-    walk = admissible_walk(over, bounds, log, points, bisections, parted)
+    duration_of_flight = study.config.loop.duration if over == CLOCK else None
+    walk = admissible_walk(over, bounds, log, points, bisections, parted=duration_of_flight)
     report = progress or (lambda done, total: None)
     if over == CLOCK:
-        critical, values = critical_sample_times(study, walk, clock, report)
+        critical, drawn_numbers = critical_sample_times(study, walk, clock, report)
     else:
-        critical, values = critical_numbers(study, over, walk, bisections, clock, report)
-    seconds = time.perf_counter() - began
-    margins = Margins.of(study, over, walk, critical, values, criterion_of(study), seconds, clock.compile_seconds)
+        critical, drawn_numbers = critical_numbers(study, over, walk, bisections, clock, report)
+    margins = Margins.of(
+        study,
+        over,
+        walk,
+        critical,
+        drawn_numbers,
+        criterion=criterion_of(study),
+        seconds=time.perf_counter() - began,
+        compile_seconds=clock.compile_seconds,
+    )
     return replace(margins, proof=prove_along(study, walk, over)) if prove else margins
 
 
 def prove_along(study: Study, walk: Walk, over: str) -> JsonObject:
-    """Prove the sampled loop along a walk: how far it is proved, or why no proof covers it."""
+    """The range of a walk for which the sampled loop is proved, or the reason why no proof covers it, as JSON.
+
+    Args:
+        study: The study without a sweep.
+        walk: The walk of a number.
+        over: Dotted name of the number.
+    """
     from dssc_jax.proofs.reach import proved_up_to
 
     try:
@@ -114,7 +129,7 @@ def admissible_walk(
         log: Whether the values are even in the logarithm.
         points: Number of values in the bracketing grid.
         bisections: Number of bisections of a grid cell.
-        parted: See :class:`Walk`.
+        parted: Duration of the flight [s] if the number is the sample time, as in :class:`Walk`; otherwise None.
 
     Raises:
         ConfigError: The bounds are equal, not finite, or not positive where they must be, or a count is out of range.
@@ -134,22 +149,33 @@ def admissible_walk(
 
 
 def numbers_along(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
-    """The function from drawn numbers and values of a walk, shape (n,) each, to the numbers of n lanes.
+    """A function that puts the values of a walk into drawn numbers: (numbers, values) -> the numbers of n lanes.
 
-    A value of the walk replaces the law of its number. A value of ``spread`` widens all laws about their medians.
+    Numbers and values have the shape (n,) each. A value of the walk replaces the drawn value of its number. A value of
+    ``spread`` moves all drawn values, by their distance from the median.
+
+    Args:
+        study: The study, for its laws.
+        over: Dotted name of the number, or ``spread``.
     """
 
     def with_number(numbers: Arrays, values: np.ndarray) -> Arrays:
+        """The drawn numbers, with other values of the walked number."""
         return {**numbers, over: values}
 
     def with_spread(numbers: Arrays, values: np.ndarray) -> Arrays:
+        """The drawn numbers under laws that are widened by factors."""
         return {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
     return with_spread if over == SPREAD else with_number
 
 
 def require_spread(study: Study, bounds: tuple[float, float]) -> None:
-    """Require laws that can be widened by every factor within the bounds.
+    """Refuse a study whose laws cannot be widened by every factor within the bounds.
+
+    Args:
+        study: The study.
+        bounds: Both ends of the walk of ``spread``, the factor.
 
     Raises:
         ConfigError: There is no law, or widened draws leave the admissible range of a number; the message has the
@@ -166,16 +192,17 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
         return
 
     def stays_inside(share: np.ndarray) -> bool:
+        """Whether all draws stay in their ranges at a share of the largest factor."""
         return not range_violations(study, columns, float(share) * widest)
 
-    share, _ = bisect(stays_inside, 0.0, 1.0, SPREAD_HALVINGS)
+    share, _ = bisect(stays_inside, inside=0.0, outside=1.0, halvings=SPREAD_HALVINGS)
     rule = f"{'; '.join(violations)} at {SPREAD} = {widest:g}"
     limit = f"all stay in their ranges up to {SPREAD} = {widest * float(share):.4g}"
     raise ConfigError(SPREAD, f"{rule}; {limit}; loguniform and lognormal laws never reach 0")
 
 
 def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
-    """The numbers that leave their admissible ranges if all laws are widened by a factor, in words.
+    """A sentence for each number that leaves its admissible range if all laws are widened by a factor.
 
     Args:
         study: The study.
@@ -189,7 +216,16 @@ def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
 def critical_numbers(
     study: Study, over: str, walk: Walk, bisections: int, clock: Clock, progress: ProgressCallback
 ) -> CriticalDraws:
-    """Find the critical values of a number that is an input of the compiled program, block by block of draws."""
+    """Find the critical values of a number that is an input of the compiled program, block by block of draws.
+
+    Args:
+        study: The study without a sweep.
+        over: Dotted name of the number, or ``spread``.
+        walk: The walk to search.
+        bisections: Number of bisections of a grid cell.
+        clock: Counts lanes and compile time.
+        progress: Called with the lanes done and their largest number.
+    """
     if over == SPREAD:
         require_spread(study, (walk.start, walk.end))
     draws = study.config.draws
@@ -200,15 +236,17 @@ def critical_numbers(
     evaluator.engine.clock = clock
 
     def report() -> None:
+        """Report the lanes done so far."""
         progress(clock.lanes, total)
 
-    blocks: list[CriticalDraws] = []
+    blocks: list[Critical] = []
+    block_numbers: list[Arrays] = []
     for begin in range(0, draws, evaluator.lanes):
         block = slice(begin, min(begin + evaluator.lanes, draws))
-        blocks.append(critical_block(evaluator, block, numbers_at, walk, bisections, report))
-    fields = zip(*(critical for critical, _ in blocks), strict=True)
-    critical = Critical(*(np.concatenate(arrays, axis=-1) for arrays in fields))
-    return critical, join_batches([numbers for _, numbers in blocks])
+        critical, drawn_numbers = critical_block(evaluator, block, numbers_at, walk, bisections, report)
+        blocks.append(critical)
+        block_numbers.append(drawn_numbers)
+    return join_critical(blocks), join_batches(block_numbers)
 
 
 def critical_block(
@@ -219,11 +257,11 @@ def critical_block(
     bisections: int,
     report: Callable[[], None],
 ) -> CriticalDraws:
-    """Find the critical values of one block of draws.
+    """Find the critical values of a block of draws, which are simulated together.
 
     Args:
         evaluator: The compiled study.
-        block: The draws, from the first index to the one after the last.
+        block: The draws, from the first index to the index after the last.
         numbers_at: See :func:`numbers_along`.
         walk: The walk to search.
         bisections: Number of bisections of the grid cell.
@@ -234,6 +272,7 @@ def critical_block(
     violated = FirstViolated(len(indices), walk.start)
 
     def slack_at(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Simulate some lanes of the block, each at a value of the walk, and record what they violate."""
         drawn_numbers = {name: column[lanes] for name, column in laws.items()}
         results = evaluator(indices[lanes], numbers_at(drawn_numbers, values))
         slack = violated.slack(lanes, values, evaluator.swept, results)
@@ -249,6 +288,12 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
 
     The sample time is fixed before tracing, so each value needs a program of its own, and there is no bisection.
 
+    Args:
+        study: The study without a sweep.
+        walk: The walk of the sample time.
+        clock: Counts lanes and compile time.
+        progress: Called with the lanes done and their total.
+
     Raises:
         ConfigError: Two values of the grid fall on the same number of samples, or it follows from parameters.
     """
@@ -261,6 +306,7 @@ def critical_sample_times(study: Study, walk: Walk, clock: Clock, progress: Prog
     violated = FirstViolated(study.config.draws, walk.start)
 
     def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Simulate all draws at a sample time, which is the same for all, and record what they violate."""
         study_at_value = studies[values[0]]
         layout = Layout.of(study_at_value)
         engine = Engine(study_at_value, layout.lanes, clock=clock)

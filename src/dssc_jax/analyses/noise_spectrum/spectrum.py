@@ -1,4 +1,4 @@
-"""The gain from measurement noise to the command over frequency, from one trajectory."""
+"""The gain from measurement noise to the command over frequency, from a trajectory."""
 
 import numpy as np
 import xarray as xr
@@ -15,10 +15,10 @@ FEWEST_SEGMENTS = 4
 def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr.Dataset:
     """Estimate the gain from the error n of the measured sigma to the robust command u over frequency.
 
-    The gain is |S_nu|/S_nn with Welch's estimates of the spectra (Hann window, half overlap, mean removed), so motion
-    that is uncorrelated with the noise, such as the answer to a disturbance, averages out. In a linear loop the gain is
-    the magnitude of the transfer function. Where the coherence is far below 1, u depends on the noise nonlinearly, or
-    on something else.
+    The gain is |S_nu|/S_nn, from the cross spectrum S_nu and the noise's spectrum S_nn by Welch's method (Hann window,
+    half overlap, mean removed). Motion that is uncorrelated with the noise, such as the answer to a disturbance,
+    averages out. In a linear loop the gain is the magnitude of the transfer function. Where the coherence is far below
+    1, u depends on the noise nonlinearly, or on something else.
 
     Args:
         run: A trajectory with every sample, from :func:`dssc_jax.simulate` or :func:`dssc_jax.replay`.
@@ -49,7 +49,7 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     frequency, noise_density = signal.welch(noise, rate, nperseg=SEGMENT)
     _, command_density = signal.welch(command, rate, nperseg=SEGMENT)
     _, cross_density = signal.csd(noise, command, rate, nperseg=SEGMENT)
-    frequency = frequency[1:]
+    frequency = frequency[1:]  # without the mean, at the frequency 0
     noise_density = noise_density[1:]
     command_density = command_density[1:]
     cross = np.abs(cross_density[1:])

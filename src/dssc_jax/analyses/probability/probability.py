@@ -23,7 +23,7 @@ from dssc_jax.study import Study, takes_file
 
 @dataclass(frozen=True)
 class ProbabilityAnswer:
-    """A failure probability, its interval and its cost."""
+    """The answer for a failure probability: the estimate, its interval, its strata and its cost."""
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     probability: Annotated[float, Quantity("1", "failure probability")]
@@ -48,7 +48,7 @@ class FailureProbability(Analysis):
 
     Args:
         width: Width of the interval that was asked for.
-        simulations: Number of simulations, with those of the prediction.
+        simulations: Number of simulations, for the prediction and in the strata.
     """
 
     kind = "probability"
@@ -60,7 +60,13 @@ class FailureProbability(Analysis):
 
     @classmethod
     def of(cls, study: Study, width: float, estimate: StratifiedEstimate) -> Self:
-        """Create the analysis from an estimate."""
+        """The analysis of an estimate for a study, whose strata it keeps in a dataset.
+
+        Args:
+            study: The study without a sweep.
+            width: Width of the interval that was asked for.
+            estimate: The estimate.
+        """
         upper = np.append(estimate.edges, np.inf)
         columns = {
             "upper": ("stratum", upper, unit_and_meaning("1", "upper edge of the predicted slack, scaled")),
@@ -72,14 +78,14 @@ class FailureProbability(Analysis):
 
     @cached_property
     def estimate(self) -> StratifiedEstimate:
-        """The estimate, read from the dataset."""
+        """The estimate, rebuilt from the dataset."""
         data = self.dataset
         return StratifiedEstimate(
             simulations=self.simulations,
             weights=data["weight"].values,
             failures=data["failures"].values,
             draws=data["draws"].values,
-            edges=data["upper"].values[:-1],
+            edges=data["upper"].values[:-1],  # the last stratum has no upper edge
         )
 
     @property

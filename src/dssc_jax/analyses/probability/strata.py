@@ -20,23 +20,23 @@ from dssc_jax.statistics.stratified import allocate_draws, stratified_interval
 PILOT = 256  # plain draws from which the slack is predicted
 MOST_EXTRA_DRAWS = 512  # largest number of extra draws near the border, which improve the prediction
 DRAWS_PER_EXTRA_DRAW = 8  # planned draws in the strata for each extra draw
-BAND = 4  # number of points near the border from which each extra draw is one
+BAND = 4  # every BAND-th of the points nearest to the border is an extra draw
 SAMPLE = 2**14  # points whose predictions decide the strata
-NETS = 16
+NETS = 16  # independent Sobol nets, each of which estimates the strata's probabilities
 NET_POINTS = 2**12  # points of a net
 NARROW_NET_POINTS = 2**14  # points of a net, if the interval is to be narrower than NARROW_WIDTH
 NARROW_WIDTH = 0.01
 FIRST_MASS = 0.01  # probability of each of the two strata at the border
-GROWTH = 2.5  # ratio of a stratum's probability to that of its neighbour nearer to the border
-RESERVE = 1.0  # ratio of the width that the draws aim at to the one asked for
+GROWTH = 2.5  # probability of a stratum over its neighbour's, which is nearer to the border
+RESERVE = 1.0  # ratio of the width that the draws aim at to the width that was asked for
 
 
 @dataclass(frozen=True)
 class StratifiedEstimate:
-    """A failure probability from strata.
+    """A failure probability from the failed draws in each of several strata, whose probabilities are known.
 
     Args:
-        simulations: All simulations: those of the prediction and those of the strata.
+        simulations: Number of simulations, for the prediction and in the strata.
         weights: Probability of each stratum from each net, shape (nets, strata).
         failures: Failed draws of each stratum, shape (strata,).
         draws: Draws of each stratum, shape (strata,).
@@ -60,17 +60,23 @@ class StratifiedEstimate:
 
 
 def strata_edges(predictions: np.ndarray) -> np.ndarray:
-    """Edges of strata that are narrow near a predicted slack of 0, and more probable the farther they are from it.
+    """Edges of strata in the predicted slack, in ascending order: fine near 0, coarse far from it.
+
+    The border of failure, 0, is an edge. Away from it in both directions, each stratum is more probable than its
+    neighbour nearer to the border.
 
     Args:
         predictions: Predicted slacks of a plain sample, shape (n,).
+
+    Returns:
+        Shape (strata - 1,).
     """
     sorted_predictions = np.sort(predictions)
     count = len(sorted_predictions)
     border = int(np.searchsorted(sorted_predictions, 0.0))
     positions = {border}
-    for direction in (-1, 1):
-        mass = FIRST_MASS * count
+    for direction in (-1, 1):  # towards failing, towards passing draws
+        mass = FIRST_MASS * count  # points in the next stratum
         place = border + direction * mass
         while mass < 0.9 * count and mass < place < count - mass:
             positions.add(int(place))
@@ -83,7 +89,9 @@ def strata_edges(predictions: np.ndarray) -> np.ndarray:
 def stratified_probability(
     slack: SlackFunction, dimension: int, seeds: tuple[int, ...], width: float, most: int
 ) -> StratifiedEstimate:
-    """Estimate a failure probability with an interval of about a given width.
+    """Estimate a failure probability with an interval of about a given width, by strata of a predicted slack.
+
+    Plain draws give the prediction. If many draws will follow, extra draws near its border improve it first.
 
     Args:
         slack: Computes slacks at points of the unit cube.
@@ -103,28 +111,38 @@ def stratified_probability(
         surrogate = improve_surrogate(surrogate, sample, extra_draws, counter)
         sample = inside_cube(rng.random((SAMPLE, dimension)))
         edges, draws = plan_strata(surrogate, surrogate(sample), width, most)
-    strata = len(draws)
     size = NARROW_NET_POINTS if width < NARROW_WIDTH else NET_POINTS
-    weights = np.empty((NETS, strata))
+    weights = np.empty((NETS, len(draws)))
     for net in range(NETS):
-        predictions = surrogate(inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
-        weights[net] = np.bincount(np.searchsorted(edges, predictions), minlength=strata) / size
+        net_points = inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net)))
+        weights[net] = stratum_counts(edges, surrogate(net_points)) / size
     stratum_points, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
     failed = counter(stratum_points, counter.fresh(len(stratum_points))) < 0.0
-    failures = np.bincount(stratum[failed], minlength=strata)
+    failures = np.bincount(stratum[failed], minlength=len(draws))
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
 
 
-def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: SlackCounter) -> Surrogate:
-    """Fit the prediction again, with further draws near the predicted border.
+def stratum_counts(edges: np.ndarray, predictions: np.ndarray) -> np.ndarray:
+    """Number of points in each stratum, shape (strata,).
 
-    They are every :data:`BAND`-th of the sample's points that are nearest to the border. In this band all draws
-    together get the weight that the pilot's are expected to have there, so that dense draws do not count too much.
+    Args:
+        edges: Edges of the strata, shape (strata - 1,).
+        predictions: Predicted slack of each point, shape (n,).
+    """
+    return np.bincount(np.searchsorted(edges, predictions), minlength=len(edges) + 1)
+
+
+def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: SlackCounter) -> Surrogate:
+    """Fit the prediction again, with extra draws in a band around the predicted border.
+
+    The band contains the points of the sample that are nearest to the border; every :data:`BAND`-th of them is an extra
+    draw. All draws in the band together get the weight that the pilot's draws alone are expected to have there, so that
+    the dense draws do not count too much.
 
     Args:
         surrogate: The prediction from the pilot's draws.
         sample: Plain points of the unit cube, shape (n, d).
-        extra_draws: Number of further draws.
+        extra_draws: Number of extra draws.
         counter: Computes their slacks.
     """
     distances = np.abs(surrogate(sample))
@@ -132,15 +150,16 @@ def improve_surrogate(surrogate: Surrogate, sample: np.ndarray, extra_draws: int
     border_points = sample[nearest[::BAND]]
     points = np.concatenate([surrogate.points, border_points])
     slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra_draws))])
-    expected_in_band = PILOT * len(nearest) / len(sample)
-    in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    return Surrogate(points, slacks, np.where(in_band, expected_in_band / (expected_in_band + extra_draws), 1.0))
+    is_in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
+    expected_pilot_draws = PILOT * len(nearest) / len(sample)  # in the band
+    weight_in_band = expected_pilot_draws / (expected_pilot_draws + extra_draws)
+    return Surrogate(points, slacks, np.where(is_in_band, weight_in_band, 1.0))
 
 
 def plan_strata(
     surrogate: Surrogate, predictions: np.ndarray, width: float, most: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Plan the strata of a prediction.
+    """Choose the strata of a prediction, and the number of draws in each that gives the interval its width.
 
     Args:
         surrogate: The prediction.
@@ -153,17 +172,16 @@ def plan_strata(
     """
     edges = strata_edges(predictions)
     stratum = np.searchsorted(edges, predictions)
-    weights = np.bincount(stratum, minlength=len(edges) + 1) / len(predictions)
-    shares = np.bincount(stratum, surrogate.failure_probability(predictions), len(edges) + 1) / (
-        weights * len(predictions)
-    )
-    return edges, allocate_draws(weights, shares, RESERVE * width, most)
+    weights = stratum_counts(edges, predictions) / len(predictions)
+    expected_failures = np.bincount(stratum, surrogate.failure_probability(predictions), len(edges) + 1)
+    failing_shares = expected_failures / (weights * len(predictions))
+    return edges, allocate_draws(weights, failing_shares, RESERVE * width, most)
 
 
 def points_in_strata(
     surrogate: Surrogate, edges: np.ndarray, draws: np.ndarray, dimension: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw independent points of the unit cube, a fixed number in each stratum.
+    """Draw independent points of the unit cube, a fixed number in each stratum, by rejection.
 
     Args:
         surrogate: The prediction.

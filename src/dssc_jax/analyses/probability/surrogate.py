@@ -1,6 +1,6 @@
 """A prediction of the slack from some simulated draws, and the probability of failure at a predicted slack.
 
-The prediction only decides how many draws an answer takes. A bad one leaves the answer valid.
+The prediction only decides how many draws an answer takes. A bad prediction leaves the answer valid.
 """
 
 from dataclasses import dataclass, field
@@ -17,28 +17,32 @@ PRIOR = 0.05  # weight of the prior of the logistic curve
 
 
 def scale_slacks(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
-    """Slacks on a scale that is linear near 0 and logarithmic far from it, arcsinh(s/scale), shape (n,) both.
+    """Slacks on a scale that is linear near 0 and logarithmic far from it, arcsinh(s/scale), shape (n,).
+
+    A spline predicts the scaled slack well on both sides of the border of failure.
 
     Args:
-        slacks: The slacks, shape (n,); one without a value, -inf, becomes the smallest.
-        level: The scale is this quantile of the slacks' sizes.
+        slacks: The slacks s, shape (n,); -inf, of a draw without a slack, is replaced by the smallest.
+        level: The scale is this quantile of |s|; 1 if it is 0.
     """
     finite = np.isfinite(slacks)
     sizes = np.abs(slacks[finite])
-    scale = (float(np.quantile(sizes, level)) if sizes.size else 1.0) or 1.0
+    scale = float(np.quantile(sizes, level)) if sizes.size else 1.0
+    if scale == 0.0:
+        scale = 1.0
     smallest = min(float(slacks[finite].min(initial=0.0)), -scale)
     return np.arcsinh(np.where(finite, slacks, smallest) / scale)
 
 
 class Interpolation(NamedTuple):
-    """A smooth function sum_i c_i |x - x_i|^3 + a + b.x of points x of the unit cube.
+    """A smooth function of points x of the unit cube: the spline sum_i c_i |x - x_i|^3 + a + b.x.
 
     SciPy's RBFInterpolator gives the same values, in five times the time for many points.
 
     Args:
-        centres: x_i, shape (n, d).
+        centres: The points x_i to which the function was fitted, shape (n, d).
         coefficients: c_i, shape (n,).
-        plane: a and b, shape (1 + d,).
+        plane: a, then b, shape (1 + d,).
     """
 
     centres: np.ndarray
@@ -46,9 +50,13 @@ class Interpolation(NamedTuple):
     plane: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Values at points of shape (m, d), shape (m,)."""
+        """Values of the function, shape (m,).
+
+        Args:
+            points: Shape (m, d).
+        """
         values = self.plane[0] + points @ self.plane[1:]
-        for start in range(0, len(points), ROWS):
+        for start in range(0, len(points), ROWS):  # in parts, whose distances fit into memory
             part = slice(start, start + ROWS)
             distances = cdist(points[part], self.centres)
             values[part] += (distances * distances * distances) @ self.coefficients
@@ -56,7 +64,11 @@ class Interpolation(NamedTuple):
 
 
 def fit_interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
-    """Fit a smoothed interpolation to values, shape (n,), at points, shape (n, d).
+    """Fit a spline to values at points, with a little smoothing, so that it does not follow in-loop noise.
+
+    Args:
+        points: Points of the unit cube, shape (n, d).
+        values: Value at each, shape (n,).
 
     Reference:
         G. Wahba, Spline Models for Observational Data (1990), chapter 2.
@@ -68,7 +80,10 @@ def fit_interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
 
 
 def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
-    """The symmetric matrix of the linear equations whose solution are the coefficients of an interpolation.
+    """The symmetric matrix of the linear equations for the coefficients of a spline :class:`Interpolation`.
+
+    The first n equations set the values at the points. The others make the coefficients c_i orthogonal to every linear
+    function.
 
     Args:
         points: Points x_i, shape (n, d).
@@ -91,12 +106,14 @@ class Surrogate:
     """A prediction of the slack at any point of the unit cube, from simulated points.
 
     A logistic curve gives the probability of failure at a predicted slack. It is fitted to predictions by
-    cross-validation, whose errors are those of new points.
+    cross-validation, whose errors are as large as at new points.
 
     Args:
         points: Simulated points of the unit cube, shape (n, d).
         slacks: Slack at each point, shape (n,).
         counts: Weight of each point in the logistic curve, shape (n,): below 1 where points were chosen densely.
+        function: Predicts the scaled slack; fitted here.
+        curve: Intercept and slope of the logistic curve, see :func:`logistic_curve`; fitted here.
     """
 
     points: np.ndarray
@@ -106,28 +123,37 @@ class Surrogate:
     curve: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
+        """Fit the prediction to all points, and the logistic curve to predictions of points that are left out."""
         values = scale_slacks(self.slacks)
         self.function = fit_interpolation(self.points, values)
         predicted = np.empty(len(values))
-        fold = np.arange(len(values)) % FOLDS
-        for part in range(FOLDS):
-            left_out = fold == part
+        fold_of_point = np.arange(len(values)) % FOLDS
+        for fold in range(FOLDS):
+            left_out = fold_of_point == fold
             function = fit_interpolation(self.points[~left_out], values[~left_out])
             predicted[left_out] = function(self.points[left_out])
         self.curve = logistic_curve(predicted, self.slacks < 0.0, self.counts)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Predicted slacks at points of shape (n, d), on the scale of :func:`scale_slacks`, shape (n,)."""
+        """Predicted slacks on the scale of :func:`scale_slacks`, shape (n,).
+
+        Args:
+            points: Points of the unit cube, shape (n, d).
+        """
         return self.function(points)
 
     def failure_probability(self, predictions: np.ndarray) -> np.ndarray:
-        """Probability that a draw with each predicted slack fails, by the logistic curve, shape (n,) both."""
+        """Probability that a draw with each predicted slack fails, by the logistic curve, shape (n,).
+
+        Args:
+            predictions: Predicted slacks, scaled, shape (n,).
+        """
         intercept, slope = self.curve
         return special.expit(intercept - slope * predictions)
 
 
 def logistic_curve(predictions: np.ndarray, failed: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Fit the probability of failure 1/(1 + exp(-(a - b s))) over predicted slacks s.
+    """Fit a logistic curve to failures: the probability 1/(1 + exp(-(a - b s))) over the predicted slack s.
 
     Args:
         predictions: Predicted slacks s, shape (n,).
@@ -140,8 +166,10 @@ def logistic_curve(predictions: np.ndarray, failed: np.ndarray, counts: np.ndarr
     signs = np.where(failed, 1.0, -1.0)
 
     def loss(curve: np.ndarray) -> float:
+        """Negative log likelihood of the failures, plus a normal prior that keeps the curve finite."""
         intercept, slope = curve
-        fit = counts @ np.logaddexp(0.0, -signs * (intercept - slope * predictions))
-        return float(fit + PRIOR * (intercept**2 + slope**2))
+        surprise = counts @ np.logaddexp(0.0, -signs * (intercept - slope * predictions))
+        return float(surprise + PRIOR * (intercept**2 + slope**2))
 
-    return optimize.minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead").x
+    first_curve = np.array([0.0, 1.0])
+    return optimize.minimize(loss, first_curve, method="Nelder-Mead").x

@@ -1,6 +1,6 @@
 """Design points: the failures nearest to the median draw in standard normal space, and approximations there.
 
-The most probable failures of one kind lie near a design point. Searches from several starts find several design points.
+The most probable failures of a kind lie near a design point. Searches from several starts find several design points.
 FORM replaces the limit state, the border of failure, by its tangent there, and SORM by a paraboloid. Both are
 approximations without an interval.
 
@@ -27,7 +27,7 @@ SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach
 SMALLEST_STEP = 0.02
 SETTLED = 0.02  # length of the last step of a search
 ON_BORDER = 0.05  # distance from the border of failure of a point that counts as on it
-SAME = 0.7  # distance of two design points that count as one
+SAME = 0.7  # distance of two design points that count as the same
 FARTHER = 2.5  # design points that lie so much farther out than the nearest contribute nothing
 CURVATURE_STEP = 0.05  # step of a difference of slopes
 
@@ -35,10 +35,13 @@ CURVATURE_STEP = 0.05  # step of a difference of slopes
 class DesignPoint(NamedTuple):
     """The failure that is nearest to the median draw, at least locally.
 
+    The failures around it have a probability of about Phi(-beta), with the standard normal distribution Phi and the
+    distance beta. This is FORM: it replaces the border of failure by its tangent. SORM takes a paraboloid instead.
+
     Args:
         point: Coordinates in standard normal space, shape (d,).
-        distance: Distance beta from the origin, the median draw.
-        second_order: Ratio of SORM's probability to FORM's, which is Phi(-beta); NaN if SORM does not exist.
+        distance: Distance beta from the origin, which is the median draw.
+        second_order: Ratio of SORM's probability to FORM's; NaN if it is unknown or SORM does not exist.
     """
 
     point: np.ndarray
@@ -47,68 +50,95 @@ class DesignPoint(NamedTuple):
 
     @property
     def first_order_probability(self) -> float:
-        """FORM's probability of the failures around this point."""
+        """Probability of the failures around this point by FORM: Phi(-beta), the part behind the border's tangent."""
         return float(special.ndtr(-self.distance))
 
     @property
     def second_order_probability(self) -> float:
-        """SORM's probability of the failures around this point; NaN if it does not exist."""
+        """Probability of the failures around this point by SORM, behind the border's paraboloid; NaN without SORM."""
         return self.first_order_probability * self.second_order
 
 
 def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
-    """Search for design points from several starts at once.
+    """Different design points, the nearest to the median draw first, from searches that start at several points.
 
-    Each search steps to the point of the border's tangent that is nearest to the origin. A step that lowers the merit
-    |u|^2/2 + c |g| by too little is shortened; g is the slack at the point u, and c = 2 |u|/|grad g|.
+    The searches advance together, so that slacks are computed in batches. Each steps towards the point of the border's
+    tangent that is nearest to the origin. A step that lowers the merit too little is refused, and the next is shorter.
 
     Args:
         slacks_and_slopes: Computes the slacks and slopes of points.
         starts: The points at which the searches start, shape (n, d).
 
     Returns:
-        Different design points, the nearest first, without those far beyond the nearest.
+        The design points, without points far beyond the nearest, and without SORM's factor.
     """
     points = starts
     slacks, slopes = slacks_and_slopes(points)
-    steps = np.ones(len(points))
+    steps = np.ones(len(points))  # each search's share of the full step to the tangent
     running = np.ones(len(points), bool)
     for _ in range(ITERATIONS):
         if not running.any():
             break
-        steepness = np.linalg.norm(slopes, axis=1)
-        squared_steepness = np.where(steepness > 0.0, steepness, 1.0) ** 2
-        ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squared_steepness
-        directions = ahead[:, None] * slopes - points
-        trials = points + steps[:, None] * directions
+        full_steps, penalties = tangent_steps(points, slacks, slopes)
+        trials = points + steps[:, None] * full_steps
         trial_slacks, trial_slopes = slacks_and_slopes(trials)
-        penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squared_steepness) + 1e-9
-        merit = 0.5 * np.sum(points**2, axis=1) + penalty * np.abs(slacks)
-        trial_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(trial_slacks)
-        merit_slope = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
-        better = running & (trial_merit < merit + SUFFICIENT * steps * merit_slope)
-        lengths = np.linalg.norm(trials - points, axis=1)
+        merit_slopes = np.einsum("ij,ij->i", points, full_steps) - penalties * np.abs(slacks)  # along the full steps
+        bounds = merits(points, slacks, penalties) + SUFFICIENT * steps * merit_slopes
+        better = running & (merits(trials, trial_slacks, penalties) < bounds)
+        has_settled = better & (np.linalg.norm(trials - points, axis=1) < SETTLED)
         points = np.where(better[:, None], trials, points)
         slacks = np.where(better, trial_slacks, slacks)
         slopes = np.where(better[:, None], trial_slopes, slopes)
         steps = np.where(better, np.minimum(LONGER * steps, 1.0), SHORTER * steps)
-        running &= ~(better & (lengths < SETTLED)) & (steps >= SMALLEST_STEP)
-    on_border = np.abs(slacks) < ON_BORDER * np.linalg.norm(slopes, axis=1)
+        running &= ~has_settled & (steps >= SMALLEST_STEP)
+    is_on_border = np.abs(slacks) < ON_BORDER * np.linalg.norm(slopes, axis=1)
     distances = np.linalg.norm(points, axis=1)
-    border_indices = [index for index in np.argsort(distances) if on_border[index]]
+    nearest_first = [index for index in np.argsort(distances) if is_on_border[index]]
     return [
         DesignPoint(points[index], float(distances[index]), second_order=np.nan)  # with_curvature adds it
-        for index in distinct_points(points, border_indices, SAME, len(points))
-        if distances[index] <= distances[border_indices[0]] + FARTHER
+        for index in distinct_points(points, nearest_first, SAME, most=len(points))
+        if distances[index] <= distances[nearest_first[0]] + FARTHER
     ]
 
 
+def tangent_steps(points: np.ndarray, slacks: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps to the points of the border's tangent that are nearest to the origin, and the penalties of the merit.
+
+    At the point u with the slack g, the step is (grad g.u - g)/|grad g|^2 grad g - u, and the penalty is
+    c = 2 |u|/|grad g|, large enough for the step to lower the merit.
+
+    Args:
+        points: Points u of the searches, shape (n, d).
+        slacks: Slack g at each, shape (n,).
+        slopes: Derivatives grad g of the slack, shape (n, d).
+
+    Returns:
+        The steps, shape (n, d), and the penalties c, shape (n,).
+    """
+    steepness = np.linalg.norm(slopes, axis=1)
+    squared_steepness = np.where(steepness > 0.0, steepness, 1.0) ** 2
+    multiples = (np.einsum("ij,ij->i", slopes, points) - slacks) / squared_steepness
+    penalties = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squared_steepness) + 1e-9
+    return multiples[:, None] * slopes - points, penalties
+
+
+def merits(points: np.ndarray, slacks: np.ndarray, penalties: np.ndarray) -> np.ndarray:
+    """Merit |u|^2/2 + c |g| of each point, shape (n,): small near the origin and near the border of failure.
+
+    Args:
+        points: Points u, shape (n, d).
+        slacks: Slack g at each, shape (n,).
+        penalties: Factor c of each, shape (n,).
+    """
+    return 0.5 * np.sum(points**2, axis=1) + penalties * np.abs(slacks)
+
+
 def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
-    """Indices of points that lie apart from each other, taken one after the other in a given order.
+    """Indices of points that lie apart from each other: an earlier point in the order keeps its neighbours out.
 
     Args:
         points: Shape (n, d).
-        order: Indices of points.
+        order: Indices of points, in the order in which they are considered.
         distance: Distance that a point must exceed from all that were taken before.
         most: Largest number of indices.
     """
@@ -116,15 +146,17 @@ def distinct_points(points: np.ndarray, order: Iterable[int], distance: float, m
     for index in order:
         if len(taken) == most:
             break
-        if np.all(np.sum((points[taken] - points[index]) ** 2, axis=1) > distance**2):
+        squared_distances = np.sum((points[taken] - points[index]) ** 2, axis=1)
+        if np.all(squared_distances > distance**2):
             taken.append(index)
     return taken
 
 
 def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
-    """The design point with SORM's factor prod (1 + beta kappa_i)^(-1/2), kappa_i being the border's curvatures.
+    """The design point with SORM's factor: the ratio of the probability behind the border's paraboloid to FORM's.
 
-    Second derivatives are differences of slopes. The factor stays NaN where it does not exist.
+    The factor is prod (1 + beta kappa_i)^(-1/2), with the distance beta and the border's curvatures kappa_i. Second
+    derivatives of the slack are differences of slopes. The factor stays NaN where it does not exist.
 
     Args:
         slacks_and_slopes: Computes the slacks and slopes of points.
@@ -132,7 +164,7 @@ def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) 
     """
     point = design_point.point
     dimension = len(point)
-    if dimension == 1 or design_point.distance == 0.0:
+    if dimension == 1 or design_point.distance == 0.0:  # the border has no curvature, or it does not matter
         return design_point._replace(second_order=1.0)
     shifts = CURVATURE_STEP * np.concatenate([np.eye(dimension), -np.eye(dimension)])
     _, slopes = slacks_and_slopes(point + shifts)
@@ -140,8 +172,8 @@ def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) 
     steepness = float(np.linalg.norm(slopes.mean(axis=0)))
     if not np.isfinite(hessian).all() or steepness == 0.0:
         return design_point
-    basis, _ = np.linalg.qr(np.column_stack([point, np.eye(dimension)]))
-    tangent = basis[:, 1:dimension]
+    basis, _ = np.linalg.qr(np.column_stack([point, np.eye(dimension)]))  # its first column is along the point
+    tangent = basis[:, 1:dimension]  # the directions within the border
     curvatures = np.linalg.eigvalsh(tangent.T @ (0.5 * (hessian + hessian.T)) @ tangent) / steepness
     factors = 1.0 + design_point.distance * curvatures
     second_order = float(np.prod(factors) ** -0.5) if np.all(factors > 0.0) else np.nan

@@ -11,7 +11,7 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 
 
 class PlainDraws(NamedTuple):
-    """Plain independent draws, made in addition to the points of a method.
+    """Plain independent draws, which check the estimate of a method for rare failures.
 
     Args:
         draws: Number of plain draws.
@@ -32,7 +32,7 @@ class PlainDraws(NamedTuple):
         return self.failures / self.draws
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The exact interval of the failure probability from these draws (Clopper-Pearson)."""
+        """Lower and upper end of the exact interval of the failure probability from these draws (Clopper-Pearson)."""
         low, high = clopper_pearson(self.failures, self.draws, confidence)
         return float(low), float(high)
 
@@ -40,7 +40,7 @@ class PlainDraws(NamedTuple):
 def make_plain_draws(
     counter: SlackCounter, rng: np.random.Generator, draws: int, dimension: int
 ) -> tuple[PlainDraws, np.ndarray, np.ndarray]:
-    """Simulate plain draws.
+    """Simulate plain draws, each with in-loop noise of its own.
 
     Args:
         counter: Computes slacks in standard normal space.
@@ -53,15 +53,16 @@ def make_plain_draws(
     """
     points = rng.standard_normal((draws, dimension))
     slacks = counter(points, counter.fresh(draws))
-    return PlainDraws(draws, points[slacks < 0.0]), points, slacks
+    failed = slacks < 0.0
+    return PlainDraws(draws, points[failed]), points, slacks
 
 
 @dataclass(frozen=True)
 class Estimate(ABC):
-    """An estimate of a rare failure's probability by some method, beside plain draws.
+    """A rare failure's probability by a method, and plain draws that replace its answer if they contradict it.
 
     Args:
-        simulations: Number of simulations, without those of the plain draws.
+        simulations: Number of simulations of the method, without the plain draws.
         points: Failing points of the method in standard normal space, shape (n, d).
         noise: Index of the in-loop noise of each point, shape (n,).
         weights: Weight of each point, proportional to the probability that it stands for, shape (n,).
@@ -77,16 +78,16 @@ class Estimate(ABC):
     @property
     @abstractmethod
     def mean(self) -> float:
-        """The failure probability by the method alone."""
+        """The failure probability by the method, whatever the plain draws say."""
 
     @abstractmethod
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of the failure probability by the method alone."""
+        """Lower and upper end of the interval of :attr:`mean`."""
 
     @property
     @abstractmethod
     def variation(self) -> float:
-        """Coefficient of variation of :attr:`mean`."""
+        """Coefficient of variation of :attr:`mean`: its standard deviation relative to itself."""
 
     @property
     @abstractmethod
@@ -96,18 +97,18 @@ class Estimate(ABC):
     @property
     @abstractmethod
     def interval_name(self) -> str:
-        """Name of the interval of the method, for reports."""
+        """How :meth:`mean_interval` is computed, for reports."""
 
     @property
     def contradicted(self) -> bool:
-        """Whether the interval of the plain draws and that of the method have no value in common."""
+        """Whether the interval by the plain draws and the interval by the method have no value in common."""
         low, high = self.mean_interval()
         plain_low, plain_high = self.plain.interval()
         return plain_high < low or high < plain_low
 
     @property
     def answered(self) -> bool:
-        """Whether the method has a valid answer: it reached failures, and plain draws do not contradict it."""
+        """Whether the method has a valid answer: it reached enough failures, and plain draws do not contradict it."""
         return self.reached and not self.contradicted
 
     @property
@@ -116,16 +117,21 @@ class Estimate(ABC):
         return self.mean if self.answered else self.plain.share
 
     def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of :attr:`probability`."""
+        """Lower and upper end of the interval of :attr:`probability`."""
         return self.mean_interval(confidence) if self.answered else self.plain.interval(confidence)
 
     @property
     def method(self) -> str:
-        """Name of the interval of :attr:`probability`."""
+        """How the interval of :attr:`probability` is computed, for reports."""
         return self.interval_name if self.answered else f"Clopper-Pearson, {self.plain.draws:,} plain draws"
 
     @property
     def equivalent_draws(self) -> float:
-        """Number of plain draws that would give the same coefficient of variation; infinite without failures."""
+        """Number of plain draws that would give the same coefficient of variation; infinite without failures.
+
+        The share of n draws has the coefficient of variation sqrt((1 - p)/(n p)) at the failure probability p.
+        """
         p = self.mean
-        return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
+        if p == 0.0 or self.variation == 0.0:
+            return np.inf
+        return (1.0 - p) / (p * self.variation**2)

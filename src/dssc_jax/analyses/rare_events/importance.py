@@ -2,8 +2,8 @@
 
 A prediction of the slack, made from plain draws and from points of a wide law, leads to the design points. Rounds of
 further points near them improve it. Candidates are then drawn from a mixture of normal laws at the design points and of
-the wide law. Each is simulated with a known chance: a likely one where it stands for much of the failure probability or
-may decide whether the prediction is right. A failing candidate counts with its weight over its chance (Horvitz and
+the wide law. Each is simulated with a known chance, which is large where it stands for much of the failure probability
+or may decide whether the prediction is right. A failing candidate counts with its weight over its chance (Horvitz and
 Thompson), so the estimate has no bias, whatever the prediction is worth. The points that made the prediction do not
 count. The method misses failures of a kind that no simulated point meets; the plain draws bound their probability.
 
@@ -37,7 +37,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
-LEARNT = 128  # plain draws in the prediction: those with the smallest slacks
+LEARNT = 128  # plain draws in the prediction, namely the draws with the smallest slacks
 EXPLORED = 256  # points of the wide law in the prediction
 STARTS = 16  # starts of the searches for design points
 START_DISTANCE = 1.5  # least distance between two starts
@@ -53,7 +53,7 @@ BLIND = 0.4  # share of the points whose chance does not depend on the predictio
 RESERVE = 1.15  # ratio of points to the number that the prediction expects to be needed
 LEAST_SAMPLED = 64  # least number of points of the answer
 MOST_AT_FIRST = 1024  # most points of the first batch, since a bad prediction may ask for too many
-UNSEEN = 0.05  # expected number of failures with a larger weight than the largest one that the interval allows for
+UNSEEN = 0.05  # expected number of simulated failures that weigh more than the largest weight of the interval
 LEAST_EFFECTIVE = 20  # least effective number of failing points of an answer
 
 
@@ -75,6 +75,7 @@ class ImportanceSampling:
     plain: int = FEWER_PLAIN
 
     def __post_init__(self) -> None:
+        """Refuse settings that are out of range."""
         if not 0.0 < self.variation < 1.0:
             raise ConfigError("rare", f"needs variation in (0, 1), got {self.variation:g}")
         if self.most < LEAST_SAMPLED or self.plain < 1:
@@ -84,11 +85,11 @@ class ImportanceSampling:
 
 @dataclass(frozen=True)
 class WeightedEstimate(Estimate):
-    """The estimate of importance sampling; each failing point's weight is the probability that it stands for.
+    """The estimate of importance sampling: the weights of the failing points add up to the failure probability.
 
     Args:
-        largest: The largest weight that a failing point could be expected to have.
-        design_points: The design points.
+        largest: The largest weight that a failing point could be expected to have; its interval allows for it.
+        design_points: The design points around which the points lie.
     """
 
     largest: float
@@ -101,12 +102,12 @@ class WeightedEstimate(Estimate):
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
         """The interval of the sum of weights (:func:`dssc_jax.statistics.weighted.weighted_interval`)."""
-        return weighted_interval(self.weights, 1, self.largest, confidence)
+        return weighted_interval(self.weights, draws=1, largest=self.largest, confidence=confidence)
 
     @property
     def variation(self) -> float:
         """Coefficient of variation of the sum of weights."""
-        return variation_of(self.weights)
+        return variation_of_sum(self.weights)
 
     @property
     def reached(self) -> bool:
@@ -115,32 +116,35 @@ class WeightedEstimate(Estimate):
 
     @property
     def interval_name(self) -> str:
-        """Name of the interval: importance sampling around so many design points."""
+        """How the interval is computed, with the number of design points."""
         count = len(self.design_points)
         return f"importance sampling around {count} design {'point' if count == 1 else 'points'}"
 
 
-def variation_of(weights: np.ndarray) -> float:
-    """Coefficient of variation of the weights' sum; infinite without weights."""
+def variation_of_sum(weights: np.ndarray) -> float:
+    """Coefficient of variation of the sum of the failing points' weights; infinite without weights."""
     size = effective_size(weights)
     return size**-0.5 if size else np.inf
 
 
 class Candidates(NamedTuple):
-    """Points of the mixture, some of which are simulated.
+    """Points of the mixture, from which a few are chosen by chance and simulated.
 
     Args:
         points: Coordinates in standard normal space, shape (n, d).
         masses: Probability that each point stands for, shape (n,).
-        failing: Predicted probability that each point fails, shape (n,).
+        failure_probabilities: Predicted probability that each point fails, shape (n,).
     """
 
     points: np.ndarray
     masses: np.ndarray
-    failing: np.ndarray
+    failure_probabilities: np.ndarray
 
-    def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
-        """Chance of each point to be simulated, shape (n,): a share ``BLIND`` is equal, the remainder follows scores.
+    def selection_chances(self, scores: np.ndarray, count: int) -> np.ndarray:
+        """Chance of each point to be simulated, in [0, 1], shape (n,).
+
+        A share :data:`BLIND` of the simulations falls on all points equally, whatever the prediction is worth. The
+        remainder is distributed in proportion to the scores.
 
         Args:
             scores: How useful each point is, shape (n,).
@@ -151,28 +155,47 @@ class Candidates(NamedTuple):
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
 
     def informative_chances(self, count: int) -> np.ndarray:
-        """Chances that prefer points whose failure is in doubt, to improve the prediction; see :meth:`chances`."""
-        return self.chances(self.masses * np.sqrt(self.failing * (1.0 - self.failing)), count)
+        """Chances that prefer points whose failure is in doubt, for ``count`` simulations that improve the prediction.
+
+        The score of a point is its mass times the standard deviation sqrt(p (1 - p)) of its failure.
+        """
+        doubts = np.sqrt(self.failure_probabilities * (1.0 - self.failure_probabilities))
+        return self.selection_chances(self.masses * doubts, count)
 
     def efficient_chances(self, count: int) -> np.ndarray:
-        """Chances that give the estimate its least variance, if the prediction is right; see :meth:`chances`."""
-        return self.chances(self.masses * np.sqrt(self.failing), count)
+        """Chances that give the estimate its least variance by ``count`` simulations, if the prediction is right."""
+        return self.selection_chances(self.masses * np.sqrt(self.failure_probabilities), count)
 
     def sample_size(self, variation: float) -> int:
-        """Number of points to simulate so that the estimate has a given coefficient of variation, as predicted."""
-        failing_masses = self.masses * self.failing
+        """Number of points to simulate for a given coefficient of variation of the estimate, by the prediction.
+
+        With n simulations the variance of the estimate is about V/n, where V = sum_i m_i^2 p_i/c_i. The candidate i
+        has the mass m_i, fails with probability p_i, and has the chance c_i of being the only point simulated.
+        """
+        failing_masses = self.masses * self.failure_probabilities
         total = float(failing_masses.sum())
         if total == 0.0:
             return LEAST_SAMPLED
-        squares = float(np.sum(self.masses * failing_masses / self.efficient_chances(1)))
-        return max(LEAST_SAMPLED, int(np.ceil(RESERVE * squares / (total * variation) ** 2)))
+        variance_of_one_point = float(np.sum(self.masses * failing_masses / self.efficient_chances(1)))
+        return max(LEAST_SAMPLED, int(np.ceil(RESERVE * variance_of_one_point / (total * variation) ** 2)))
 
 
 def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices of a systematic sample in random order: each point is in it with its chance, shape (n,)."""
+    """Draw indices of points, each with its chance, so that their number is nearly the sum of the chances.
+
+    The chances are laid end to end in random order, and a comb with teeth at distance 1 picks the points that it hits.
+
+    Args:
+        chances: Chance of each point, in [0, 1], shape (n,).
+        rng: Random generator.
+
+    Returns:
+        The indices in random order.
+    """
     order = rng.permutation(len(chances))
-    cumulative_counts = np.floor(np.cumsum(chances[order]) + rng.random())
-    return order[np.diff(cumulative_counts, prepend=0.0) > 0.0]
+    teeth_passed = np.floor(np.cumsum(chances[order]) + rng.random())
+    is_hit = np.diff(teeth_passed, prepend=0.0) > 0.0
+    return order[is_hit]
 
 
 @dataclass
@@ -182,8 +205,10 @@ class DesignSearch:
     Args:
         counter: Computes slacks.
         rng: Random generator.
-        points: Simulated points, shape (n, d).
+        points: Simulated points in standard normal space, shape (n, d).
         slacks: Slack at each point, shape (n,).
+        prediction: Prediction of the slack; set by :meth:`learn`.
+        design_points: Design points of the prediction, the nearest first; set by :meth:`learn`.
     """
 
     counter: SlackCounter
@@ -196,7 +221,7 @@ class DesignSearch:
     def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
         """Fit the prediction with further simulated points, and search for its design points.
 
-        The searches start from the failing points nearest to the median draw, then from those with the least slacks.
+        The searches start from the failing points nearest to the median draw, then from points with the least slacks.
 
         Args:
             points: The further points, shape (n, d).
@@ -206,26 +231,60 @@ class DesignSearch:
         self.points = np.concatenate([self.points, points])
         self.slacks = np.concatenate([self.slacks, slacks])
         self.prediction = fit_prediction(self.points, self.slacks, smoothings)
-        lengths = np.linalg.norm(self.points, axis=1)
-        order = np.lexsort((np.where(self.slacks < 0.0, lengths, self.slacks), self.slacks >= 0.0))
-        starts = self.points[distinct_points(self.points, order, START_DISTANCE, STARTS)]
+        has_failed = self.slacks < 0.0
+        distances = np.linalg.norm(self.points, axis=1)  # from the median draw
+        order = np.lexsort((np.where(has_failed, distances, self.slacks), ~has_failed))  # the last key sorts first
+        starts = self.points[distinct_points(self.points, order, START_DISTANCE, most=STARTS)]
         self.design_points = find_design_points(self.prediction.slacks_and_slopes, starts)
 
-    def candidates(self, count: int) -> Candidates:
-        """Points of a mixture that is fitted to the predicted failures around the design points."""
+    def draw_candidates(self, count: int) -> Candidates:
+        """Draw about ``count`` points of a mixture that is fitted to the predicted failures around the design points.
+
+        The fit starts from a unit normal law at each design point, weighted by FORM's failure probability there.
+        """
         means = np.array([design_point.point for design_point in self.design_points])
         probabilities = np.array([design_point.first_order_probability for design_point in self.design_points])
-        components = weighted_mixture(means, [np.eye(means.shape[1])] * len(means), probabilities)
+        unit_roots = [np.eye(means.shape[1])] * len(means)
+        components = weighted_mixture(means, unit_roots, probabilities)
         for _ in range(FITS):
             points, ratios = mixture_sample(components, FIT_CANDIDATES, self.rng)
             components = fit_mixture(components, points, ratios * self.prediction.failure_probability(points))
         points, ratios = mixture_sample(components, count, self.rng)
-        return Candidates(points, ratios / len(points), self.prediction.failure_probability(points))
+        masses = ratios / len(points)
+        return Candidates(points, masses, self.prediction.failure_probability(points))
 
     def simulate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate points with fresh in-loop noise; return the slacks and the indices of the noise, shape (n,) each."""
+        """Simulate points of shape (n, d) with in-loop noise that no other point has.
+
+        Returns:
+            The slacks and the indices of the noise, shape (n,) each.
+        """
         noise = self.counter.fresh(len(points))
         return self.counter(points, noise), noise
+
+    def improve(self, variation: float) -> None:
+        """Simulate points of the wide law, and then in rounds points near the design points, and learn from them.
+
+        The rounds end when the answer is expected to take few points, after :data:`MOST_ROUNDS`, or as soon as the
+        prediction has no design point.
+
+        Args:
+            variation: Coefficient of variation that the answer has to reach.
+        """
+        dimension = self.points.shape[1]
+        new_points = WIDE * self.rng.standard_normal((EXPLORED, dimension))
+        for round_index in range(MOST_ROUNDS):
+            slacks, _ = self.simulate(new_points)
+            keeps_smoothing = 0 < round_index < ROUNDS  # the first and the late rounds choose it anew
+            self.learn(new_points, slacks, (self.prediction.smoothing,) if keeps_smoothing else SMOOTHINGS)
+            if not self.design_points:
+                return
+            candidates = self.draw_candidates(FIT_CANDIDATES)
+            if round_index >= ROUNDS and candidates.sample_size(variation) <= ENOUGH:
+                return
+            informative = candidates.points[systematic_sample(candidates.informative_chances(ADDED), self.rng)]
+            nearest_designs = [design_point.point for design_point in self.design_points[:MOST_DESIGNS]]
+            new_points = np.concatenate([informative, nearest_designs])
 
 
 def importance_sampling(
@@ -234,7 +293,7 @@ def importance_sampling(
     """Estimate a failure probability by importance sampling around predicted design points.
 
     Args:
-        slack: Computes slacks in standard normal space; -inf or NaN if there is none.
+        slack: Computes slacks in standard normal space; -inf or NaN: the point fails without a slack.
         dimension: Number d of coordinates of that space.
         seeds: Seeds of the random numbers.
         settings: The settings.
@@ -246,19 +305,9 @@ def importance_sampling(
     plain, points, slacks = make_plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
     least = np.argsort(slacks, kind="stable")[:LEARNT]
     search = DesignSearch(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
-    new_points = WIDE * search.rng.standard_normal((EXPLORED, dimension))
-    for round_index in range(MOST_ROUNDS):
-        slacks, _ = search.simulate(new_points)
-        is_middle_round = 0 < round_index < ROUNDS
-        search.learn(new_points, slacks, (search.prediction.smoothing,) if is_middle_round else SMOOTHINGS)
-        if not search.design_points:
-            return "no search ended at the border of failure"
-        candidates = search.candidates(FIT_CANDIDATES)
-        if round_index >= ROUNDS and candidates.sample_size(settings.variation) <= ENOUGH:
-            break
-        informative = candidates.points[systematic_sample(candidates.informative_chances(ADDED), search.rng)]
-        designs = [design_point.point for design_point in search.design_points[:MOST_DESIGNS]]
-        new_points = np.concatenate([informative, designs])
+    search.improve(settings.variation)
+    if not search.design_points:
+        return "no search ended at the border of failure"
     sample = weigh_failures(search, settings)
     size = effective_size(sample.weights)
     if size < LEAST_EFFECTIVE:
@@ -277,7 +326,7 @@ def importance_sampling(
 
 
 class Sample(NamedTuple):
-    """The failing points of the answer.
+    """The failing points from which the failure probability is estimated.
 
     Args:
         points: Coordinates in standard normal space, shape (n, d).
@@ -293,7 +342,7 @@ class Sample(NamedTuple):
 
 
 def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample:
-    """Simulate the points of the answer in batches, and weight those that fail.
+    """Simulate the points of the answer in batches, and return the failing points with their weights.
 
     The size of the first batch follows from the prediction. While the coefficient of variation is too large, a further
     batch doubles the number of points. Each batch counts in proportion to its planned size, which does not depend on
@@ -303,30 +352,45 @@ def weigh_failures(search: DesignSearch, settings: ImportanceSampling) -> Sample
         search: The prediction and the design points; updated after each batch.
         settings: The coefficient of variation to reach, and the largest number of points.
     """
-    count = 0
-    batch_size = 0
-    sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), 0.0)
+    count = 0  # planned size of all batches so far
+    batch_size = 0  # the first batch plans its own
+    sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), largest=0.0)
     while True:
-        candidates = search.candidates(max(CANDIDATES, 2 * batch_size))
+        candidates = search.draw_candidates(max(CANDIDATES, 2 * batch_size))
         batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)
         chances = candidates.efficient_chances(batch_size)
         indices = systematic_sample(chances, search.rng)
         slacks, noise = search.simulate(candidates.points[indices])
-        failed = indices[slacks < 0.0]
-        share = batch_size / (count + batch_size)
+        has_failed = slacks < 0.0
+        failed = indices[has_failed]
+        share = batch_size / (count + batch_size)  # of this batch in the estimate
         weights = share * candidates.masses / chances
-        by_weight = np.argsort(-weights)
-        expected_failures = np.cumsum((chances * candidates.failing)[by_weight])
-        likely_weight = weights[by_weight[min(np.searchsorted(expected_failures, UNSEEN), len(by_weight) - 1)]]
+        likely_weight = largest_likely_weight(weights, chances * candidates.failure_probabilities)
         sample = Sample(
             np.concatenate([sample.points, candidates.points[failed]]),
-            np.concatenate([sample.noise, noise[slacks < 0.0]]),
+            np.concatenate([sample.noise, noise[has_failed]]),
             np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
-            max((1.0 - share) * sample.largest, float(likely_weight), float(weights[failed].max(initial=0.0))),
+            max((1.0 - share) * sample.largest, likely_weight, float(weights[failed].max(initial=0.0))),
         )
         count += batch_size
-        if variation_of(sample.weights) <= settings.variation or 2 * count > settings.most:
+        if variation_of_sum(sample.weights) <= settings.variation or 2 * count > settings.most:
             return sample
-        surprises = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
-        search.learn(candidates.points[indices[surprises]], slacks[surprises])
+        surprise = np.abs(has_failed - candidates.failure_probabilities[indices])
+        most_surprising = np.argsort(-surprise)[: 2 * ADDED]
+        search.learn(candidates.points[indices[most_surprising]], slacks[most_surprising])
         batch_size = count
+
+
+def largest_likely_weight(weights: np.ndarray, expected_failures: np.ndarray) -> float:
+    """Largest weight that a failing point is likely to have: above it, :data:`UNSEEN` failures are expected.
+
+    The interval of the estimate allows for a failure with this weight, which the sample may have missed.
+
+    Args:
+        weights: Weight of each candidate if it is simulated and fails, shape (n,).
+        expected_failures: Probability that each candidate is simulated and fails, shape (n,).
+    """
+    by_weight = np.argsort(-weights)
+    failures_above = np.cumsum(expected_failures[by_weight])
+    position = min(np.searchsorted(failures_above, UNSEEN), len(by_weight) - 1)
+    return float(weights[by_weight[position]])

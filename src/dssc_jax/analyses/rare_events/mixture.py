@@ -14,11 +14,11 @@ FEWEST = 5.0  # effective number of failures to which a law is fitted
 
 
 class Component(NamedTuple):
-    """A normal law of the mixture.
+    """A normal law of the mixture, in standard normal space.
 
     Args:
         mean: Mean, shape (d,).
-        root: Lower triangular root of the covariance, shape (d, d).
+        root: Lower triangular root L of the covariance L L^T, shape (d, d).
         share: Share of the law in the mixture.
     """
 
@@ -27,22 +27,23 @@ class Component(NamedTuple):
     share: float
 
     def log_density(self, points: np.ndarray) -> np.ndarray:
-        """Logarithm of the density at points of shape (n, d), up to a constant that all normal laws share; (n,)."""
+        """Logarithm of the density at points of shape (n, d), without the common term -d/2 ln(2 pi), shape (n,)."""
         scores = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
-        log_determinant = float(np.log(np.diag(self.root)).sum())  # of the root
-        return -0.5 * np.sum(scores**2, axis=0) - log_determinant
+        log_determinant_of_root = float(np.log(np.diag(self.root)).sum())
+        return -0.5 * np.sum(scores**2, axis=0) - log_determinant_of_root
 
 
 def weighted_mixture(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:
-    """The mixture of some normal laws and the wide law, with shares that are proportional to weights.
+    """The mixture of narrow normal laws and, as its last, the wide law around the median draw.
 
-    No share is below :data:`LEAST_SHARE`, before they are made to add up to 1.
+    The shares of the narrow laws are proportional to their weights. A small share is raised to :data:`LEAST_SHARE`,
+    before all shares are made to add up to 1, so that no kind of failure is neglected.
 
     Args:
-        means: Means of the laws, shape (laws, d).
-        roots: Roots of their covariances, each of shape (d, d).
-        weights: Weights of the laws, shape (laws,). All of them are 0 where the design points are so far away that
-            probabilities underflow; the laws then have equal shares.
+        means: Means of the narrow laws, shape (laws, d).
+        roots: Lower triangular roots of their covariances, each of shape (d, d).
+        weights: Weights of the narrow laws, shape (laws,). All of them are 0 where the design points are so far away
+            that probabilities underflow; the laws then have equal shares.
     """
     dimension = means.shape[1]
     total = float(weights.sum())
@@ -56,8 +57,8 @@ def mixture_sample(components: list[Component], count: int, rng: np.random.Gener
     """Draw about ``count`` points of a mixture: a fixed number from each law, at least 2.
 
     Returns:
-        The points, shape (n, d), and at each the ratio of the standard normal density to that of the mixture,
-        shape (n,).
+        The points, shape (n, d), and at each the standard normal density divided by the density of the mixture,
+        shape (n,). Averages over the points with these ratios as weights estimate averages over plain draws.
     """
     numbers = [max(2, round(component.share * count)) for component in components]
     parts = []
@@ -65,50 +66,50 @@ def mixture_sample(components: list[Component], count: int, rng: np.random.Gener
         parts.append(component.mean + rng.standard_normal((number, len(component.mean))) @ component.root.T)
     points = np.concatenate(parts)
     shares = np.array(numbers) / len(points)
-    densities = np.stack([component.log_density(points) for component in components])
-    mixture = special.logsumexp(densities, axis=0, b=shares[:, None])
-    return points, np.exp(-0.5 * np.sum(points**2, axis=1) - mixture)
+    log_densities = np.stack([component.log_density(points) for component in components])
+    log_mixture_density = special.logsumexp(log_densities, axis=0, b=shares[:, None])
+    log_normal_density = -0.5 * np.sum(points**2, axis=1)
+    return points, np.exp(log_normal_density - log_mixture_density)
 
 
 def fit_mixture(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
-    """Fit a mixture to weighted failures, by one step of expectation and maximisation.
+    """Fit a mixture to weighted failures, by a step of expectation and maximisation.
 
-    Each law gets the mean of the failures near it, and their covariance where that is wider than the unit matrix. A
-    law with few failures stays as it is.
+    Each narrow law gets the mean of the failures near it, and their covariance where it is wider than the unit matrix.
+    A law with few failures stays as it is.
 
     Args:
-        components: The mixture to start from; its last law is the wide one, which stays.
+        components: The mixture to start from; its last law, the wide law, stays.
         points: Points in standard normal space, shape (n, d).
         weights: Probability of the failures that each point stands for, shape (n,).
     """
     narrow = components[:-1]
-    densities = np.stack([component.log_density(points) for component in narrow])
-    responsibilities = np.exp(densities - special.logsumexp(densities, axis=0))
+    log_densities = np.stack([component.log_density(points) for component in narrow])
+    memberships = np.exp(log_densities - special.logsumexp(log_densities, axis=0))  # of each point in each law
     means = []
     roots = []
     totals = []
-    for component, responsibility in zip(narrow, responsibilities, strict=True):
-        shares = weights * responsibility
-        total = float(shares.sum())
-        size = effective_size(shares)
+    for component, membership in zip(narrow, memberships, strict=True):
+        law_weights = weights * membership
+        total = float(law_weights.sum())
+        size = effective_size(law_weights)
         totals.append(total)
         if size < FEWEST:
             means.append(component.mean)
             roots.append(component.root)
             continue
-        mean = shares @ points / total
+        mean = law_weights @ points / total
         means.append(mean)
-        roots.append(root_of_failures(points - mean, shares / total, size))
+        roots.append(covariance_root(points - mean, law_weights / total, size))
     if not sum(totals):
         return components
     return weighted_mixture(np.array(means), roots, np.array(totals))
 
 
-def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-    """Root of the covariance of weighted points, shape (d, d).
+def covariance_root(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
+    """Lower triangular root of the covariance of weighted points, shape (d, d), made no narrower than the unit matrix.
 
-    The covariance is shrunk towards the unit matrix, the more so the fewer points there are. In no direction is it
-    narrower than the unit matrix.
+    The covariance is shrunk towards the unit matrix, the more so the fewer points there are.
 
     Args:
         deviations: Points less their mean, shape (n, d).
@@ -117,6 +118,6 @@ def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -
     """
     dimension = deviations.shape[1]
     covariance = (weights[:, None] * deviations).T @ deviations
-    doubt = (dimension + 1.0) / (dimension + 1.0 + size)
-    values, vectors = np.linalg.eigh((1.0 - doubt) * covariance + doubt * np.eye(dimension))
-    return np.linalg.cholesky((vectors * np.maximum(values, 1.0)) @ vectors.T)
+    doubt = (dimension + 1.0) / (dimension + 1.0 + size)  # share of the unit matrix
+    variances, axes = np.linalg.eigh((1.0 - doubt) * covariance + doubt * np.eye(dimension))
+    return np.linalg.cholesky((axes * np.maximum(variances, 1.0)) @ axes.T)

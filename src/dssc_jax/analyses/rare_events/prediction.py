@@ -23,14 +23,16 @@ LEAST_VARIANCE = 1e-12
 
 @dataclass(frozen=True)
 class Prediction:
-    """A spline sum_i c_i |u - u_i|^3 + a + b.u of the scaled slack, with the variance of its error by kriging.
+    """A prediction of the scaled slack at any point u: the spline sum_i c_i |u - u_i|^3 + a + b.u.
+
+    Kriging takes the slack for a realisation of a random function, and so gives the variance of the spline's error.
 
     Args:
         centres: Simulated points u_i, shape (n, d).
         inverse: Inverse of the spline's matrix, shape (n + d + 1, n + d + 1).
-        coefficients: c_i, a and b, shape (n + d + 1,).
-        smoothing: Variance of the noise, relative to ``variance``.
-        variance: Factor of the error's variance.
+        coefficients: c_i, a and b in this order, shape (n + d + 1,).
+        smoothing: Variance of the noise in the slacks, as a multiple of ``variance``.
+        variance: Scale of the random function's variance.
     """
 
     centres: np.ndarray
@@ -42,46 +44,64 @@ class Prediction:
     def failure_probability(self, points: np.ndarray) -> np.ndarray:
         """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
 
-        The error of a smooth slack is assumed to be normal. That of a noisy one, such as the largest of many readings,
-        has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
+        The error of a smooth slack is assumed to be normal. The error of a noisy slack, such as the largest of many
+        readings, has longer tails and is assumed to be logistic, since an unexpected failure would carry much weight.
         """
+        is_noisy = self.smoothing >= NOISY
         probabilities = np.empty(len(points))
-        for start in range(0, len(points), ROWS):
+        for start in range(0, len(points), ROWS):  # in parts, whose matrices fit into memory
             part = slice(start, start + ROWS)
             basis = self.basis(points[part])
-            variance = self.smoothing - np.einsum("ij,ij->i", basis @ self.inverse, basis)
-            error = np.sqrt(self.variance * np.maximum(variance, LEAST_VARIANCE))
-            scores = -(basis @ self.coefficients) / error
-            is_noisy = self.smoothing >= NOISY
+            relative_variance = self.smoothing - np.einsum("ij,ij->i", basis @ self.inverse, basis)
+            standard_error = np.sqrt(self.variance * np.maximum(relative_variance, LEAST_VARIANCE))
+            scores = -(basis @ self.coefficients) / standard_error
             probabilities[part] = special.expit(scores / LOGISTIC_SCALE) if is_noisy else special.ndtr(scores)
         return probabilities
 
     def slacks_and_slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predicted slacks, shape (n,), and their slopes, shape (n, d), at points of shape (n, d)."""
+        """Predicted slacks, shape (m,), and their derivatives by the coordinates, shape (m, d), at points u.
+
+        The gradient of the spline is sum_i 3 c_i |u - u_i| (u - u_i) + b.
+
+        Args:
+            points: Points u, shape (m, d).
+        """
         count, dimension = self.centres.shape
         basis = self.basis(points)
-        factors = 3.0 * np.cbrt(basis[:, :count]) * self.coefficients[:count]
+        distances = np.cbrt(basis[:, :count])
+        factors = 3.0 * distances * self.coefficients[:count]
         slopes = factors.sum(axis=1)[:, None] * points - factors @ self.centres + self.coefficients[-dimension:]
         return basis @ self.coefficients, slopes
 
     def basis(self, points: np.ndarray) -> np.ndarray:
-        """The values at points of shape (m, d) that the coefficients multiply, shape (m, n + 1 + d)."""
+        """The functions |u - u_i|^3, 1 and u that the coefficients multiply, at points u of shape (m, d).
+
+        Returns:
+            Values of the functions, shape (m, n + 1 + d).
+        """
         return np.column_stack([cdist(points, self.centres) ** 3, np.ones(len(points)), points])
 
 
 def fit_prediction(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
-    """Fit a prediction to slacks, shape (n,), at points, shape (n, d).
+    """Fit a prediction to simulated slacks, with the likeliest of several smoothings.
 
-    The smoothing is the one under which the points, each predicted from all others, are most likely.
+    Each slack is predicted from all other points. The likeliest smoothing is least surprised by these errors, by
+    -2 log likelihood of a normal law.
+
+    Args:
+        points: Simulated points in standard normal space, shape (n, d).
+        slacks: Slack at each, shape (n,).
+        smoothings: Smoothings to choose from.
     """
     count, dimension = points.shape
     values = np.concatenate([scale_slacks(slacks, 0.5), np.zeros(dimension + 1)])
-    candidates = []
+    predictions = []
+    surprises = []
     for smoothing in smoothings:
         inverse = np.linalg.inv(spline_matrix(points, smoothing))
         coefficients = inverse @ values
-        precisions = np.diag(inverse)[:count]
+        precisions = np.diag(inverse)[:count]  # a slack's error from all others is its coefficient over its precision
         variance = max(float(np.mean(coefficients[:count] ** 2 / precisions)), LEAST_VARIANCE)
-        surprise = count * np.log(variance) - float(np.log(precisions).sum())
-        candidates.append((surprise, Prediction(points, inverse, coefficients, smoothing, variance)))
-    return min(candidates, key=lambda candidate: candidate[0])[1]
+        surprises.append(count * np.log(variance) - float(np.log(precisions).sum()))
+        predictions.append(Prediction(points, inverse, coefficients, smoothing, variance))
+    return predictions[surprises.index(min(surprises))]

@@ -34,7 +34,7 @@ DEFAULT_IMPORTANCE = ImportanceSampling()
 
 @dataclass(frozen=True)
 class MethodProbability:
-    """The failure probability from the method alone, without regard to the plain draws."""
+    """The failure probability by importance sampling or splitting, whatever the plain draws say."""
 
     probability: Annotated[float, Quantity("1", "failure probability")]
     interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability")]
@@ -42,7 +42,7 @@ class MethodProbability:
 
 @dataclass(frozen=True)
 class ApproximatedFailures:
-    """The failures around one design point, with two approximations of their probability that have no interval."""
+    """The failures around a design point, with two approximations of their probability that have no interval."""
 
     distance: Annotated[float, Quantity("1", "distance from the median draw in standard normal space")]
     first_order: Annotated[float, Quantity("1", "probability behind the tangent of the border (FORM)")]
@@ -62,7 +62,7 @@ class PlainFailures:
 
 @dataclass(frozen=True)
 class FailingRange:
-    """Values of an uncertain number in draws that fail."""
+    """Values of an uncertain number in the draws that fail, beside the median of all draws."""
 
     median: Annotated[float, Quantity("that of the number", "median of its law")]
     failing: Annotated[np.ndarray | None, Quantity("that of the number", "5 %, 50 % and 95 % quantile at failures")]
@@ -70,7 +70,7 @@ class FailingRange:
 
 @dataclass(frozen=True)
 class RareAnswer:
-    """A rare failure's probability, its cost, and where the failures are."""
+    """The answer of :func:`rare`: a rare failure's probability, its cost, and where the failures are."""
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     probability: Annotated[float, Quantity("1", "failure probability")]
@@ -94,15 +94,19 @@ class RareAnswer:
 
 @dataclass(eq=False)
 class RareEvent(Analysis):
-    """The probability of a rare failure.
+    """The probability of a rare failure, and the failures from which it was estimated.
 
-    The dataset has along ``failure``, for the failing points of the method and then for the plain draws that failed:
+    The dimension ``failure`` of the dataset holds the failing points of the method and then the plain draws that
+    failed. The dataset has along ``failure``:
 
-    * every uncertain number, and along ``number``, too, the ``point`` in standard normal space;
-    * ``plain``, whether it is a plain draw, ``weight``, and ``noise``, the index of the in-loop noise.
+    * the value of every uncertain number;
+    * ``point``, its coordinate in standard normal space, along ``number``, too;
+    * ``plain``, whether the failure is a plain draw;
+    * ``weight``, the probability that the failure stands for, up to a factor, and ``noise``, the index of its noise.
 
     A splitting adds along ``repeat`` its ``estimate`` and its ``levels``. Importance sampling adds along
-    ``design_point`` the ``distance`` and ``second_order``, SORM's factor, and along ``number``, too, the ``design``.
+    ``design_point`` the ``distance`` from the median draw, ``second_order``, which is SORM's factor, and ``design``,
+    its coordinates, along ``number``, too.
 
     Args:
         method: The settings of the method.
@@ -124,19 +128,19 @@ class RareEvent(Analysis):
 
     @classmethod
     def of(cls, study: Study, settings: Method, estimate: Estimate, noisy: bool, refusal: str = "") -> Self:
-        """Create the analysis from an estimate.
+        """The analysis of an estimate, with its failures in a dataset.
 
         Args:
             study: The study without a sweep.
             settings: The settings of the method.
-            estimate: The estimate.
+            estimate: The estimate of the failure probability by this method.
             noisy: Whether the loop has in-loop noise.
             refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
         """
         plain = estimate.plain
         points = np.concatenate([estimate.points, plain.points])
         is_plain = np.arange(len(points)) >= len(estimate.points)
-        noise = np.concatenate([estimate.noise, np.full(plain.failures, -1)])
+        noise = np.concatenate([estimate.noise, np.full(plain.failures, -1)])  # the noise of plain draws is not kept
         weights = np.concatenate([estimate.weights, np.ones(plain.failures)])
         noise_meaning = "index of the in-loop noise; -1: of a plain draw"
         columns = {
@@ -169,7 +173,7 @@ class RareEvent(Analysis):
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The estimate, read from the dataset."""
+        """The estimate of the method, rebuilt from the dataset."""
         data = self.dataset
         is_plain = data["plain"].values
         points = data["point"].values
@@ -199,7 +203,8 @@ class RareEvent(Analysis):
     @property
     def failing(self) -> xr.Dataset:
         """The failures behind the answer: the method's points, or the plain draws if the method has no valid answer."""
-        return self.dataset.isel(failure=self.dataset["plain"].values != self.estimate.answered)
+        is_plain = self.dataset["plain"].values
+        return self.dataset.isel(failure=~is_plain if self.estimate.answered else is_plain)
 
     @property
     def failing_values(self) -> Arrays:
@@ -220,28 +225,33 @@ class RareEvent(Analysis):
         return plotting.rare(self)
 
     def approximate_failures(self, design_point: DesignPoint) -> ApproximatedFailures:
-        """Approximate the probability of the failures around a design point, by FORM and SORM."""
-        values = values_at(self.study, inside_cube(special.ndtr(design_point.point[None])))
+        """The failures around a design point: their probability by FORM and SORM, and the uncertain numbers there."""
+        points = design_point.point[None]  # shape (1, d)
+        values = values_at(self.study, inside_cube(special.ndtr(points)))
         return ApproximatedFailures(
-            design_point.distance,
-            design_point.first_order_probability,
-            design_point.second_order_probability,
-            {name: float(column[0]) for name, column in values.items()},
+            distance=design_point.distance,
+            first_order=design_point.first_order_probability,
+            second_order=design_point.second_order_probability,
+            values={name: float(column[0]) for name, column in values.items()},
         )
+
+    def failing_ranges(self) -> dict[str, FailingRange]:
+        """Median of each uncertain number's law beside its weighted quantiles at the failures, by name."""
+        weights = self.failing["weight"].values
+        ranges = {}
+        for name, values in self.failing_values.items():
+            quantiles = None  # without failures
+            if len(values):
+                quantiles = np.quantile(values, QUANTILE_LEVELS, weights=weights, method="inverted_cdf")
+            ranges[name] = FailingRange(self.study.laws[name].median, quantiles)
+        return ranges
 
     @property
     def answer(self) -> RareAnswer:
         """The failure probability, its cost, and where the failures are, as ``summary.json`` has them."""
         estimate = self.estimate
         plain = estimate.plain
-        splits = isinstance(estimate, SplittingEstimate)
-        weights = self.failing["weight"].values
-        ranges = {}
-        for name, values in self.failing_values.items():
-            quantiles = None
-            if len(values):
-                quantiles = np.quantile(values, QUANTILE_LEVELS, weights=weights, method="inverted_cdf")
-            ranges[name] = FailingRange(self.study.laws[name].median, quantiles)
+        is_splitting = isinstance(estimate, SplittingEstimate)
         design_points = estimate.design_points if isinstance(estimate, WeightedEstimate) else []
         return RareAnswer(
             requirements=tuple(requirement.text for requirement in self.study.requirements),
@@ -249,7 +259,7 @@ class RareEvent(Analysis):
             interval=estimate.interval(),
             interval_method=estimate.method,
             confidence=CONFIDENCE,
-            method="splitting" if splits else "importance sampling",
+            method="splitting" if is_splitting else "importance sampling",
             refusal=self.refusal or None,
             by_method=MethodProbability(estimate.mean, estimate.mean_interval()),
             plain=PlainFailures(plain.draws, plain.failures, plain.interval(), estimate.contradicted),
@@ -257,18 +267,19 @@ class RareEvent(Analysis):
             simulations=estimate.simulations,
             plain_draws=estimate.equivalent_draws,
             design_points=tuple(self.approximate_failures(design_point) for design_point in design_points),
-            estimates=estimate.estimates if splits else np.empty(0),
-            levels=estimate.levels if splits else np.empty(0),
+            estimates=estimate.estimates if is_splitting else np.empty(0),
+            levels=estimate.levels if is_splitting else np.empty(0),
             in_loop_noise=self.noisy,
-            where=ranges,
+            where=self.failing_ranges(),
             settings=asdict(self.method),
         )
 
 
 def design_point_columns(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.ndarray, dict[str, str]]]:
-    """Design points, the likeliest failures, as variables of a dataset along ``design_point``.
+    """Design points as variables of a dataset, by name: (dimensions, values, attributes) each.
 
-    Coordinates have the dimension ``number``, too.
+    ``design``, the coordinates, has the dimensions ``design_point`` and ``number``; ``distance`` and ``second_order``
+    have only the first. :func:`read_design_points` is the inverse.
     """
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
@@ -285,7 +296,12 @@ def read_design_points(dataset: xr.Dataset) -> list[DesignPoint]:
     design_points = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)
-        design_points.append(DesignPoint(row["design"].values, float(row["distance"]), float(row["second_order"])))
+        point = DesignPoint(
+            point=row["design"].values,
+            distance=float(row["distance"]),
+            second_order=float(row["second_order"]),
+        )
+        design_points.append(point)
     return design_points
 
 
@@ -317,12 +333,13 @@ def rare(
     require_laws(study)
     slacks = StudySlacks(study, progress)
 
-    def slacks_at(points: np.ndarray, noise: np.ndarray) -> np.ndarray:  # in standard normal space
+    def slacks_at(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Simulate draws at points of standard normal space; a :data:`SlackFunction`."""
         return slacks(inside_cube(special.ndtr(points)), noise)
 
     seeds = (study.config.seed,)
     dimension = len(study.laws)
-    refusal = ""
+    refusal = ""  # why importance sampling has no answer
     if importance is not None:
         estimate_or_reason = importance_sampling(slacks_at, dimension, seeds, importance)
         if not isinstance(estimate_or_reason, str):

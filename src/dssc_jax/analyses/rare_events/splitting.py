@@ -34,15 +34,16 @@ MOST_LEVELS = 100_000
 
 @dataclass(frozen=True)
 class Splitting:
-    """The settings of a splitting.
+    """The settings of a splitting, in which particles with large slacks die and clones of the others replace them.
 
     Args:
-        particles: N of each repeat.
-        killed: k of N at each level; 1 is the last-particle form, whose law is known: J ~ Poisson(-N ln p).
+        particles: Number N of particles in each repeat.
+        killed: Number k of particles that die at each level. With 1, the number J of levels before a failure of
+            probability p has a known law: Poisson with mean -N ln p.
         moves: Number of moves of a clone's Markov chain at each level.
         repeats: Number of independent repeats, whose scatter gives the interval; at least 10.
-        smallest: Stop a repeat whose estimate falls below this value; it counts as 0.
-        plain: Number of additional plain draws.
+        smallest: A repeat stops with the answer 0 when its estimate falls below this probability.
+        plain: Number of plain draws that check the answer.
 
     Raises:
         ConfigError: A number is out of range.
@@ -56,6 +57,7 @@ class Splitting:
     plain: int = PLAIN
 
     def __post_init__(self) -> None:
+        """Refuse settings that are out of range."""
         if self.particles < LEAST_PARTICLES or not 0 < self.killed < self.particles:
             rule = f"needs particles >= {LEAST_PARTICLES} and 0 < killed < particles"
             raise ConfigError("rare", f"{rule}, got {self.particles} and {self.killed}")
@@ -106,10 +108,10 @@ class Repeat:
 
 
 class Clones(NamedTuple):
-    """The particles of a repeat that were replaced by clones at a level.
+    """The clones that replaced particles of a repeat at a level, and that now have to move apart.
 
     Args:
-        repeat: The repeat.
+        repeat: The repeat, whose population contains the clones.
         level: The slack below which the clones have to stay.
         places: Indices of the clones in the population, shape (clones,).
     """
@@ -121,7 +123,7 @@ class Clones(NamedTuple):
 
 @dataclass(frozen=True)
 class SplittingEstimate(Estimate):
-    """The estimate of a splitting; its failing particles have equal weights.
+    """The estimate of a splitting: the mean over independent repeats. Its failing particles have equal weights.
 
     Args:
         estimates: Estimate of each independent repeat, shape (R,).
@@ -137,7 +139,7 @@ class SplittingEstimate(Estimate):
         return float(self.estimates.mean())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The interval of the mean over the repeats; [0, 1] if fewer than two of them reach a failure.
+        """The interval of the mean over the repeats; [0, 1] if fewer than two repeats reach a failure.
 
         An estimate is a product of shares, so its logarithm is nearly normal: :func:`lognormal_interval`.
         """
@@ -146,12 +148,12 @@ class SplittingEstimate(Estimate):
 
     @property
     def reached(self) -> bool:
-        """Whether repeats reached failures by levels; without a level the particles are plain draws, but fewer."""
+        """Whether some repeat reached failures by levels; without a level, the particles are plain draws, but fewer."""
         return self.mean > 0.0 and bool(self.levels.any())
 
     @property
     def interval_name(self) -> str:
-        """Name of the interval: that of a lognormal mean over so many repeats."""
+        """How the interval is computed, with the number of repeats."""
         return f"lognormal mean over {len(self.estimates)} independent repeats"
 
     @property
@@ -165,12 +167,12 @@ class SplittingEstimate(Estimate):
 def split(
     slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = DEFAULT_SPLITTING
 ) -> SplittingEstimate:
-    """Estimate a failure probability by adaptive multilevel splitting, and make plain draws beside it.
+    """Estimate a failure probability by adaptive multilevel splitting, and make plain draws that check it.
 
     All repeats advance together, so that slacks are computed in large batches.
 
     Args:
-        slack: Computes slacks in standard normal space; -inf if there is none.
+        slack: Computes slacks in standard normal space; -inf or NaN: the point fails without a slack.
         dimension: Number d of coordinates of that space.
         seeds: Seeds of the random numbers.
         splitting: The settings.
@@ -211,7 +213,14 @@ def split(
 def first_populations(
     dimension: int, seeds: Sequence[int], splitting: Splitting, counter: SlackCounter
 ) -> list[Repeat]:
-    """The repeats before their first levels, each with plain draws as particles; arguments as of :func:`split`."""
+    """The repeats before their first levels: the particles of each are plain draws.
+
+    Args:
+        dimension: Number d of coordinates of standard normal space.
+        seeds: Seeds of the random numbers; the index of the repeat is added to them.
+        splitting: The settings.
+        counter: Computes slacks.
+    """
     generators = [generator(*seeds, index) for index in range(splitting.repeats)]
     points = [rng.standard_normal((splitting.particles, dimension)) for rng in generators]
     noise = [counter.fresh(splitting.particles) for _ in generators]
@@ -220,12 +229,12 @@ def first_populations(
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
-    """Whether a repeat is dead, or has so many failing particles that its next level would be a failure."""
+    """Whether a repeat is dead, or its next level would be a failure, because enough particles fail."""
     return repeat.dead or next_level(repeat, splitting) < 0.0
 
 
 def next_level(repeat: Repeat, splitting: Splitting) -> float:
-    """The next level of a repeat: the k-th largest slack of its particles."""
+    """The slack that particles have to fall below next: the k-th largest of the population, k being killed."""
     return float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
 
 
@@ -253,29 +262,46 @@ def raise_level(repeat: Repeat, splitting: Splitting) -> Clones | None:
 
 
 def move_clones(moving: list[Clones], counter: SlackCounter) -> None:
-    """Make one step of every clone's Markov chain: z' = sqrt(1 - s^2) z + s xi, accepted if it lies below the level.
+    """Make one step of every clone's Markov chain, and accept it if the slack stays below the level.
 
-    The step s adapts to the acceptance rate, separately in each repeat. It adapts slowly if few particles move, since a
-    step that depends on the last move of the same particle would change the limit distribution of the chain.
+    The proposal from the point z is sqrt(1 - s^2) z + s xi, with the size s of the move and a standard normal xi. It
+    leaves the standard normal law unchanged.
 
     Args:
         moving: The clones of all repeats; updated.
         counter: Computes slacks.
     """
-    proposals = []
-    indices = []
-    for repeat, _, clones in moving:
-        innovations = repeat.rng.standard_normal((len(clones), repeat.points.shape[1]))
-        proposals.append(np.sqrt(1.0 - repeat.step**2) * repeat.points[clones] + repeat.step * innovations)
-        has_new_noise = repeat.rng.random(len(clones)) < REFRESHED
-        indices.append(np.where(has_new_noise, counter.fresh(len(clones)), repeat.noise[clones]))
-    slacks = counter(np.concatenate(proposals), np.concatenate(indices))
-    ends = np.cumsum([len(points) for points in proposals])[:-1]
-    batches = zip(moving, proposals, indices, np.split(slacks, ends), strict=True)
-    for (repeat, level, clones), points, noise, proposal_slacks in batches:
-        is_accepted = proposal_slacks < level
-        repeat.points[clones[is_accepted]] = points[is_accepted]
-        repeat.noise[clones[is_accepted]] = noise[is_accepted]
-        repeat.slacks[clones[is_accepted]] = proposal_slacks[is_accepted]
-        weight = len(clones) / len(repeat.slacks)
-        repeat.step = float(np.clip(repeat.step * np.exp(weight * (is_accepted.mean() - ACCEPTED)), SMALLEST_STEP, 1.0))
+    proposals = [propose_moves(clones, counter) for clones in moving]
+    all_points = np.concatenate([points for points, _ in proposals])
+    all_noise = np.concatenate([noise for _, noise in proposals])
+    ends = np.cumsum([len(points) for points, _ in proposals])[:-1]
+    slacks = np.split(counter(all_points, all_noise), ends)
+    for clones, (points, noise), proposal_slacks in zip(moving, proposals, slacks, strict=True):
+        repeat = clones.repeat
+        is_accepted = proposal_slacks < clones.level
+        moved = clones.places[is_accepted]
+        repeat.points[moved] = points[is_accepted]
+        repeat.noise[moved] = noise[is_accepted]
+        repeat.slacks[moved] = proposal_slacks[is_accepted]
+        repeat.step = adapted_step(clones, float(is_accepted.mean()))
+
+
+def propose_moves(clones: Clones, counter: SlackCounter) -> tuple[np.ndarray, np.ndarray]:
+    """Proposed points of clones, shape (clones, d), and indices of their in-loop noise, some of them new, (clones,)."""
+    repeat, _, places = clones
+    innovations = repeat.rng.standard_normal((len(places), repeat.points.shape[1]))
+    points = np.sqrt(1.0 - repeat.step**2) * repeat.points[places] + repeat.step * innovations
+    has_new_noise = repeat.rng.random(len(places)) < REFRESHED
+    noise = np.where(has_new_noise, counter.fresh(len(places)), repeat.noise[places])
+    return points, noise
+
+
+def adapted_step(clones: Clones, acceptance: float) -> float:
+    """Size of the repeat's next move: larger if more than :data:`ACCEPTED` of the moves were accepted.
+
+    It adapts slowly if few particles move, since a size that depends on the last move of the same particle would change
+    the limit distribution of its chain.
+    """
+    share = len(clones.places) / len(clones.repeat.slacks)
+    step = clones.repeat.step * np.exp(share * (acceptance - ACCEPTED))
+    return float(np.clip(step, SMALLEST_STEP, 1.0))

@@ -29,7 +29,7 @@ class PairVerdict(IntEnum):
 
 
 class RegionAxis(NamedTuple):
-    """One of the two numbers over which a region is searched.
+    """One of the two numbers over which a region is searched, and its range.
 
     Args:
         name: Dotted name of the number.
@@ -51,15 +51,15 @@ class RegionAxis(NamedTuple):
 
 
 def thresholds(draws: int, points: int) -> tuple[int, int]:
-    """The most failures with which a point meets, and the fewest with which it fails, with confidence for all points.
+    """Numbers of failed draws that decide a point of the lattice, with confidence for all points together.
 
     Args:
         draws: Number of draws at each point.
         points: Number of points of the lattice.
 
     Returns:
-        The former is -1 if not even a point without a failure meets. The latter is draws + 1 if not even a point at
-        which all draws fail does fail.
+        Most failures with which a point meets, -1 if no number is small enough. Fewest failures with which a point
+        fails, draws + 1 if no number is large enough.
     """
     intervals = clopper_pearson(np.arange(draws + 1), draws, 1.0 - (1.0 - CONFIDENCE) / points)
     meets = np.flatnonzero(intervals[:, 1] <= 1.0 - PASSING)
@@ -69,6 +69,9 @@ def thresholds(draws: int, points: int) -> tuple[int, int]:
 
 class Lattice:
     """The points of a lattice over two numbers, with the failed draws at each point that was simulated.
+
+    A point is a pair of indices (i, j) of the values of the first and the second number. ``failures`` has the shape
+    (count, count) and is -1 at a point that was not simulated.
 
     Args:
         study: The study without a sweep.
@@ -80,6 +83,7 @@ class Lattice:
     def __init__(
         self, study: Study, over: tuple[RegionAxis, RegionAxis], count: int, progress: ProgressCallback | None
     ) -> None:
+        """Lay out the lattice, and compile the study; nothing is simulated yet."""
         self.study = study
         self.over = over
         self.progress = progress
@@ -102,26 +106,26 @@ class Lattice:
         return int(np.count_nonzero(self.failures >= 0)) * self.study.config.draws
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate the points, given by their two indices, that have not been simulated yet."""
+        """Simulate all draws at each of some points (i, j) that has not been simulated yet."""
         new_points = sorted({point for point in points if self.failures[point] < 0})
         if not new_points:
             return
         draws = self.study.config.draws
+        first_places, second_places = np.array(new_points).T
         values = {name: np.tile(column, len(new_points)) for name, column in self.drawn.items()}
-        for axis, lattice, places in zip(self.over, self.axes, zip(*new_points, strict=True), strict=True):
-            values[axis.name] = np.repeat(lattice[list(places)], draws)
+        values[self.over[0].name] = np.repeat(self.axes[0][first_places], draws)
+        values[self.over[1].name] = np.repeat(self.axes[1][second_places], draws)
         indices = np.tile(np.arange(draws), len(new_points))
         failed = self.evaluator.fails(indices, values).reshape(len(new_points), draws)
-        for point, count in zip(new_points, np.count_nonzero(failed, axis=1), strict=True):
-            self.failures[point] = count
+        self.failures[first_places, second_places] = np.count_nonzero(failed, axis=1)
         if self.progress:
-            self.progress(self.simulations, None)
+            self.progress(self.simulations, None)  # how many will follow is not known
 
     def follow_boundary(self, stride: int) -> None:
         """Simulate the coarse lattice, then its boundary at ever finer strides down to 1.
 
         Args:
-            stride: Distance of neighbouring points of the coarse lattice, in points of the finest one.
+            stride: Distance of neighbouring points of the coarse lattice, in points of the finest lattice.
         """
         count = len(self.failures)
         places = range(0, count, stride)
@@ -134,19 +138,29 @@ class Lattice:
             self.close_boundary(stride)
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
-        """Lower corners of the cells with this stride whose corners are all simulated and have different verdicts."""
+        """Corners (i, j), with the least indices, of the cells that the boundary crosses.
+
+        All four corners of such a cell are simulated, and their verdicts differ.
+
+        Args:
+            stride: Length of a cell's side, in points of the finest lattice.
+        """
         verdicts = self.verdicts()
         end = len(self.failures) - 1
         cells = []
         for i in range(0, end, stride):
             for j in range(0, end, stride):
                 corners = verdicts[i : i + stride + 1 : stride, j : j + stride + 1 : stride]
-                if corners.min() >= 0 and corners.min() < corners.max():
+                if PairVerdict.NOT_SIMULATED < corners.min() < corners.max():
                     cells.append((i, j))
         return cells
 
     def close_boundary(self, stride: int) -> None:
-        """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
+        """Simulate the cells on both sides of the boundary, until it closes or leaves the lattice.
+
+        Args:
+            stride: Length of a cell's side, in points of the finest lattice.
+        """
         while True:
             points: set[tuple[int, int]] = set()
             for i, j, a, b in self.boundary_sides(stride):
@@ -156,27 +170,36 @@ class Lattice:
             self.simulate(points)
 
     def boundary_sides(self, stride: int) -> list[tuple[int, int, int, int]]:
-        """The sides of cells with this stride whose ends are simulated and have different verdicts.
+        """The sides of cells that the boundary crosses: both ends are simulated and have different verdicts.
+
+        Args:
+            stride: Length of a cell's side, in points of the finest lattice.
 
         Returns:
             i, j, a and b of each side, which goes from the point (i, j) to (i + a, j + b).
         """
         verdicts = self.verdicts()
         end = len(self.failures) - 1
+        is_simulated = verdicts != PairVerdict.NOT_SIMULATED
         sides = []
-        for i, j in np.argwhere(verdicts >= 0).tolist():
+        for i, j in np.argwhere(is_simulated).tolist():
             if i % stride or j % stride:
-                continue
+                continue  # a point of finer cells only
             for a, b in ((stride, 0), (0, stride)):
-                if max(i + a, j + b) <= end and 0 <= verdicts[i + a, j + b] != verdicts[i, j]:
+                k = i + a
+                m = j + b
+                if max(k, m) <= end and is_simulated[k, m] and verdicts[k, m] != verdicts[i, j]:
                     sides.append((i, j, a, b))
         return sides
 
     def corners_beside(self, i: int, j: int, a: int, b: int) -> set[tuple[int, int]]:
-        """The other corners of the two cells that have the side from (i, j) to (i + a, j + b) in common."""
+        """The other corners of the two cells that have the side from (i, j) to (i + a, j + b) in common.
+
+        A side at the edge of the lattice belongs to a single cell.
+        """
         end = len(self.failures) - 1
         corners: set[tuple[int, int]] = set()
-        for p, q in ((i - b, j - a), (i + b, j + a)):
+        for p, q in ((i - b, j - a), (i + b, j + a)):  # the start of the opposite side of each cell
             if 0 <= p <= end and 0 <= q <= end:
                 corners |= {(p, q), (p + a, q + b)}
         return corners
@@ -188,8 +211,8 @@ class Lattice:
             certified: Whether Theorem 1 certifies each point, shape (count, count).
         """
         flags = {
-            "flag_values": [v.value for v in PairVerdict],
-            "flag_meanings": " ".join(v.name.lower() for v in PairVerdict),
+            "flag_values": [verdict.value for verdict in PairVerdict],
+            "flag_meanings": " ".join(verdict.name.lower() for verdict in PairVerdict),
         }
         columns = {
             "verdict": (TABLE, self.verdicts(), {"long_name": "whether 95 % of all plants pass", **flags}),

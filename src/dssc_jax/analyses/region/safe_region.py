@@ -2,7 +2,7 @@
 
 The two numbers lie on a lattice that is fixed in advance, and all its points share the same independent draws. At each
 point the number of failed draws has a binomial law, so that an exact interval says whether at least 95 % of all plants
-pass. The intervals hold for all points of the lattice together (Bonferroni), and hence for those that the search
+pass. The intervals hold for all points of the lattice together (Bonferroni), and hence for the points that the search
 chooses to simulate, in whatever way. Between the points nothing is claimed.
 
 The search simulates a coarse lattice and halves its cells where the verdicts at the corners differ. A side whose ends
@@ -39,7 +39,7 @@ MOST_RANGES = 9  # lines of the lattice whose safe ranges are listed
 
 @dataclass(frozen=True)
 class SafeRange:
-    """Where the second number is safe, at one value of the first."""
+    """The ranges in which the second number is safe, at a value of the first."""
 
     first: Annotated[float, Quantity("that of the first number", "value of the first number")]
     second: Annotated[list[tuple[float, float]], Quantity("that of the second number", "ends of each safe range")]
@@ -47,7 +47,7 @@ class SafeRange:
 
 @dataclass(frozen=True)
 class RegionAnswer:
-    """How many pairs of the two numbers meet the requirements, and what is claimed."""
+    """The answer for a region: where pairs of the two numbers meet the requirements, and what is claimed."""
 
     names: Annotated[tuple[str, str], Quantity("", "the two numbers")]
     units: Annotated[tuple[str, str], Quantity("", "their units")]
@@ -102,17 +102,19 @@ class SafeRegion(Analysis):
     def safe_ranges(self) -> list[SafeRange]:
         """Ranges of the second number in which all simulated pairs meet, at some values of the first number.
 
-        If there are more than :data:`MOST_RANGES` such values, these are spread evenly among them.
+        Of more than :data:`MOST_RANGES` such values, so many are chosen, spread evenly.
         """
-        first_values, second_values = (self.dataset[name].values for name in self.table)
-        rows = []
-        for value, column in zip(first_values, self.dataset["verdict"].values, strict=True):
-            ends = meeting_ends(column)
+        first_values = self.dataset[self.table[0]].values
+        second_values = self.dataset[self.table[1]].values
+        lines = []
+        for value, verdicts in zip(first_values, self.dataset["verdict"].values, strict=True):
+            ends = meeting_ends(verdicts)
             if ends:
                 ranges = [(float(second_values[low]), float(second_values[high])) for low, high in ends]
-                rows.append(SafeRange(float(value), ranges))
-        row_indices = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
-        return [rows[k] for k in row_indices]
+                lines.append(SafeRange(float(value), ranges))
+        count = min(len(lines), MOST_RANGES)
+        chosen = np.unique(np.linspace(0, len(lines) - 1, count).round().astype(int))
+        return [lines[k] for k in chosen]
 
     @property
     def simulated_points(self) -> int:
@@ -161,17 +163,21 @@ class SafeRegion(Analysis):
 
 
 def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of each run of simulated pairs that meet, along one line of the lattice.
+    """First and last index of each run of simulated pairs that meet, along a line of the lattice.
 
     Args:
         verdicts: A :class:`PairVerdict` for each point of the line, shape (count,).
 
     Returns:
-        The runs; none if the first or the last one may go on where the line is not simulated.
+        The runs; none if the first or the last may go on where the line is not simulated.
     """
     places = np.flatnonzero(verdicts != PairVerdict.NOT_SIMULATED)
     meets = verdicts[places] == PairVerdict.MEETS
-    if not meets.any() or (meets[0] and places[0] > 0) or (meets[-1] and places[-1] < len(verdicts) - 1):
+    if not meets.any():
+        return []
+    may_begin_earlier = meets[0] and places[0] > 0
+    may_end_later = meets[-1] and places[-1] < len(verdicts) - 1
+    if may_begin_earlier or may_end_later:
         return []
     begins, ends = flag_runs(meets)
     return list(zip(places[begins].tolist(), places[ends - 1].tolist(), strict=True))
@@ -227,20 +233,34 @@ def region(
 def lattice_size(study: Study, over: tuple[RegionAxis, RegionAxis], halvings: int) -> int:
     """Number of values of each number on the finest lattice, if all settings are admissible.
 
+    Args:
+        study: The study, for its number of draws.
+        over: The two numbers and their ranges.
+        halvings: How often the cells of the coarse lattice are halved.
+
     Raises:
         ConfigError: A range or the number of halvings is not admissible, the numbers are the same, or there are too
             few draws to decide any point.
     """
     for axis in over:
-        if not np.isfinite([axis.low, axis.high]).all() or not axis.low < axis.high or (axis.log and axis.low <= 0.0):
-            rule = "needs finite LO < HI" + (", above 0 for a logarithmic lattice" if axis.log else "")
+        is_range = np.isfinite(axis.low) and np.isfinite(axis.high) and axis.low < axis.high
+        if not is_range or (axis.log and axis.low <= 0.0):
+            rule = "needs finite LO < HI"
+            if axis.log:
+                rule += ", above 0 for a logarithmic lattice"
             raise ConfigError(axis.name, f"{rule}, got {axis.low:g} and {axis.high:g}")
     if over[0].name == over[1].name or not 0 <= halvings <= MOST_HALVINGS:
         raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
     count = COARSE * 2**halvings + 1
     draws = study.config.draws
-    if thresholds(draws, count**2)[0] < 0:
-        least_draws = first_integer(lambda number: thresholds(number, count**2)[0] >= 0, draws)
+
+    def can_meet(number: int) -> bool:
+        """Whether a point without a failure among so many draws meets."""
+        most_failures, _ = thresholds(number, count**2)
+        return most_failures >= 0
+
+    if not can_meet(draws):
+        least_draws = first_integer(can_meet, draws)
         raise ConfigError("draws", f"must be at least {least_draws} to decide a point of {count**2}, got {draws}")
     return count
 
@@ -249,7 +269,7 @@ def certify_points(study: Study, lattice: Lattice) -> tuple[np.ndarray, str]:
     """Check Theorem 1 at every point of a lattice, for all draws at once.
 
     Returns:
-        Whether it certifies each point, shape (count, count), and what it says, in words.
+        Whether the theorem certifies each point, shape (count, count), and its scope in words.
     """
     over = lattice.over
     sweep = {axis.name: values.tolist() for axis, values in zip(over, lattice.axes, strict=True)}
@@ -257,5 +277,6 @@ def certify_points(study: Study, lattice: Lattice) -> tuple[np.ndarray, str]:
     certified, reason = mark(swept)
     if certified is None:
         return np.zeros(lattice.failures.shape, bool), f"Theorem 1 does not apply: {reason}"
-    axes = [list(swept.axes).index(axis.name) for axis in over]
-    return certified.transpose(axes), "Theorem 1 covers the loop without lag and sampling, for all plants of the laws"
+    swept_names = list(swept.axes)  # in the order of the study
+    in_lattice_order = certified.transpose([swept_names.index(axis.name) for axis in over])
+    return in_lattice_order, "Theorem 1 covers the loop without lag and sampling, for all plants of the laws"

@@ -1,23 +1,24 @@
-"""A race of candidates on common draws: those that are surely not among the best are simulated no more.
+"""A race of N candidates on common draws: a candidate that is surely not among the best K is simulated no more.
 
 Let the best be the K candidates with the smallest failure probabilities. A candidate leaves the race when the draws are
 evidence that K others fail less often. One of the best leaves only if the evidence is wrong for one of the others, so
 that K N pairs matter out of N^2, whatever the race looks like. The race ends when the draws are evidence that each of
 the K that failed least often fails at most ``within`` more often than each of the others that are left. If no evidence
 on the best is wrong, each chosen candidate then fails at most ``within`` more often than any that was not chosen:
-either all of the best are chosen, or the evidence compares the chosen ones with one of the best that is not.
+either all of the best are chosen, or the evidence compares the chosen candidates with one of the best that is not.
 
 Where K candidates hardly ever fail, nothing fails less often by more than that: a candidate whose failure probability
 is surely less than ``within`` may be chosen without a look at the others.
 
 The evidence holds at all numbers of draws at once (:func:`dssc_jax.statistics.log_evidence_of_less`), so the race may
-look as often as it likes. A third of the error is spent on those that leave, a third on the end, and a third on those
-that hardly ever fail.
+look as often as it likes. A third of the error is spent on candidates that leave, a third on the end, and a third on
+candidates that hardly ever fail.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,11 +28,11 @@ from dssc_jax.statistics import CONFIDENCE, log_evidence_of_less
 FIRST = 24
 """Draws of each candidate before the first look."""
 GROWTH = 1.3
-"""Ratio of the draws at a look to those at the look before."""
+"""Ratio of the draws at a look to the draws at the look before."""
 HOPEFUL = 0.25
 """A candidate whose share of failures is larger than this share of ``within`` is not tried as rarely failing."""
 TRIED = 4
-"""Candidates that are tried as rarely failing, as a multiple of those to find."""
+"""Candidates that are tried as rarely failing, as a multiple of the number to find."""
 HALVINGS = 20  # bisections of the proved difference
 
 Failing = Callable[[np.ndarray, slice], np.ndarray]
@@ -59,6 +60,40 @@ class RaceResult:
     simulations: int
 
 
+class PairedFailures(NamedTuple):
+    """Draws on which only one candidate of a pair fails, for every pair of two sets of candidates.
+
+    Args:
+        first_alone: Draws on which only the candidate of the first set fails, shape (n, m).
+        second_alone: Draws on which only the candidate of the second set fails, shape (n, m).
+        draws: Number of draws of each candidate.
+    """
+
+    first_alone: np.ndarray
+    second_alone: np.ndarray
+    draws: int
+
+    def all_within(self, difference: float, evidence_threshold: float) -> bool:
+        """Whether each of the first set is proved to fail at most ``difference`` more often than each of the second.
+
+        Args:
+            difference: Difference of failure probabilities.
+            evidence_threshold: Logarithm of the evidence that counts as a proof.
+        """
+        evidence = log_evidence_of_less(self.first_alone, self.second_alone, self.draws, difference)
+        return bool(np.all(evidence >= evidence_threshold))
+
+    def proved_difference(self, evidence_threshold: float) -> float:
+        """The smallest difference of failure probabilities for which :meth:`all_within` holds."""
+        smallest, _ = bisect(
+            lambda difference: self.all_within(float(difference), evidence_threshold),
+            inside=1.0,
+            outside=0.0,
+            halvings=HALVINGS,
+        )
+        return float(smallest)
+
+
 class Tally:
     """Draws and failures of each candidate so far, and the number of simulations.
 
@@ -68,62 +103,68 @@ class Tally:
     """
 
     def __init__(self, failing: Failing, count: int) -> None:
+        """Begin without draws."""
         self.failing = failing
         self.draws = np.zeros(count, int)
         self.failures = np.zeros(count, int)
         self.simulations = 0
 
     def simulate(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
-        """Simulate candidates on draws: whether each fails on each, shape (candidates, draws)."""
+        """Simulate candidates, and return whether each fails on each draw, shape (candidates, draws)."""
         failed = self.failing(candidates, draws)
         self.simulations += failed.size
         return failed
 
     def extend(self, candidates: np.ndarray, goal: int) -> None:
-        """Simulate candidates on further draws, until each has ``goal`` draws; before, all have equally many."""
-        failed = self.simulate(candidates, slice(int(self.draws[candidates[0]]), goal))
+        """Simulate candidates with equally many draws on further draws, until each has ``goal`` draws."""
+        done = int(self.draws[candidates[0]])
+        failed = self.simulate(candidates, slice(done, goal))
         self.failures[candidates] += np.count_nonzero(failed, axis=1)
         self.draws[candidates] = goal
 
 
 def race(failing: Failing, count: int, keep: int, within: float, most: int) -> RaceResult:
-    """Find the K candidates that fail least often; the module tells how.
+    """Find the K candidates that fail least often, by ever more draws of the candidates in the race.
+
+    After each look at the draws, candidates leave for which K others are surely better. The race ends when the K best
+    so far are surely not worse than the others by more than ``within``; or when K candidates surely fail less often
+    than ``within``; or when the simulations are used up.
 
     Args:
         failing: (candidates, draws) -> whether each candidate fails on each draw.
         count: Number N of candidates.
-        keep: Number K of those to find, less than ``count``.
+        keep: Number K of candidates to find, less than ``count``.
         within: Difference of failure probabilities that does not matter, in (0, 1).
         most: Largest number of simulations; the last look may pass it by one growth.
     """
-    evidence_threshold = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))
+    evidence_threshold = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))  # for K N pairs and a third of the error
     tally = Tally(failing, count)
-    running = np.arange(count)
-    failed = np.zeros((count, 0), bool)
+    running = np.arange(count)  # the candidates in the race
+    failed = np.zeros((count, 0), bool)  # shape (running, draws)
     goal = FIRST
     while True:
         new_outcomes = tally.simulate(running, slice(failed.shape[1], goal))
         failed = np.concatenate([failed, new_outcomes], axis=1)
         tally.draws[running] = goal
         tally.failures[running] = failed.sum(axis=1)
-        sole_failures = sole_failure_counts(failed)
-        worse_than = log_evidence_of_less(sole_failures, sole_failures.T, goal, 0.0) >= evidence_threshold
-        is_racing = worse_than.sum(axis=0) < keep
+        alone = sole_failure_counts(failed)
+        is_better = log_evidence_of_less(alone, alone.T, goal, 0.0) >= evidence_threshold  # the row than the column
+        is_racing = is_better.sum(axis=0) < keep
         running = running[is_racing]
         failed = failed[is_racing]
-        sole_failures = sole_failures[np.ix_(is_racing, is_racing)]
+        alone = alone[np.ix_(is_racing, is_racing)]
         order = np.argsort(tally.failures[running], kind="stable")
         best = order[:keep]
         rivals = order[keep:]
-        counts_against = (sole_failures[np.ix_(best, rivals)], sole_failures[np.ix_(rivals, best)].T, goal)
+        pairs = PairedFailures(alone[np.ix_(best, rivals)], alone[np.ix_(rivals, best)].T, goal)
         winners = running[best]
         proved_within = within
-        if rivals.size and not np.all(log_evidence_of_less(*counts_against, within) >= evidence_threshold):
+        if rivals.size and not pairs.all_within(within, evidence_threshold):
             safe_candidates = rarely_failing(tally, running[order], keep, within, evidence_threshold)
             if safe_candidates is not None:
                 winners = safe_candidates
             elif tally.simulations >= most:
-                proved_within = proved_difference(counts_against, evidence_threshold)
+                proved_within = pairs.proved_difference(evidence_threshold)
             else:
                 goal = math.ceil(GROWTH * goal)
                 continue
@@ -141,6 +182,9 @@ def rarely_failing(
     tally: Tally, order: np.ndarray, keep: int, within: float, evidence_threshold: float
 ) -> np.ndarray | None:
     """Find candidates whose failure probability is proved to be below ``within``, by further draws.
+
+    Batches of K candidates are tried, the most promising first. Each doubles its draws until it is proved, fails too
+    often to be hopeful, or has as many draws as such a proof may take.
 
     Args:
         tally: Draws and failures of all candidates; updated.
@@ -161,38 +205,23 @@ def rarely_failing(
             draws = tally.draws[contenders]
             is_proved = log_evidence_of_less(failures, 0, draws, within) >= evidence_threshold
             proved_candidates += contenders[is_proved].tolist()
-            contenders = contenders[~is_proved & (failures <= HOPEFUL * within * draws) & (draws < most)]
+            is_hopeful = failures <= HOPEFUL * within * draws
+            contenders = contenders[~is_proved & is_hopeful & (draws < most)]
             if not contenders.size:
                 break
             tally.extend(contenders, 2 * int(tally.draws[contenders[0]]))
         if len(proved_candidates) >= keep:
-            best = np.argsort(tally.failures[proved_candidates] / tally.draws[proved_candidates], kind="stable")
-            return np.array(proved_candidates)[best[:keep]]
+            shares = tally.failures[proved_candidates] / tally.draws[proved_candidates]
+            best = np.argsort(shares, kind="stable")[:keep]
+            return np.array(proved_candidates)[best]
     return None
 
 
 def sole_failure_counts(failed: np.ndarray) -> np.ndarray:
-    """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N).
+    """Number of draws on which candidate i fails and candidate j does not, for each pair (i, j), shape (N, N).
 
     Args:
         failed: Whether each candidate fails on each draw, shape (N, draws).
     """
     failures = failed.astype(np.float32)  # exact up to 2^24 draws
     return failures @ (1.0 - failures.T)
-
-
-def proved_difference(counts_against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
-    """The smallest difference of failure probabilities that is excluded for every pair of a winner and a rival.
-
-    Args:
-        counts_against: Draws on which the winner of a pair alone fails, shape (winners, rivals); those on which the
-            rival alone fails, of the same shape; the number of draws.
-        evidence_threshold: Logarithm of the evidence that counts as a proof.
-    """
-
-    def is_excluded(difference: np.ndarray) -> bool:
-        evidence = log_evidence_of_less(*counts_against, float(difference))
-        return bool(np.all(evidence >= evidence_threshold))
-
-    smallest, _ = bisect(is_excluded, 1.0, 0.0, HALVINGS)
-    return float(smallest)

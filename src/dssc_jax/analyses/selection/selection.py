@@ -26,7 +26,7 @@ from dssc_jax.study import Study, takes_file
 
 @dataclass(frozen=True)
 class Chosen:
-    """A chosen candidate."""
+    """A chosen candidate: its values, and on how many of its draws it failed."""
 
     values: Annotated[dict[str, float], Quantity("those of the numbers", "its numbers' values, by dotted name")]
     draws: Annotated[int, Quantity("1", "draws on which it was simulated")]
@@ -35,7 +35,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class SelectionAnswer:
-    """The candidates that fail least often, what is claimed of them, and the cost."""
+    """The answer of a selection: the candidates that fail least often, what is claimed of them, and the cost."""
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     ranges: Annotated[dict[str, tuple[float, float]], Quantity("those of the numbers", "where candidates lie")]
@@ -55,7 +55,7 @@ class Selection(Analysis):
     """The candidates among many that fail least often.
 
     The dataset has along ``candidate`` the value of each number by its dotted name, the number of ``draws`` and of
-    ``failures``, and ``place``: 0 for the best candidate, -1 for one that was not chosen.
+    ``failures``, and ``place``: 0 for the best candidate, -1 for a candidate that was not chosen.
 
     Args:
         ranges: Where the candidates lie, by dotted name of the number.
@@ -80,8 +80,9 @@ class Selection(Analysis):
     @property
     def chosen(self) -> np.ndarray:
         """Index of each chosen candidate, the best first."""
-        place = self.dataset["place"].values
-        return np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+        place = self.dataset["place"].values  # -1: not chosen
+        unchosen = np.count_nonzero(place < 0)
+        return np.argsort(place, kind="stable")[unchosen:]
 
     @property
     def headline(self) -> str:
@@ -103,7 +104,9 @@ class Selection(Analysis):
         chosen = []
         for candidate in self.chosen:
             values = {name: float(columns[name][candidate]) for name in self.ranges}
-            chosen.append(Chosen(values, int(draws[candidate]), int(columns["failures"][candidate])))
+            chosen.append(
+                Chosen(values, draws=int(draws[candidate]), failures=int(columns["failures"][candidate])),
+            )
         return SelectionAnswer(
             requirements=criterion_of(self.study),
             ranges=self.ranges,
@@ -133,7 +136,7 @@ def select(
     """Find the candidates that fail least often among many values of some numbers, with 95 % confidence.
 
     All candidates are simulated on the same independent draws. Those that are surely not among the best leave early.
-    The draws differ from those of a run of the study, on which the choice can be judged.
+    A run of the study has other draws, on which the choice can be judged.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.
@@ -141,10 +144,10 @@ def select(
             are the study's values, where it has them, and points spread evenly in the logarithm. Without any, the
             tunable gains of the controller range from a tenth to ten times their value.
         candidates: Number of candidates.
-        keep: Number of those to choose.
+        keep: Number of candidates to choose.
         within: Difference of failure probabilities that does not matter.
         most: Largest number of simulations; if they do not suffice, the answer has the difference that they prove.
-        progress: Called with the simulations done, and with those at the next look; there may be further looks.
+        progress: Called with the simulations done, and with their number at the next look; there may be further looks.
 
     Raises:
         ConfigError: A number or range is not admissible, nothing can be chosen, or draws are not independent.
@@ -165,33 +168,11 @@ def select(
         raise ConfigError("select", f"{rule}, got {keep} and {candidates}")
     study = study.without_sweep()
     extents = selection_ranges(study, over)
-    seed = (study.config.seed + 1) % 2**32
+    seed = (study.config.seed + 1) % 2**32  # other draws than a run of the study
     trial = study.override({"seed": seed, **derived_medians(study, extents)})
     points = candidate_points(trial, extents, candidates, seed)
-    evaluator = Evaluator(trial, extents, BLOCK)
-    simulation_count = 0
-
-    def failing(running: np.ndarray, draws: slice) -> np.ndarray:
-        nonlocal simulation_count
-        fresh = evaluator.values_of_draws(draws)
-        count = draws.stop - draws.start
-        goal = simulation_count + len(running) * count
-        if progress:
-            progress(simulation_count, goal)
-        per_batch = max(1, BLOCK // count)
-        rows = []
-        for begin in range(0, len(running), per_batch):
-            part = running[begin : begin + per_batch]
-            values = {name: np.tile(column, len(part)) for name, column in fresh.items()}
-            values |= {name: np.repeat(column[part], count) for name, column in points.items()}
-            failed = evaluator.fails(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
-            rows.append(failed.reshape(len(part), count))
-            simulation_count += len(part) * count
-            if progress:
-                progress(simulation_count, goal)
-        return np.concatenate(rows)
-
-    result = race(failing, candidates, keep, within, most)
+    simulate_candidates = CandidateSimulator(Evaluator(trial, extents, BLOCK), points, progress)
+    result = race(simulate_candidates, candidates, keep, within, most)
     return Selection(
         study=study,
         dataset=selection_dataset(study, points, result),
@@ -204,8 +185,53 @@ def select(
     )
 
 
+@dataclass
+class CandidateSimulator:
+    """Simulates candidates on common draws: a :data:`~dssc_jax.analyses.selection.race.Failing` function.
+
+    Args:
+        evaluator: The compiled study.
+        points: Value of each number of the candidates, by dotted name, shape (candidates,) each.
+        progress: Called with the simulations done, and with their number at the next look.
+        done: Number of simulations so far.
+    """
+
+    evaluator: Evaluator
+    points: Mapping[str, np.ndarray]
+    progress: ProgressCallback | None
+    done: int = 0
+
+    def __call__(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
+        """Whether each candidate fails on each draw, shape (candidates, draws), simulated in batches of candidates."""
+        drawn_numbers = self.evaluator.values_of_draws(draws)
+        count = draws.stop - draws.start
+        goal = self.done + len(candidates) * count
+        self.report(goal)
+        per_batch = max(1, BLOCK // count)
+        rows = []
+        for begin in range(0, len(candidates), per_batch):
+            batch = candidates[begin : begin + per_batch]
+            values = {name: np.tile(column, len(batch)) for name, column in drawn_numbers.items()}
+            for name, column in self.points.items():
+                values[name] = np.repeat(column[batch], count)
+            indices = np.tile(np.arange(draws.start, draws.stop), len(batch))
+            rows.append(self.evaluator.fails(indices, values).reshape(len(batch), count))
+            self.done += len(batch) * count
+            self.report(goal)
+        return np.concatenate(rows)
+
+    def report(self, goal: int) -> None:
+        """Report the simulations done, and their number at the next look."""
+        if self.progress:
+            self.progress(self.done, goal)
+
+
 def selection_ranges(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """The range of each number whose values are candidates; by default the tunable gains of the controller.
+    """Lowest and highest candidate of each number, by dotted name.
+
+    Args:
+        study: The study.
+        over: The ranges that were asked for; None: the tunable gains of the controller, in ranges about their values.
 
     Raises:
         ConfigError: A range is not admissible, or the controller has no gain that can be tuned.
@@ -223,7 +249,7 @@ def selection_ranges(study: Study, over: Mapping[str, tuple[float, float]] | Non
 
 
 def selection_dataset(study: Study, points: Mapping[str, np.ndarray], result: RaceResult) -> xr.Dataset:
-    """The dataset of :class:`Selection`.
+    """The dataset of :class:`Selection`: values, draws, failures and place of each candidate.
 
     Args:
         study: The study.

@@ -20,10 +20,10 @@ from dssc_jax.study import Study, takes_file
 
 
 class SensitivityDesign(NamedTuple):
-    """The functions of one method of sensitivity analysis.
+    """The functions of a method of sensitivity analysis: what it simulates, and which studies it refuses.
 
     Args:
-        design: (study, whether in-loop noise is a factor, confidence) -> the design of the method.
+        design: (study, whether in-loop noise is a factor, confidence) -> the simulations, and what follows from them.
         require: Raises ConfigError for a study that the method cannot treat, before anything is compiled. Its result
             does not matter, so it may be the function that counts the rows.
     """
@@ -78,26 +78,48 @@ def sensitivity(
         results.append(evaluate(engine, values_at_levels(study, sample.levels), sample.indices))
         if progress:
             progress(len(results) * design.rows, count)
-    outputs: dict[str, tuple[np.ndarray, ...] | None] = {}
-    reasons = {}
-    missing = {}
-    for name in [*(measure.name for measure in study.measures), FAILURE]:
-        values = np.stack([output_values(result, name) for result in results])
-        missing[name] = int(np.count_nonzero(~np.isfinite(values)))
-        reason = f"has no value on {missing[name]:,} simulations" if missing[name] else design.refusal(values)
-        if reason:
-            outputs[name] = None
-            reasons[name] = reason
-        else:
-            outputs[name] = design.quantities(values)
+    answers = output_answers(design, results, [*(measure.name for measure in study.measures), FAILURE])
     factors = (*study.laws, NOISE) if noisy else tuple(study.laws)
-    dataset = sensitivity_dataset(study, method, factors, outputs, missing)
     return Sensitivity(
         study=study,
-        dataset=dataset,
+        dataset=sensitivity_dataset(study, method, factors, answers.quantities, answers.missing),
         method=method,
         rows=design.rows,
         simulations=count,
-        reasons=reasons,
+        reasons=answers.reasons,
         confidence=confidence,
     )
+
+
+class OutputAnswers(NamedTuple):
+    """What the simulations of a design tell of each output, by name.
+
+    Args:
+        quantities: The quantities of the method, shape (factors, 3) each; None: there are none.
+        reasons: Why an output has no quantities.
+        missing: Number of simulations without a value.
+    """
+
+    quantities: dict[str, tuple[np.ndarray, ...] | None]
+    reasons: dict[str, str]
+    missing: dict[str, int]
+
+
+def output_answers(design: RowDesign, results: list[Arrays], names: list[str]) -> OutputAnswers:
+    """Compute the quantities of each output, or the reason why it has none.
+
+    Args:
+        design: The simulations, and what follows from them.
+        results: Results of the simulations of each sample.
+        names: Names of the outputs.
+    """
+    answers = OutputAnswers({}, {}, {})
+    for name in names:
+        values = np.stack([output_values(result, name) for result in results])
+        missing = int(np.count_nonzero(~np.isfinite(values)))
+        reason = f"has no value on {missing:,} simulations" if missing else design.refusal(values)
+        if reason:
+            answers.reasons[name] = reason
+        answers.quantities[name] = None if reason else design.quantities(values)
+        answers.missing[name] = missing
+    return answers

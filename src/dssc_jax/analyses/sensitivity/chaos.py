@@ -1,8 +1,8 @@
 """A prediction of an output by polynomials, as a control variate of its Sobol indices: polynomial chaos.
 
 The polynomials are products of at most two Legendre polynomials of the numbers' levels. They are orthonormal, so that
-the indices of a prediction are sums of squared coefficients, without a simulation. An index of the output is that of
-the prediction plus a correction from the simulations. The better the prediction, the less the correction scatters.
+the indices of a prediction are sums of squared coefficients, without a simulation. An index of the output is the index
+of the prediction plus a correction from the simulations. The better the prediction, the less the correction scatters.
 The coefficients for the rows of a replicate come from all other replicates, so that the correction has no bias.
 
 Reference:
@@ -16,7 +16,7 @@ from scipy import linalg
 
 MOST_DEGREE = 10
 DEGREES = ((3, 0), (5, 2), (8, 4), (MOST_DEGREE, 8))
-"""Nested sets of polynomials: the largest degree in one number, and that in two numbers together."""
+"""Nested sets of polynomials: (largest degree in one number, largest degree in two numbers together)."""
 MOST_TERMS = 700
 SIMULATIONS_OF_TERM = 5
 """Least number of simulations in a fit for each polynomial."""
@@ -31,7 +31,7 @@ class Term(NamedTuple):
     Args:
         first: Index of the first number.
         first_degree: Degree in the first number, at least 1.
-        second: Index of the second number; the first one again in a polynomial of one number.
+        second: Index of the second number; the first number again in a polynomial of one number.
         second_degree: Degree in the second number; 0 in a polynomial of one number.
     """
 
@@ -42,11 +42,11 @@ class Term(NamedTuple):
 
 
 class ChaosPrediction(NamedTuple):
-    """A prediction of an output with mean 0, and its exact variances, with the coefficients of each replicate.
+    """A prediction of an output with mean 0, by other coefficients in each replicate, and its exact variances.
 
     Args:
         values: Predicted values at A, B and each AB_i, shape (2 + factors, rows).
-        alone: Variance that each number explains alone, shape (replicates, d).
+        alone: Variance of all terms in one number only, for each of d numbers, shape (replicates, d).
         total: Variance of all terms that contain the number, shape (replicates, d).
         variance: Variance of the prediction, shape (replicates,).
     """
@@ -61,24 +61,26 @@ def nested_terms(dimension: int) -> tuple[list[Term], list[int]]:
     """The terms in d numbers, sorted so that each set of :data:`DEGREES` consists of the first terms.
 
     Returns:
-        All terms, and the number of terms of each set.
+        All terms, and the number of terms of each set, in ascending order.
     """
     terms: dict[Term, None] = {}  # a dictionary keeps the order, and each term once
     counts = []
-    for alone, joint in DEGREES:
+    for degree_alone, degree_together in DEGREES:
         for first in range(dimension):
-            for degree in range(1, alone + 1):
+            for degree in range(1, degree_alone + 1):
                 terms[Term(first, degree, first, 0)] = None
             for second in range(first + 1, dimension):
-                for p in range(1, joint):
-                    for q in range(1, joint - p + 1):
+                for p in range(1, degree_together):
+                    for q in range(1, degree_together - p + 1):
                         terms[Term(first, p, second, q)] = None
         counts.append(len(terms))
     return list(terms), counts
 
 
 class Chaos:
-    """Fits polynomials to outputs on the samples of one design; what all outputs share is computed once.
+    """Predicts outputs by polynomials that are fitted on the samples of a design; see :meth:`predict`.
+
+    All outputs share the polynomials' values and the normal equations, which are computed once.
 
     Args:
         samples: Points of the unit cube of A, B and each AB_i, shape (2 + factors, rows, d).
@@ -86,49 +88,51 @@ class Chaos:
     """
 
     def __init__(self, samples: np.ndarray, replicates: int) -> None:
+        """Choose the sets of polynomials that the samples can fit, and factorise their normal equations."""
         self.samples = samples
-        self.replicates = [slice(r, None, replicates) for r in range(replicates)]
+        self.replicate_rows = [slice(r, None, replicates) for r in range(replicates)]
+        self.training_points = samples[:, :FIT_ROWS]
+        simulations = self.training_points.shape[0] * self.training_points.shape[1]
+        largest = min(MOST_TERMS, simulations // SIMULATIONS_OF_TERM)
         terms, counts = nested_terms(samples.shape[-1])
-        self.fitted = samples[:, :FIT_ROWS]
-        largest = min(MOST_TERMS, self.fitted.shape[0] * self.fitted.shape[1] // SIMULATIONS_OF_TERM)
         self.counts = [count for count in counts if count <= largest]
-        self.terms = np.array(terms[: max(self.counts, default=0)], int).reshape(-1, 4)
+        self.terms = np.array(terms[: max(self.counts, default=0)], int).reshape(-1, 4)  # the fields of Term
+        self.training_bases = [self.basis(points) for points in self.training_points]
         width = len(self.terms) + 1
-        self.bases = [self.basis(points) for points in self.fitted]
         squares = np.zeros((replicates, width, width))
-        for basis in self.bases:
-            squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicates])
-        self.factors = {count: self.factors_of(squares[:, : count + 1, : count + 1]) for count in self.counts}
+        for basis in self.training_bases:
+            squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicate_rows])
+        self.normal_factors = {}  # by number of terms
+        for count in self.counts:
+            self.normal_factors[count] = factorise_normal_equations(squares[:, : count + 1, : count + 1])
 
     def basis(self, points: np.ndarray) -> np.ndarray:
-        """Values of the constant and of all terms at points of the unit cube, shape (n, d); shape (n, 1 + terms)."""
-        symmetric_points = 2.0 * points - 1.0
-        table = np.ones((MOST_DEGREE + 1, *points.shape))
-        table[1] = symmetric_points
-        for k in range(1, MOST_DEGREE):
-            table[k + 1] = ((2 * k + 1) * symmetric_points * table[k] - k * table[k - 1]) / (k + 1)
-        table *= np.sqrt(2.0 * np.arange(MOST_DEGREE + 1) + 1.0)[:, None, None]
-        first, p, second, q = self.terms.T
-        return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T
-
-    def factors_of(self, squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
-        """Cholesky factors of the normal equations for each replicate, which use the rows of all other replicates.
+        """Values of the constant and of all terms at points of the unit cube, shape (n, 1 + terms).
 
         Args:
-            squares: Sums of products of the basis over the rows of each replicate, shape (replicates, n, n).
+            points: Shape (n, d).
         """
-        matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
-        return [linalg.cho_factor(matrix) for matrix in matrices]
+        symmetric_points = 2.0 * points - 1.0
+        legendre = np.ones((MOST_DEGREE + 1, *points.shape))  # by degree
+        legendre[1] = symmetric_points
+        for k in range(1, MOST_DEGREE):
+            legendre[k + 1] = ((2 * k + 1) * symmetric_points * legendre[k] - k * legendre[k - 1]) / (k + 1)
+        legendre *= np.sqrt(2.0 * np.arange(MOST_DEGREE + 1) + 1.0)[:, None, None]  # makes them orthonormal
+        first, first_degree, second, second_degree = self.terms.T
+        products = legendre[first_degree, :, first] * legendre[second_degree, :, second]
+        return np.concatenate([np.ones((1, len(points))), products]).T
 
     def coefficients(self, products: np.ndarray, count: int) -> np.ndarray:
         """Coefficients of the constant and the first terms for each replicate, shape (replicates, 1 + count).
+
+        They solve the normal equations of the rows of all other replicates.
 
         Args:
             products: Sums of basis times output over the rows of each replicate, shape (replicates, 1 + terms).
             count: Number of terms.
         """
         targets = (products.sum(axis=0) - products)[:, : count + 1]
-        pairs = zip(self.factors[count], targets, strict=True)
+        pairs = zip(self.normal_factors[count], targets, strict=True)
         return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
 
     def predict(self, values: np.ndarray) -> ChaosPrediction | None:
@@ -137,35 +141,65 @@ class Chaos:
         Args:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).
         """
-        training_values = values[:, : self.fitted.shape[1]]
-        products = np.zeros((len(self.replicates), len(self.terms) + 1))
-        for basis, column in zip(self.bases, training_values, strict=True):
-            products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
+        training_values = values[:, : self.training_points.shape[1]]
+        products = np.zeros((len(self.replicate_rows), len(self.terms) + 1))
+        for basis, column in zip(self.training_bases, training_values, strict=True):
+            products += np.stack([column[rows] @ basis[rows] for rows in self.replicate_rows])
         best = None
         smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((training_values - training_values.mean()) ** 2))
         for count in self.counts:
-            coefficient_sets = self.coefficients(products, count)
-            error = 0.0
-            for basis, column in zip(self.bases, training_values, strict=True):
-                for rows, coefficients in zip(self.replicates, coefficient_sets, strict=True):
-                    error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
+            coefficients = self.coefficients(products, count)
+            error = self.squared_error(training_values, coefficients)
             if error < smallest:
-                best = coefficient_sets
+                best = coefficients
                 smallest = error
         return None if best is None else self.prediction_from(best[:, 1:])
 
+    def squared_error(self, training_values: np.ndarray, coefficients: np.ndarray) -> float:
+        """Sum of the squared errors of the predictions of a replicate's rows, over all replicates and samples.
+
+        Args:
+            training_values: The output at the training points, shape (2 + factors, rows).
+            coefficients: Coefficients of the constant and the first terms, shape (replicates, 1 + count).
+        """
+        width = coefficients.shape[1]
+        error = 0.0
+        for basis, column in zip(self.training_bases, training_values, strict=True):
+            for rows, replicate_coefficients in zip(self.replicate_rows, coefficients, strict=True):
+                error += float(np.sum((column[rows] - basis[rows, :width] @ replicate_coefficients) ** 2))
+        return error
+
     def prediction_from(self, coefficients: np.ndarray) -> ChaosPrediction:
-        """The prediction at all points of the samples, from coefficients of the first terms, (replicates, terms)."""
+        """The prediction at all points of the samples, and its variances, which are sums of squared coefficients.
+
+        Args:
+            coefficients: Coefficients of the first terms, without the constant, shape (replicates, terms).
+        """
         count = coefficients.shape[1]
         values = np.empty(self.samples.shape[:2])
         for points, column in zip(self.samples, values, strict=True):
-            basis = self.basis(points)[:, 1 : count + 1]
-            for rows, row in zip(self.replicates, coefficients, strict=True):
-                column[rows] = basis[rows] @ row
+            basis = self.basis(points)[:, 1 : count + 1]  # without the constant
+            for rows, replicate_coefficients in zip(self.replicate_rows, coefficients, strict=True):
+                column[rows] = basis[rows] @ replicate_coefficients
         first, _, second, second_degree = self.terms[:count].T
-        contains = np.zeros((count, self.samples.shape[-1]))
+        contains = np.zeros((count, self.samples.shape[-1]))  # 1 where a term contains a number
         contains[np.arange(count), first] = 1.0
         contains[np.arange(count), second] = 1.0
-        energies = coefficients**2
-        single = contains * (second_degree == 0)[:, None]
-        return ChaosPrediction(values, energies @ single, energies @ contains, energies.sum(axis=1))
+        contains_alone = contains * (second_degree == 0)[:, None]
+        squares = coefficients**2
+        return ChaosPrediction(
+            values, alone=squares @ contains_alone, total=squares @ contains, variance=squares.sum(axis=1)
+        )
+
+
+def factorise_normal_equations(squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
+    """Cholesky factors of the normal equations for each replicate, which use the rows of all other replicates.
+
+    Args:
+        squares: Sums of products of the basis over the rows of each replicate, shape (replicates, n, n).
+
+    Returns:
+        The factors as :func:`scipy.linalg.cho_factor` returns them.
+    """
+    matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
+    return [linalg.cho_factor(matrix) for matrix in matrices]

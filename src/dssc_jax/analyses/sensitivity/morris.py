@@ -1,6 +1,6 @@
 """Morris screening of every metric and of failure: which of many numbers matter at all, by few simulations.
 
-A trajectory moves one factor after the other, in random order, by half of its law's probability. The change of the
+A trajectory moves the factors one after the other, in random order, by half of its law's probability. The change of the
 output is the factor's elementary effect. The mean of its absolute values, mu*, says how much a factor matters; the
 spread sigma of the signed effects says how much that depends on the other factors or on where the factor is. In-loop
 noise is one more factor: its move is another draw index.
@@ -27,7 +27,7 @@ FEWEST = 10  # trajectories, for intervals of some use
 
 
 def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Random trajectories through the grid of levels; each moves one factor after the other.
+    """Random trajectories through the grid of levels; each moves the factors one after the other.
 
     Args:
         count: Number of trajectories.
@@ -35,15 +35,16 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
         seeds: Seeds of the random generator.
 
     Returns:
-        Levels, shape (factors + 1, count, factors), and the order in which the factors move, shape (count, factors).
+        The levels after 0, 1, ... moves, in (0, 1), shape (factors + 1, count, factors), and the order in which the
+        factors move, as indices of factors, shape (count, factors).
     """
     rng = generator(*seeds)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
     start = rng.integers(GRID_LEVELS, size=(count, factors))
-    moved_level = (start + GRID_LEVELS // 2) % GRID_LEVELS
-    place = np.argsort(order, axis=1)
-    level = np.where(place < np.arange(factors + 1)[:, None, None], moved_level, start)
-    return (level + 0.5) / GRID_LEVELS, order
+    end = (start + GRID_LEVELS // 2) % GRID_LEVELS
+    place_in_order = np.argsort(order, axis=1)
+    has_moved = place_in_order < np.arange(factors + 1)[:, None, None]  # (moves made, trajectories, factors)
+    return (np.where(has_moved, end, start) + 0.5) / GRID_LEVELS, order
 
 
 def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray) -> np.ndarray:
@@ -54,41 +55,44 @@ def elementary_effects(values: np.ndarray, levels: np.ndarray, order: np.ndarray
         levels: Levels of the factors there, shape (factors + 1, trajectories, factors).
         order: The order in which the factors move, shape (trajectories, factors).
     """
-    effects = np.empty_like(values[1:])
-    np.put_along_axis(effects, order.T, np.diff(values, axis=0), axis=0)
-    return effects * np.sign(levels[-1] - levels[0]).T
+    changes = np.empty_like(values[1:])  # by factor
+    np.put_along_axis(changes, order.T, np.diff(values, axis=0), axis=0)
+    direction = np.sign(levels[-1] - levels[0]).T  # 1: the factor moved up; -1: down
+    return changes * direction
 
 
 def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
-    """mu* and sigma of each factor with Student's t intervals over the trajectories, for sigma by the jackknife.
+    """Mean size mu* and spread sigma of each factor's elementary effects, with intervals over the trajectories.
 
-    The effects of an indicator, such as failure, are -1, 0 or 1: its mu* has the exact interval of a proportion, whose
-    upper end bounds sigma^2 too.
+    The intervals are Student's t, for sigma by the jackknife: the scatter of sigma when one trajectory is left out. The
+    effects of an indicator, such as failure, are -1, 0 or 1. Its mu* is a proportion and has the exact interval, whose
+    upper end bounds sigma^2, too.
 
     Args:
         effects: Elementary effects, shape (factors, trajectories).
         confidence: Confidence of the intervals.
 
     Returns:
-        Estimate, lower and upper end of mu*, shape (factors, 3), and those of sigma.
+        Estimate, lower and upper end of mu*, shape (factors, 3), and of sigma, shape (factors, 3).
     """
     count = effects.shape[1]
-    reach = special.stdtrit(count - 1, 0.5 * (1.0 + confidence)) / math.sqrt(count)
+    reach = special.stdtrit(count - 1, 0.5 * (1.0 + confidence)) / math.sqrt(count)  # in standard deviations
     sizes = np.abs(effects)
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
     variances_without_one = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    parts = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # sigma without one trajectory, (n - 1) times
+    jackknife_values = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # up to constants of a factor
     size_table = interval_table(sizes.mean(1), reach * sizes.std(1, ddof=1))
-    spread_table = interval_table(spread, reach * parts.std(1, ddof=1))
-    if np.all(np.isin(sizes, (0.0, 1.0))):
+    spread_table = interval_table(spread, reach * jackknife_values.std(1, ddof=1))
+    is_indicator = np.all(np.isin(sizes, (0.0, 1.0)))
+    if is_indicator:
         size_table[:, 1:] = clopper_pearson(np.count_nonzero(sizes, axis=1), count, confidence)
         spread_table[:, 2] = np.sqrt(size_table[:, 2])
     return size_table, spread_table
 
 
 def interval_table(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Estimates of nonnegative numbers with symmetric intervals, cut at 0; shape (factors, 3).
+    """Estimate, lower and upper end of nonnegative numbers with symmetric intervals, cut at 0; shape (factors, 3).
 
     Args:
         estimate: Shape (factors,).
@@ -98,10 +102,10 @@ def interval_table(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def trajectory_count(study: Study, noisy: bool = False) -> int:
-    """The number of trajectories that the study's draws allow, if the study can be screened.
+    """The number of trajectories that the study's draws allow, each of which takes a simulation more than factors.
 
     Args:
-        study: The study.
+        study: The study; its number of draws is the largest number of simulations.
         noisy: Whether in-loop noise is a factor.
 
     Raises:
@@ -132,11 +136,12 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     factors = laws + noisy
     levels, order = trajectories(count, factors, (study.config.seed, stream("morris")))
     indices = np.tile(np.arange(count), (factors + 1, 1))
-    if noisy:
-        indices = np.where(levels[..., laws] == levels[0, :, laws], indices, indices + count)
+    if noisy:  # its factor has the index laws, and moves by another draw index
+        has_moved = levels[..., laws] != levels[0, :, laws]
+        indices = np.where(has_moved, indices + count, indices)
     return RowDesign(
         count,
-        [RowSample(*pair) for pair in zip(levels[..., :laws], indices, strict=True)],
+        samples=[RowSample(levels[move, :, :laws], indices[move]) for move in range(factors + 1)],
         refusal=lambda values: "does not vary" if np.ptp(values) == 0.0 else None,
         quantities=lambda values: screening(elementary_effects(values, levels, order), confidence),
     )

@@ -15,16 +15,16 @@ from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
-NOISE = "in-loop noise"
-FAILURE = "failure"
-REPLICATES = 8
+NOISE = "in-loop noise"  # name of the factor
+FAILURE = "failure"  # name of the output
+REPLICATES = 8  # independent randomisations of a design, whose scatter gives the intervals
 SMALLEST = 256  # least number of rows
 FEWEST_ROWS = 20  # rows that must carry an output's variance; with fewer an interval of 95 % is of length 0.6 or more
 PLANNED_ROWS = 30  # carrying rows that a refusal plans for, so that the next run is not refused by chance
 
 
 class RowSample(NamedTuple):
-    """Points to simulate, one for each row of a design.
+    """Points to simulate, a point for each row of a design.
 
     Args:
         levels: Quantile levels of the laws, correlations included, shape (rows, laws).
@@ -42,7 +42,8 @@ class RowDesign(NamedTuple):
         rows: Number of rows of each sample.
         samples: The samples to simulate.
         refusal: (values of an output, shape (samples, rows)) -> why it gets no quantities; None if it gets them.
-        quantities: (values of an output) -> the quantities, each with estimate, lower and upper end, (factors, 3).
+        quantities: (values of an output, shape (samples, rows)) -> the quantities, each with estimate, lower and upper
+            end in the columns, shape (factors, 3).
     """
 
     rows: int
@@ -54,7 +55,8 @@ class RowDesign(NamedTuple):
 def effective_row_count(f_a: np.ndarray, f_b: np.ndarray) -> float:
     """The effective number of rows from which the variance of an output comes, by its kurtosis.
 
-    For an indicator it is about the number of rows in the rarer class: n p (1-p)/(1 - 3 p (1-p)).
+    It tells whether a few extreme rows decide the variance. For an indicator with the mean p, such as failure, it is
+    n p (1 - p)/(1 - 3 p (1 - p)) of n rows, about the number of rows in the rarer class.
 
     Args:
         f_a: A varying output at the rows of sample A, shape (rows,).
@@ -66,7 +68,7 @@ def effective_row_count(f_a: np.ndarray, f_b: np.ndarray) -> float:
 
 
 def refusal_reason(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
-    """Why the samples of an output do not suffice for indices, in words; None if they do.
+    """Why the samples of an output do not suffice for indices, in words; None if they suffice.
 
     Args:
         f_a: Output at the rows of sample A, shape (rows,).
@@ -103,7 +105,7 @@ def row_count(study: Study) -> int:
 
 
 def require_uncorrelated(study: Study, claim: str) -> None:
-    """Require uncertain numbers that are independent.
+    """Refuse a study whose uncertain numbers are correlated.
 
     Args:
         study: The study.

@@ -16,13 +16,16 @@ from dssc_jax.results.result import headline_measure
 from dssc_jax.study import Study
 
 ENDS = {"": "", "_low": ", lower end of its interval", "_high": ", upper end of its interval"}
-"""Suffixes of a quantity and of the ends of its interval in the dataset."""
+"""Suffixes of a quantity and of the ends of its interval in the dataset, and what each adds to its meaning."""
 OUTPUT_UNIT = "that of the output"
 
 
 @dataclass(frozen=True)
 class SobolFactor:
-    """Sobol indices of a factor, not clipped: below 0 means about 0."""
+    """Sobol indices of a factor: the share of an output's variance that it explains alone, and with interactions.
+
+    Estimates are not clipped: below 0 means about 0.
+    """
 
     first: Annotated[float, Quantity("1", "first-order index")]
     first_interval: Annotated[tuple[float, float], Quantity("1", "interval of the first-order index")]
@@ -32,7 +35,7 @@ class SobolFactor:
 
 @dataclass(frozen=True)
 class ShapleyFactor:
-    """Shapley effect of a factor."""
+    """Shapley effect of a factor: its share of an output's variance, averaged over the orders of becoming known."""
 
     effect: Annotated[float, Quantity("1", "Shapley effect: share of the variance")]
     effect_interval: Annotated[tuple[float, float], Quantity("1", "interval of the Shapley effect")]
@@ -40,7 +43,7 @@ class ShapleyFactor:
 
 @dataclass(frozen=True)
 class MorrisFactor:
-    """Elementary effects of a factor."""
+    """Size and spread of a factor's elementary effects: the changes of an output when the factor alone moves."""
 
     size: Annotated[float, Quantity(OUTPUT_UNIT, "mu*: mean size of an elementary effect")]
     size_interval: Annotated[tuple[float, float], Quantity(OUTPUT_UNIT, "its interval")]
@@ -61,14 +64,14 @@ class SensitivityMeasure:
 
 
 class SensitivityMethod(NamedTuple):
-    """A method of sensitivity analysis, in words.
+    """What a method of sensitivity analysis computes for each factor, in words for tables, figures and answers.
 
     Args:
-        title: Name of its quantities together.
+        title: What its quantities are called together.
         quantities: The quantities by name.
-        factor: Type of the answer for a factor; its arguments are estimate and interval of each quantity.
+        factor: Type of the answer for a factor; its arguments are estimate and interval of each quantity in turn.
         ranking: Name of the quantity by which factors are ranked.
-        interval: Name of the intervals' method.
+        interval: How the intervals are computed.
     """
 
     title: str
@@ -80,7 +83,7 @@ class SensitivityMethod(NamedTuple):
 
 @dataclass(frozen=True)
 class SensitivityAnswer:
-    """Which uncertain numbers every output depends on."""
+    """The answer of a sensitivity analysis: how much every output depends on each uncertain number."""
 
     method: Annotated[str, Quantity("", "name of the method")]
     title: Annotated[str, Quantity("", "what its quantities are called together")]
@@ -100,10 +103,10 @@ class SensitivityAnswer:
 class Sensitivity(Analysis):
     """Sensitivity of every output of a study to its uncertain numbers.
 
-    The dataset has along ``output`` (every metric, and ``failure``) and ``factor`` (the uncertain numbers, then the
-    in-loop noise if there is any) the quantities of the method with the ends of their intervals, such as ``total``,
-    ``total_low`` and ``total_high``. They are NaN if an output has none. Along ``output`` it has ``missing``, the
-    number of simulations without a value.
+    The dimension ``output`` of the dataset holds every metric and ``failure``. The dimension ``factor`` holds the
+    uncertain numbers, then the in-loop noise if there is any. Along both, the dataset has the quantities of the method
+    with the ends of their intervals, such as ``total``, ``total_low`` and ``total_high``. They are NaN for an output
+    without quantities. Along ``output`` it has ``missing``, the number of simulations without a value.
 
     Args:
         method: Name of the method, see :func:`dssc_jax.sensitivity`.
@@ -125,12 +128,12 @@ class Sensitivity(Analysis):
 
     @property
     def description(self) -> SensitivityMethod:
-        """The method in words."""
+        """What the method computes, in words."""
         return DESCRIPTIONS[self.method]
 
     @property
     def factors(self) -> tuple[str, ...]:
-        """Names of the factors."""
+        """Names of the factors: the uncertain numbers, then the in-loop noise if there is any."""
         return tuple(map(str, self.dataset["factor"].values))
 
     @property
@@ -139,11 +142,13 @@ class Sensitivity(Analysis):
 
         An output without quantities has None. Estimates of indices are not clipped: below 0 means about 0.
         """
-        names = map(str, self.dataset["output"].values)
-        return {name: None if name in self.reasons else self._quantities(name) for name in names}
+        outputs = {}
+        for name in map(str, self.dataset["output"].values):
+            outputs[name] = None if name in self.reasons else self._quantities(name)
+        return outputs
 
     def _quantities(self, output: str) -> dict[str, np.ndarray]:
-        """The quantities of one output by name, with estimate, lower and upper end, shape (factors, 3) each."""
+        """The quantities of an output by name, with estimate, lower and upper end, shape (factors, 3) each."""
         data = self.dataset.sel(output=output)
         quantities = {}
         for name in self.description.quantities:
@@ -156,11 +161,12 @@ class Sensitivity(Analysis):
         answered_outputs = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
         if not answered_outputs:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
+        output = answered_outputs[0]
         ranking = self.description.ranking
-        values = self.dataset[ranking].sel(output=answered_outputs[0])
-        first = int(np.argmax(values.values))
+        values = self.dataset[ranking].sel(output=output).values
+        top = int(np.argmax(values))
         meaning = self.description.quantities[ranking].meaning
-        return f"{answered_outputs[0]} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
+        return f"{output} depends most on {self.factors[top]}: {meaning} {float(values[top]):.3g}"
 
     def figure(self) -> Figure:
         """Plot what failure and the headline metric depend on, with intervals."""
@@ -188,13 +194,14 @@ class Sensitivity(Analysis):
         )
 
     def _factor_answers(self, quantities: Mapping[str, np.ndarray]) -> dict[str, Factor]:
-        """The answer for each factor, from the quantities of one output."""
+        """The answer for each factor by name, from the quantities of an output, shape (factors, 3) each."""
         answers = {}
-        for factor, estimates in zip(self.factors, np.stack(list(quantities.values()), axis=1), strict=True):
-            numbers = []
-            for estimate, low, high in estimates.tolist():
-                numbers += [estimate, (low, high)]
-            answers[factor] = self.description.factor(*numbers)
+        for row, factor in enumerate(self.factors):
+            arguments = []
+            for table in quantities.values():
+                estimate, low, high = table[row].tolist()
+                arguments += [estimate, (low, high)]
+            answers[factor] = self.description.factor(*arguments)
         return answers
 
 
@@ -236,7 +243,7 @@ def sensitivity_dataset(
     outputs: Mapping[str, tuple[np.ndarray, ...] | None],
     missing: Mapping[str, int],
 ) -> xr.Dataset:
-    """The dataset of :class:`Sensitivity`.
+    """The dataset of :class:`Sensitivity`: every quantity and the ends of its interval, by output and factor.
 
     Args:
         study: The study.
@@ -248,11 +255,12 @@ def sensitivity_dataset(
     blank = np.full((len(factors), len(ENDS)), np.nan)
     columns = {}
     for place, (name, measure) in enumerate(DESCRIPTIONS[method].quantities.items()):
-        values = np.stack([quantities[place] if quantities else blank for quantities in outputs.values()])
+        tables = [blank if quantities is None else quantities[place] for quantities in outputs.values()]
+        values = np.stack(tables)
         unit = "1" if measure.share else "the output's"
-        for end, (suffix, side) in enumerate(ENDS.items()):
-            attributes = unit_and_meaning(unit, measure.meaning + side)
-            columns[name + suffix] = (("output", "factor"), values[..., end], attributes)
+        for column, (suffix, end) in enumerate(ENDS.items()):
+            attributes = unit_and_meaning(unit, measure.meaning + end)
+            columns[name + suffix] = (("output", "factor"), values[..., column], attributes)
     counts = np.array(list(missing.values()))
     columns["missing"] = (("output",), counts, unit_and_meaning("1", "simulations without a value"))
     coords = {
@@ -263,7 +271,7 @@ def sensitivity_dataset(
 
 
 def shown_outputs(study: Study, refused: Collection[str]) -> list[str]:
-    """The main outputs: failure, and the headline metric, or if that has no quantities the first required metric.
+    """The main outputs: failure, and the headline metric, or if it has no quantities the first required metric.
 
     Args:
         study: The study.
@@ -272,4 +280,5 @@ def shown_outputs(study: Study, refused: Collection[str]) -> list[str]:
     headline = headline_measure(study).name
     metrics = [headline, *(requirement.measure.name for requirement in study.requirements)]
     answered = [name for name in metrics if name not in refused]
-    return list(dict.fromkeys((FAILURE, *(answered or metrics)[:1])))
+    main_metric = answered[0] if answered else headline
+    return list(dict.fromkeys([FAILURE, main_metric]))  # each name once

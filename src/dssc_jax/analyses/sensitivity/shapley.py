@@ -4,12 +4,12 @@ The effect of a factor is the variance that it explains when it becomes known af
 orders in which the factors may become known. The effects are never negative and sum to 1. For independent factors each
 lies between the first-order and the total Sobol index.
 
-Every row has a random order of the factors and two independent points. Its simulations are chained: the first takes
-all factors from the second point, and each further one takes one more factor, in that order, from the first point. With
-correlated numbers the others follow their conditional law, since the normal scores of the Gaussian copula are mixed by
-the Cholesky factor of the correlation in that order. So the pair of the last simulation and the k-th shares exactly
-the first k factors, and half its mean square difference is the variance that these leave unexplained. In-loop noise
-is one more factor, independent of the numbers.
+Every row has a random order of the factors and two independent points. Its simulations are chained: the first takes all
+factors from the second point, and each further simulation takes a further factor, in that order, from the first point.
+With correlated numbers the others follow their conditional law, since the normal scores of the Gaussian copula are
+mixed by the Cholesky factor of the correlation in that order. So the pair of the last simulation and the k-th shares
+exactly the first k factors, and half its mean square difference is the variance that these leave unexplained. In-loop
+noise is one more factor, independent of the numbers.
 
 Reference:
     E. Song, B. L. Nelson, J. Staum, SIAM/ASA Journal on Uncertainty Quantification 4 (2016) 1060-1083; A. B. Owen,
@@ -27,7 +27,7 @@ from dssc_jax.analyses.sensitivity.outputs import (
     refusal_reason,
     row_count,
 )
-from dssc_jax.analyses.sensitivity.sobol import saltelli
+from dssc_jax.analyses.sensitivity.sobol import saltelli_samples
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator, inside_cube, mixing
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
@@ -35,18 +35,24 @@ from dssc_jax.study import Study
 
 
 def random_orders(rows: int, factors: int, seeds: tuple[int, ...]) -> np.ndarray:
-    """A random order of the factors for each row, shape (rows, factors).
+    """The order in which the factors become known in each row, as indices of factors, shape (rows, factors).
 
-    The orders come in pairs, one the reverse of the other, which lowers the variance. Both are of one replicate.
+    The orders are random, but come in pairs: the second is the reverse of the first, which lowers the variance. Both
+    rows of a pair belong to the same replicate (row i belongs to replicate i mod R).
     """
     orders = generator(*seeds).permuted(np.tile(np.arange(factors), (rows // 2, 1)), axis=1)
     reverses = orders[:, ::-1]
-    shape = (-1, REPLICATES, factors)
-    return np.stack([orders.reshape(shape), reverses.reshape(shape)], axis=1).reshape(rows, factors)
+    by_replicate = (-1, REPLICATES, factors)
+    pairs = np.stack([orders.reshape(by_replicate), reverses.reshape(by_replicate)], axis=1)
+    return pairs.reshape(rows, factors)
 
 
 def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Correlated normal scores of the chained simulations: the module tells how they are mixed.
+    """Correlated normal scores of the chained simulations, which take over the first point factor by factor.
+
+    The simulation k takes the first k factors of the order from the first point, and the others from the second. The
+    Cholesky factor of the correlation in this order mixes the independent scores, so that the others follow their
+    conditional law given the first k factors.
 
     Args:
         correlation: Correlation of the scores, shape (factors, factors).
@@ -55,47 +61,55 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
         order: The order in which the factors become known, shape (rows, factors).
 
     Returns:
-        Shape (factors + 1, rows, factors); the k-th shares the first k factors of the order with the last.
+        Scores of the factors in simulations 0 to factors, shape (factors + 1, rows, factors).
     """
     factors = order.shape[1]
     cholesky = np.linalg.cholesky(correlation[order[:, :, None], order[:, None, :]])
     first_in_order = np.take_along_axis(first, order, axis=1)
     second_in_order = np.take_along_axis(second, order, axis=1)
-    is_from_first = np.arange(factors) < np.arange(factors + 1)[:, None]
-    mixed = np.einsum("rij,krj->kri", cholesky, np.where(is_from_first[:, None, :], first_in_order, second_in_order))
-    scores = np.empty_like(mixed)
-    np.put_along_axis(scores, np.broadcast_to(order, mixed.shape), mixed, axis=2)
+    is_from_first = np.arange(factors) < np.arange(factors + 1)[:, None]  # (simulations, places in the order)
+    independent = np.where(is_from_first[:, None, :], first_in_order, second_in_order)
+    scores_in_order = np.einsum("rij,krj->kri", cholesky, independent)
+    scores = np.empty_like(scores_in_order)
+    np.put_along_axis(scores, np.broadcast_to(order, scores.shape), scores_in_order, axis=2)
     return scores
 
 
 def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-    """Shapley effects of one output with their intervals.
+    """Shapley effects of an output, the share of its variance that each factor explains, with their intervals.
 
-    With f_k the value of the k-th simulation of a row, the factor at place k of its order gets
-    ((f_last - f_(k-1))^2 - (f_last - f_k)^2)/2, whose mean is the variance that it adds to what is explained. Relative
-    to the mean of (f_last - f_0)^2/2 these sum to 1. The interval of this ratio is linearised, and is widened by what
-    this number of rows may have missed, as for Sobol indices.
+    Half the squared difference of the last simulation and simulation k has as its mean the variance that the first k
+    factors leave unexplained. Its fall from k - 1 to k is the part of the factor at place k of the order. The interval
+    of this part's ratio to the variance is linearised. What this number of rows may have missed widens it.
 
     Args:
         values: Outputs of the chained simulations, shape (factors + 1, rows); row i belongs to replicate i mod R.
-        order: The orders, shape (rows, factors).
+        order: The order in which the factors become known, shape (rows, factors).
         confidence: Confidence of the intervals.
 
     Returns:
-        Estimate, lower and upper end, shape (factors, 3).
+        Estimate, lower and upper end, shape (factors, 3). The estimates sum to 1.
     """
-    squares = 0.5 * (values[-1] - values) ** 2
-    shares = np.empty_like(squares[1:])
-    np.put_along_axis(shares, order.T, squares[:-1] - squares[1:], axis=0)
-    variance = squares[0]
-    effects = shares.mean(1, keepdims=True) / variance.mean()
-    low, high = replicate_interval((shares - effects * variance) / variance.mean(), REPLICATES, confidence).T
-    half = np.hypot(0.5 * (high - low), unseen(effective_row_count(values[0], values[-1]), confidence))[:, None]
+    unexplained = 0.5 * (values[-1] - values) ** 2
+    parts = np.empty_like(unexplained[1:])  # by factor and row
+    np.put_along_axis(parts, order.T, unexplained[:-1] - unexplained[1:], axis=0)
+    variance = unexplained[0]
+    effects = parts.mean(1, keepdims=True) / variance.mean()
+    low, high = replicate_interval((parts - effects * variance) / variance.mean(), REPLICATES, confidence).T
+    missed = unseen(effective_row_count(values[0], values[-1]), confidence)
+    half = np.hypot(0.5 * (high - low), missed)[:, None]
     return np.concatenate([effects, effects - half, effects + half], axis=1)
 
 
 def normal_scores(points: np.ndarray, noisy: bool) -> np.ndarray:
-    """Normal scores of points of the unit cube, shape (rows, laws); with a further column of 0 for in-loop noise."""
+    """Standard normal scores of the factors at points of the unit cube, shape (rows, factors).
+
+    In-loop noise has the last column, with the score 0: draw indices, not scores, decide it.
+
+    Args:
+        points: Points of the unit cube, shape (rows, laws).
+        noisy: Whether in-loop noise is a factor.
+    """
     scores = special.ndtri(inside_cube(points))
     return np.pad(scores, ((0, 0), (0, int(noisy))))
 
@@ -118,16 +132,17 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     correlation = np.eye(laws + noisy)
     matrix = mixing(study)
     correlation[:laws, :laws] = matrix @ matrix.T
-    first, second = saltelli(rows, laws, seeds)
+    first, second = saltelli_samples(rows, laws, seeds)
     chain = chained_scores(correlation, normal_scores(first, noisy), normal_scores(second, noisy), order)
     levels = inside_cube(special.ndtr(chain[..., :laws]))
     indices = np.tile(np.arange(rows), (len(chain), 1))
-    if noisy:
-        place = np.argmax(order == laws, axis=1)
-        indices = np.where(place < np.arange(len(chain))[:, None], indices, indices + rows)
+    if noisy:  # its factor has the index laws; until it becomes known, a row has the second point's noise
+        place_of_noise = np.argmax(order == laws, axis=1)
+        is_known = place_of_noise < np.arange(len(chain))[:, None]
+        indices = np.where(is_known, indices, indices + rows)
     return RowDesign(
         rows,
-        [RowSample(*pair) for pair in zip(levels, indices, strict=True)],
+        samples=[RowSample(levels[k], indices[k]) for k in range(len(chain))],
         refusal=lambda values: refusal_reason(values[-1], values[0]),
         quantities=lambda values: (shapley_effects(values, order, confidence),),
     )

@@ -5,7 +5,7 @@ with the column of i from B. The indices follow from the pairs (B, AB_i), which 
 all but i. In-loop noise is one more factor: A's rows have their own draw indices and B's rows others.
 
 The rows are independent replicates of a scrambled Sobol sequence. The intervals are Student's t over the replicates.
-An output whose variance comes from only a few rows, as that of a rare failure does, is refused: no interval would hold.
+An output whose variance comes from only a few rows, such as a rare failure, is refused: no interval would hold.
 """
 
 from typing import NamedTuple
@@ -32,7 +32,7 @@ SINGULAR = 1e-10  # relative size of a singular value that counts as 0 in the eq
 
 
 class SobolIndices(NamedTuple):
-    """Sobol indices of one output, each with estimate, lower and upper end; below 0 means about 0.
+    """Sobol indices of an output, each with estimate, lower and upper end; below 0 means about 0.
 
     Args:
         first: First-order indices, shape (factors, 3).
@@ -43,10 +43,11 @@ class SobolIndices(NamedTuple):
     total: np.ndarray
 
 
-def saltelli(rows: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The samples A and B, shape (rows, factors) each: the halves of a scrambled Sobol sequence's coordinates.
+def saltelli_samples(rows: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The samples A and B, shape (rows, factors) each: two independent points of the unit cube for each row.
 
-    Row i belongs to replicate i mod R. Each replicate is scrambled independently.
+    They are the two halves of the coordinates of a scrambled Sobol sequence. Row i belongs to replicate i mod R, and
+    each of the R replicates is scrambled independently.
     """
     nets = [sobol_points(2 * factors, 0, rows // REPLICATES, (*seeds, r)) for r in range(REPLICATES)]
     points = np.stack(nets, axis=1).reshape(rows, 2 * factors)
@@ -60,14 +61,16 @@ def sobol_indices(
     confidence: float = CONFIDENCE,
     chaos: Chaos | None = None,
 ) -> SobolIndices:
-    """First-order and total indices of one output with their intervals.
+    """First-order index S_i and total index S_Ti of an output for each factor i, with their intervals.
 
-    With centred outputs, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), with V the variance over A and B.
-    The ratio is linearised. The half length of the interval adds two parts as squares: Student's t interval over the
-    replicates, and what this number of carrying rows may have missed. (If a factor changes no row the former is 0.)
+    S_i is the share of the variance that the factor explains alone, S_Ti its share with all interactions. With centred
+    outputs f, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), where V is the variance over A and B.
+
+    The interval of such a ratio is linearised. Its half length adds two parts as squares: Student's t interval over the
+    replicates, which is 0 if a factor changes no row, and what this number of rows may have missed.
 
     Args:
-        f_a: Output at A, shape (rows,); row i belongs to replicate i mod R, see :func:`saltelli`.
+        f_a: Output at A, shape (rows,); row i belongs to replicate i mod R, see :func:`saltelli_samples`.
         f_b: Output at B, shape (rows,).
         f_ab: Output at AB_i, shape (factors, rows).
         confidence: Confidence of the intervals.
@@ -83,68 +86,84 @@ def sobol_indices(
     f_a = f_a - middle
     f_b = f_b - middle
     f_ab = f_ab - middle
-    variance = 0.5 * (f_a**2 + f_b**2)
-    shares = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # a row's share of each numerator
+    variance_terms = 0.5 * (f_a**2 + f_b**2)  # their mean over the rows is V
+    numerators = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # of all S_i, then of all S_Ti, for each row
     predicted = None if chaos is None else chaos.predict(np.stack([f_a, f_b, *f_ab]))
     if predicted is not None:
-        shares, variance = correct_shares(shares, variance, predicted)
+        numerators, variance_terms = correct_terms(numerators, variance_terms, predicted)
     if effective_rows**2 / len(f_a) >= JOINT:
-        pairs = zip(shares, [*f_ab, *f_ab], strict=True)
-        shares = np.stack([control_shares(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
-    indices = shares.mean(1, keepdims=True) / variance.mean()
-    low, high = replicate_interval((shares - indices * variance) / variance.mean(), REPLICATES, confidence).T
+        for place, numerator in enumerate(numerators):  # both indices of a factor belong to the same AB_i
+            controls = control_variates(f_a, f_b, f_ab[place % len(f_ab)])
+            numerators[place] = subtract_controls(numerator, variance_terms, controls)
+    indices = numerators.mean(1, keepdims=True) / variance_terms.mean()
+    deviations = (numerators - indices * variance_terms) / variance_terms.mean()
+    low, high = replicate_interval(deviations, REPLICATES, confidence).T
     half = np.hypot(0.5 * (high - low), unseen(effective_rows, confidence))[:, None]
     table = np.concatenate([indices, indices - half, indices + half], axis=1)
-    return SobolIndices(table[: len(f_ab)], table[len(f_ab) :])
+    return SobolIndices(first=table[: len(f_ab)], total=table[len(f_ab) :])
 
 
-def correct_shares(
-    shares: np.ndarray, variance: np.ndarray, predicted: ChaosPrediction
+def correct_terms(
+    numerators: np.ndarray, variance_terms: np.ndarray, predicted: ChaosPrediction
 ) -> tuple[np.ndarray, np.ndarray]:
     """Replace the predicted part of numerators and variance by its exact mean, which lowers their scatter.
 
     Args:
-        shares: Each row's share of the numerator of each index, shape (2 factors, rows).
-        variance: Each row's share of the variance, shape (rows,).
-        predicted: The prediction of the output.
+        numerators: Each row's term of the numerators of all first-order, then all total indices,
+            shape (2 factors, rows).
+        variance_terms: Each row's term of the variance, shape (rows,).
+        predicted: The prediction g of the output.
 
     Returns:
-        The corrected shares and variance, of the same shapes.
+        The corrected terms of numerators and variance, of the same shapes.
     """
     g_a, g_b = predicted.values[:2]
     g_ab = predicted.values[2:]
-    replicate = np.arange(len(variance)) % REPLICATES
-    missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, on which the prediction does not depend
-    means = [np.pad(part, ((0, 0), (0, missing)))[replicate].T for part in (predicted.alone, predicted.total)]
-    predicted_deviations = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
-    return shares - predicted_deviations, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
+    replicate = np.arange(len(variance_terms)) % REPLICATES
+    noise_factors = len(g_ab) - predicted.alone.shape[1]  # 1 or 0: the prediction does not depend on in-loop noise
+    zeros = np.zeros((REPLICATES, noise_factors))
+    exact_means = np.concatenate([predicted.alone, zeros, predicted.total, zeros], axis=1)
+    predicted_numerators = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2])
+    predicted_terms = 0.5 * (g_a**2 + g_b**2)
+    corrected_numerators = numerators - (predicted_numerators - exact_means[replicate].T)
+    return corrected_numerators, variance_terms - (predicted_terms - predicted.variance[replicate])
 
 
-def control_shares(
-    share: np.ndarray, variance: np.ndarray, f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray
-) -> np.ndarray:
-    """Subtract from a numerator the combination of control variates that minimises the variance of its index.
+def control_variates(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray) -> np.ndarray:
+    """Products of the centred outputs whose mean is known to be 0, shape (rows, 3).
 
-    The controls f_A f_B, (f_AB^2 - f_A^2)/2 and (f_A^2 - f_B^2)/2 have mean 0. The first alone turns f_B f_AB into
-    Saltelli's estimator of a first-order index, the second alone into Jansen's; neither is better for every index.
-    Coefficients are fitted by least squares. Those of a replicate come from all other replicates, so the index stays
-    unbiased and the scatter between replicates is not fitted away.
+    The first alone turns the numerator f_B f_AB into Saltelli's estimator of a first-order index, the second alone into
+    Jansen's; neither is better for every index.
 
     Args:
-        share: Each row's share of the numerator, shape (rows,).
-        variance: Each row's share of the variance, shape (rows,).
         f_a: Centred output at A, shape (rows,).
         f_b: Centred output at B, shape (rows,).
-        f_ab: Centred output at the AB_i of this index, shape (rows,).
+        f_ab: Centred output at the AB_i of an index, shape (rows,).
     """
-    controls = np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
-    target = share - variance * (share.mean() / variance.mean())
-    replicates = controls.reshape(-1, REPLICATES, 3)
-    squares = np.einsum("nri,nrj->rij", replicates, replicates)
-    products = np.einsum("nri,nr->ri", replicates, target.reshape(-1, REPLICATES))
+    return np.stack([f_a * f_b, 0.5 * (f_ab**2 - f_a**2), 0.5 * (f_a**2 - f_b**2)], axis=1)
+
+
+def subtract_controls(numerator: np.ndarray, variance_terms: np.ndarray, controls: np.ndarray) -> np.ndarray:
+    """Subtract from a numerator the combination of control variates that minimises the variance of its index.
+
+    Coefficients are fitted by least squares. The coefficients of a replicate come from all other replicates, so the
+    index stays unbiased, and the scatter between replicates is not fitted away.
+
+    Args:
+        numerator: Each row's term of the numerator, shape (rows,).
+        variance_terms: Each row's term of the variance, shape (rows,).
+        controls: Control variates of each row, shape (rows, 3).
+
+    Returns:
+        Each row's term of the numerator, with less scatter, shape (rows,).
+    """
+    target = numerator - variance_terms * (numerator.mean() / variance_terms.mean())
+    by_replicate = controls.reshape(-1, REPLICATES, controls.shape[1])  # (rows of a replicate, replicates, controls)
+    squares = np.einsum("nri,nrj->rij", by_replicate, by_replicate)
+    products = np.einsum("nri,nr->ri", by_replicate, target.reshape(-1, REPLICATES))
     inverse = np.linalg.pinv(squares.sum(0) - squares, rcond=SINGULAR, hermitian=True)
     coefficients = np.einsum("rij,rj->ri", inverse, products.sum(0) - products)
-    return share - np.einsum("nri,ri->nr", replicates, coefficients).reshape(-1)
+    return numerator - np.einsum("nri,ri->nr", by_replicate, coefficients).reshape(-1)
 
 
 def sobol_rows(study: Study) -> int:
@@ -169,16 +188,18 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         ConfigError: Inputs are correlated, or there are too few draws.
     """
     rows = sobol_rows(study)
-    factors = len(study.laws)
-    a, b = map(inside_cube, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
+    laws = len(study.laws)
+    a, b = saltelli_samples(rows, laws, (study.config.seed, stream("saltelli")))
+    a = inside_cube(a)
+    b = inside_cube(b)
     indices_a = np.arange(rows)
     indices_b = np.arange(rows, 2 * rows)
     samples = [RowSample(a, indices_a), RowSample(b, indices_b)]
-    for column in range(factors):
+    for column in range(laws):
         mixed = a.copy()
         mixed[:, column] = b[:, column]
         samples.append(RowSample(mixed, indices_a))
-    if noisy:
+    if noisy:  # AB_i of the in-loop noise
         samples.append(RowSample(a, indices_b))
     chaos = Chaos(np.stack([sample.levels for sample in samples]), REPLICATES)
     return RowDesign(

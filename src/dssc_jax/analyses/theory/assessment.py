@@ -1,4 +1,4 @@
-"""Theory and simulation combined: how far one number of a loop can change according to each."""
+"""Theory and simulation combined: how far a number of a loop can change according to each."""
 
 import time
 from collections.abc import Mapping
@@ -29,15 +29,15 @@ from dssc_jax.study.actuators import kind_in
 VALUES = 9  # time constants at which oscillations are computed
 PUSH = 1e-3  # initial output of these oscillations [output]
 SETTLED = 0.75  # share of the duration after which oscillations have settled
-PERFORMANCE = "performance"
-OSCILLATIONS = "oscillations"
+PERFORMANCE = "performance"  # name of the simulated margins
+OSCILLATIONS = "oscillations"  # name under which their absence is reported
 OSCILLATION = ("amplitude", "predicted", "frequency")
 """Variables of an oscillation's dataset."""
 
 
 @dataclass(frozen=True)
 class TheoremAnswer:
-    """What Theorem 1 says of the number."""
+    """How far the number may change by Theorem 1, for all draws at once."""
 
     certified: Annotated[float | None, Quantity(PARAMETER_UNIT, "last value that Theorem 1 certifies for all draws")]
     text: Annotated[str, Quantity("", "what Theorem 1 certifies, in words")]
@@ -45,7 +45,7 @@ class TheoremAnswer:
 
 @dataclass(frozen=True)
 class CriticalStatistics:
-    """Statistics of the draws' critical values by one method."""
+    """Statistics of the values at which the draws begin to fail, by simulation or by a linearisation."""
 
     criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None if it lies before the start")]
@@ -58,13 +58,13 @@ class CriticalStatistics:
 
     @classmethod
     def of(cls, answer: MarginAnswer) -> Self:
-        """The statistics that an answer for margins has."""
-        return cls(*(getattr(answer, field.name) for field in fields(cls)))
+        """The statistics within an answer for margins, whose fields have the same names."""
+        return cls(**{field.name: getattr(answer, field.name) for field in fields(cls)})
 
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A controller's oscillation over the time constant of the unmodelled dynamics."""
+    """A controller's oscillation at several time constants of the unmodelled dynamics, shape (n,) each."""
 
     mu: Annotated[np.ndarray, Quantity("s", "time constants")]
     amplitude: Annotated[np.ndarray, Quantity("output/s", "simulated amplitude of sigma")]
@@ -74,7 +74,7 @@ class Oscillation:
 
 @dataclass(frozen=True)
 class TheoryAnswer:
-    """The margins of one number by theory and by simulation."""
+    """The answer of an assessment: the margins of a number by theory and by simulation."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
     unit: Annotated[str, Quantity("", "unit of the number")]
@@ -92,13 +92,13 @@ class TheoryAnswer:
 
 @dataclass(eq=False)
 class Assessment(Analysis):
-    """The margins of one number by Theorem 1, linearisation, describing functions and Monte Carlo.
+    """The margins of a number by Theorem 1, linearisation, describing functions and Monte Carlo.
 
-    The dataset is that of :class:`dssc_jax.analyses.margins.Margins` with the additional dimension ``margin``, and the
-    return value of :func:`chattering` with the additional dimension ``controller``.
+    The dataset merges the datasets of :class:`dssc_jax.analyses.margins.Margins`, along the additional dimension
+    ``margin``, and the return values of :func:`chattering`, along the additional dimension ``controller``.
 
     Args:
-        parts: What the dataset does not say of the margins ``performance``, ``sampled`` and ``continuous``.
+        parts: What the dataset does not say of the margins ``performance``, ``sampled`` and ``continuous``, by name.
         oscillating: Attributes of the oscillations' datasets, by controller.
         edge: Local critical value with all laws at their medians, if the number is the time constant of the unmodelled
             dynamics [s]; None if there is none.
@@ -126,14 +126,14 @@ class Assessment(Analysis):
         not_covered: dict[str, str],
         seconds: float,
     ) -> Self:
-        """Create the assessment from its parts.
+        """The assessment of margins and oscillations, which it joins in a dataset.
 
         Args:
             performance: Simulated margins for the requirements.
             local: Margins of the linearised loop, by kind.
             oscillations: The return value of :func:`chattering`, by controller.
-            edge: See the class.
-            not_covered: See the class.
+            edge: Local critical time constant with all laws at their medians [s]; None if there is none.
+            not_covered: The reason why one of these margins, or the oscillations, are missing, by name.
             seconds: Computing time [s].
         """
         margins = {PERFORMANCE: performance, **{kind.value: part for kind, part in local.items()}}
@@ -158,7 +158,7 @@ class Assessment(Analysis):
     @cached_property
     def all_margins(self) -> dict[str, Margins]:
         """All margins, by their names in :attr:`parts`."""
-        return split_margins(self.dataset, "margin", self.parts, lambda _: self.study)
+        return split_margins(self.dataset, "margin", self.parts, lambda name: self.study)
 
     @property
     def performance(self) -> Margins:
@@ -167,12 +167,12 @@ class Assessment(Analysis):
 
     @property
     def local(self) -> dict[Time, Margins]:
-        """Margins of the loop linearised at the origin, sampled and in continuous time."""
+        """Margins of the loop linearised at the origin, sampled and in continuous time, by kind."""
         return {Time(name): margins for name, margins in self.all_margins.items() if name != PERFORMANCE}
 
     @cached_property
     def oscillations(self) -> dict[str, xr.Dataset]:
-        """Oscillations over the time constant, simulated and by describing function, by controller."""
+        """Oscillations over the time constant, simulated and by describing function, by name of the controller."""
         oscillations = {}
         for name, attributes in self.oscillating.items():
             variables = self.dataset[list(OSCILLATION)].sel(controller=name, drop=True).variables
@@ -189,7 +189,9 @@ class Assessment(Analysis):
     @property
     def headline(self) -> str:
         """The median critical value by each method, in one line."""
-        margins = {"simulated": self.performance, **{kind.value: part for kind, part in self.local.items()}}
+        margins = {"simulated": self.performance}
+        for kind, local in self.local.items():
+            margins[kind.value] = local
         return f"median critical {self.performance.parameter}: {medians_text(margins)}"
 
     def figure(self) -> Figure:
@@ -202,8 +204,8 @@ class Assessment(Analysis):
         simulated = self.performance.answer
         oscillations = {}
         for name, oscillation in self.oscillations.items():
-            columns = {part: oscillation[part].values for part in OSCILLATION}
-            oscillations[name] = Oscillation(oscillation[self.performance.parameter].values, **columns)
+            columns = {variable: oscillation[variable].values for variable in OSCILLATION}
+            oscillations[name] = Oscillation(mu=oscillation[self.performance.parameter].values, **columns)
         return TheoryAnswer(
             parameter=simulated.parameter,
             unit=simulated.unit,
@@ -232,7 +234,7 @@ def assess(
     prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Assessment:
-    """Assess one number's critical value by Theorem 1, linearisation, describing functions and simulation.
+    """Assess a number's critical value by Theorem 1, linearisation, describing functions and simulation.
 
     Each method answers a different question. The theorem covers all draws and all states, but the loop without lag and
     sampling. A proof covers the sampled loop with its lag, for all plants of the laws at once. Eigenvalues cover small
@@ -259,21 +261,22 @@ def assess(
     study = study.without_sweep()
     local = {}
     not_covered = {}
-    edge = None
     for kind in Time:
         try:
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
+    edge = None
     if Time.SAMPLED in local and is_time_constant(study, over):
-        middle = study.override({**medians(study), "draws": 1})
-        critical = float(local_margin(middle, **walk).dataset["critical"].values[0])
+        median_study = study.override({**medians(study), "draws": 1})
+        critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])
         edge = None if np.isnan(critical) else critical
     oscillations = {}
     try:
         values = time_constants(study, over, bounds)
         after = SETTLED * study.config.loop.duration
-        for name, loop in {kind_in(study.config, "controller"): study, **(rivals or {})}.items():
+        loops = {kind_in(study.config, "controller"): study, **(rivals or {})}
+        for name, loop in loops.items():
             oscillations[name] = chattering(loop, values, push=PUSH, after=after)
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
@@ -281,7 +284,7 @@ def assess(
 
 
 def is_time_constant(study: Study, name: str) -> bool:
-    """Whether a dotted name is that of the time constant of the unmodelled dynamics."""
+    """Whether a dotted name belongs to the time constant of the unmodelled dynamics."""
     try:
         return time_constant_of(study) == name
     except ConfigError:
@@ -289,7 +292,7 @@ def is_time_constant(study: Study, name: str) -> bool:
 
 
 def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list[float]:
-    """The time constants at which oscillations are computed [s]: those within the walk that the sample time resolves.
+    """The time constants at which oscillations are computed [s], within the walk and resolved by the sample time.
 
     Args:
         study: The study.

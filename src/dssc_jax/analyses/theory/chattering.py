@@ -23,7 +23,7 @@ def time_constant_of(study: Study) -> str:
     Raises:
         ConfigError: They declare none.
     """
-    path = f"unmodelled.0.{study.loop.unmodelled[0].time_constant}"
+    path = f"unmodelled.0.{study.loop.unmodelled[0].time_constant}"  # within the loop's parameters; 0: only channel
     for name, number in study.numbers.items():
         if path in number.paths:
             return name
@@ -61,19 +61,21 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "metrics": {"after": after, "names": ["sigma_max"]},
         "sweep": {mu: [float(value) for value in values]},
     }
-    largest = running.run(resting.override({**medians(resting), **changes})).dataset["sigma_max"].values[:, 0]
-    predicted = np.full((len(values), 2), np.nan)
+    result = running.run(resting.override({**medians(resting), **changes}))
+    simulated_amplitude = result.dataset["sigma_max"].values[:, 0]  # of the only draw
+    predicted_amplitude = np.full(len(values), np.nan)
+    predicted_frequency = np.full(len(values), np.nan)
     if study.loop.controller[0].describing is not None:
-        for row, cycle in zip(predicted, limit_cycles(resting, [{mu: value} for value in values]), strict=True):
+        for place, cycle in enumerate(limit_cycles(resting, [{mu: value} for value in values])):
             if cycle is not None:
-                row[:] = cycle
-    amplitude, frequency = predicted.T
+                predicted_amplitude[place] = cycle.amplitude
+                predicted_frequency[place] = cycle.frequency
     unit = study.units[0].of("y/s")
     return xr.Dataset(
         {
-            "amplitude": ((mu,), largest, unit_and_meaning(unit, "largest |sigma| of what is left")),
-            "predicted": ((mu,), amplitude, unit_and_meaning(unit, "amplitude by describing function")),
-            "frequency": ((mu,), frequency, unit_and_meaning("rad/s", "frequency by describing function")),
+            "amplitude": ((mu,), simulated_amplitude, unit_and_meaning(unit, "largest |sigma| of what is left")),
+            "predicted": ((mu,), predicted_amplitude, unit_and_meaning(unit, "amplitude by describing function")),
+            "frequency": ((mu,), predicted_frequency, unit_and_meaning("rad/s", "frequency by describing function")),
         },
         coords={mu: ((mu,), np.asarray(values, float), unit_and_meaning("s", "time constant mu"))},
         attrs={"controller": kind_in(study.config, "controller"), "push": push},

@@ -1,9 +1,9 @@
 """Predict chattering by describing functions: the limit cycle of a switching law and a lag.
 
-The harmonic balance is -1/W(i w) = N(A, w), with W from the robust command to sigma and N the describing function of
-the law for sigma = A sin(w t): for the relay 4 K/(pi A); for the STA the sum for its root, c kappa1 A^(-1/2), and its
-integrated relay, 2 kappa2/(pi A)/(i w). For mu max(a_p, l_0) << 1 and a lag of order 2 the amplitude grows as mu with
-the relay and as mu^2 with the STA, and the frequency falls as 1/mu.
+The harmonic balance is -1/W(i w) = N(A, w). W is the transfer function from the robust command to sigma. N is the
+describing function of the law for sigma = A sin(w t): for the relay 4 K/(pi A); for the STA, c kappa1 A^(-1/2) for its
+root plus 2 kappa2/(pi A)/(i w) for its integrated relay. With a lag of order 2 and mu max(a_p, l_0) << 1, the amplitude
+grows as mu with the relay and as mu^2 with the STA, and the frequency falls as 1/mu.
 
 References:
     D. P. Atherton, Nonlinear Control Engineering (1975).
@@ -27,12 +27,12 @@ from dssc_jax.engine.plain import plain_options
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 
-SPAN = 1e4  # ratio of the highest scanned frequency to that of the fastest pole, and of that to the lowest
+SPAN = 1e4  # highest scanned frequency over the fastest pole's, and the fastest pole's over the lowest scanned
 SCANNED = 400  # number of frequencies scanned
 
 
 class LimitCycle(NamedTuple):
-    """The limit cycle sigma = A sin(w t) of a loop.
+    """The oscillation sigma = A sin(w t) that a switching law and unmodelled dynamics sustain.
 
     Args:
         amplitude: A, in the unit of sigma, output/s.
@@ -59,7 +59,16 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
 
 
 def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[LimitCycle | None]:
-    """Predict the limit cycle at each of several points, by one compiled program; see :func:`limit_cycle`."""
+    """Predict the limit cycle at each of several points, by one compiled program; None where there is none.
+
+    Args:
+        study: The study, as for :func:`limit_cycle`.
+        points: Values of some numbers at each point; the others have their own values, and laws their medians.
+
+    Raises:
+        ConfigError: The law's describing function is not known, or the unmodelled dynamics have no form in continuous
+            time.
+    """
     resting = at_rest(study)
     describing = resting.loop.controller[0].describing
     if describing is None:
@@ -75,33 +84,41 @@ def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[Li
         values = {**middle, **point}
         with jax.enable_x64(True):
             response = jax.tree.map(np.asarray, compiled_open_loop(values))
-        cycles.append(solve_balance(response, describing(resting.params(values).controller[0])))
+        balance = describing(resting.params(values).controller[0])
+        cycles.append(solve_balance(response, balance))
     return cycles
 
 
 def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle | None:
     """Solve the harmonic balance for the limit cycle of the highest frequency, at which chattering settles.
 
+    A scan of frequencies brackets the solutions, and a root search refines the last.
+
     Args:
         response: The linear loop from the robust command to sigma.
         balance: The harmonic balance of the switching law.
+
+    Returns:
+        The limit cycle; None if the balance has no solution in the scan.
     """
 
-    def inverse(w: float) -> complex:
+    def negative_inverse(w: float) -> complex:
+        """-1/W(i w) of the linear loop at the frequency w [rad/s]."""
         gain = response.c @ np.linalg.solve(1j * w * np.eye(len(response.a)) - response.a, response.b)
         return complex(-1.0 / gain)
 
     def residual(w: float) -> float:
-        q = inverse(w)
+        """Residual of the harmonic balance at the frequency w [rad/s]; NaN where no amplitude solves its real part."""
+        q = negative_inverse(w)
         return balance.residual(q, balance.amplitude(q), w) if q.real > 0.0 else math.nan
 
-    fastest = np.abs(np.linalg.eigvals(response.a)).max()
-    scan = np.geomspace(fastest / SPAN, fastest * SPAN, SCANNED)
-    residuals = np.array([residual(w) for w in scan])
+    fastest_pole = np.abs(np.linalg.eigvals(response.a)).max()  # [rad/s]
+    frequencies = np.geomspace(fastest_pole / SPAN, fastest_pole * SPAN, SCANNED)
+    residuals = np.array([residual(w) for w in frequencies])
     crossings = np.flatnonzero(residuals[:-1] * residuals[1:] < 0.0)
     if not crossings.size:
         return None
-    low = scan[crossings[-1]]
-    high = scan[crossings[-1] + 1]
+    low = frequencies[crossings[-1]]
+    high = frequencies[crossings[-1] + 1]
     frequency = float(brentq(residual, low, high, xtol=1e-12 * high))  # type: ignore[arg-type]
-    return LimitCycle(float(balance.amplitude(inverse(frequency))), frequency)
+    return LimitCycle(float(balance.amplitude(negative_inverse(frequency))), frequency)

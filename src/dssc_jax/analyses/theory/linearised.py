@@ -6,14 +6,15 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import LoopState, initial_state, step
+from dssc_jax.closed_loop.sample import LoopState, step
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.registry import Registry
-from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, tracking_error
+from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, TrackingError, tracking_error
 from dssc_jax.engine.linearisation.smooth_parts import declared_place, substituted
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
@@ -25,9 +26,10 @@ ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 
 
 class Linearised(NamedTuple):
-    """The loop from the robust command u to sigma, x' = A x + B u, sigma = C x, linearised at the origin.
+    """The loop without its robust control, linearised at the origin: x' = A x + B u, sigma = C x.
 
-    It consists of plant, nominal control and unmodelled dynamics.
+    It leads from the robust command u through unmodelled dynamics, plant and nominal control to the sliding variable
+    sigma. Its state x consists of the states of the plant and of the unmodelled dynamics.
 
     Args:
         a: A, shape (states, states).
@@ -41,7 +43,7 @@ class Linearised(NamedTuple):
 
 
 def at_rest(study: Study) -> Study:
-    """The study without inputs: no reference, no disturbance, and the plant's state at zero.
+    """The study without inputs, so that its loop can rest: no reference, no disturbance, and the plant's state at zero.
 
     Raises:
         ConfigError: The plant has several channels.
@@ -55,7 +57,13 @@ def at_rest(study: Study) -> Study:
 
 
 def require_continuous(study: Study) -> None:
-    """Require a loop with a form in continuous time: a controller with a law (22), and continuous unmodelled dynamics.
+    """Refuse a study whose loop has no form in continuous time.
+
+    Such a form takes a controller with a law (22), proportional plus integral in sigma, and continuous unmodelled
+    dynamics.
+
+    Args:
+        study: A study on a plant of one channel.
 
     Raises:
         ConfigError: The controller synthesises no such law, or the unmodelled dynamics have no continuous-time form.
@@ -66,13 +74,13 @@ def require_continuous(study: Study) -> None:
         rule = f"'{kind}' synthesises no law (22), which the continuous-time analysis takes; {continuous_kinds} do"
         raise ConfigError(f"{study.source}: controller.kind", rule)
     loop, template = study.loop, study.template
-    place = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])
+    place = declared_place(study, "unmodelled", 0, loop.unmodelled[0], template.unmodelled[0])  # 0: the only channel
     smooth_loop, _ = substituted(loop, template, [place])  # dynamics that are smooth nowhere have a substitute
     require_continuous_dynamics(study, smooth_loop.unmodelled[0])
 
 
 def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
-    """Require unmodelled dynamics that :func:`open_loop` can linearise in continuous time.
+    """Refuse unmodelled dynamics that have only a form in sampled time, which :func:`open_loop` cannot linearise.
 
     Args:
         study: The study, for the message.
@@ -91,86 +99,108 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
 
 
 def opaque_parts(study: Study) -> list[str]:
-    """The sections of the parts between plant and controller that :func:`open_loop` leaves out, if any changes y or y'.
+    """Names of the sections, of sensor and differentiator, whose part changes y or y' on the way to the controller.
+
+    :func:`open_loop` leaves sensor and differentiator out, so results name these parts.
 
     Args:
         study: A study on a plant of one channel.
     """
     loop, template = study.loop, study.template
-    parts = {
-        "sensor": (loop.sensor[0], template.sensor[0]),
-        "differentiator": (loop.differentiator[0], template.differentiator[0]),
-    }
-    return [section for section, (part, params) in parts.items() if not part.transparent(params)]
+    sections = []
+    if not loop.sensor[0].transparent(template.sensor[0]):
+        sections.append("sensor")
+    if not loop.differentiator[0].transparent(template.differentiator[0]):
+        sections.append("differentiator")
+    return sections
 
 
 def kinds_with(registry: Registry, field: str) -> list[str]:
-    """The kinds of a registry of which some model has a value in a field."""
-    return [kind for kind, entry in registry.items() if any(getattr(part, field) for part in entry.members.values())]
+    """The kinds of models in a registry that can have an optional property, such as a law (22), for messages.
+
+    Args:
+        registry: The registry of controllers or actuators.
+        field: Name of the property; it is truthy for a model that has it.
+    """
+    kinds = []
+    for kind, entry in registry.items():
+        if any(getattr(model, field) for model in entry.members.values()):
+            kinds.append(kind)
+    return kinds
 
 
 def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     """Linearise plant, nominal control and unmodelled dynamics, from the robust command to sigma, at the origin.
 
-    Unmodelled dynamics have only a step; its slope at a step of 0 is the derivative of their state.
+    Unmodelled dynamics are given by their step of length dt. Its derivative by dt at dt = 0 is the derivative of their
+    state by time.
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
-        params: Parameters of the loop for one draw.
+        params: Parameters of the loop for a draw.
     """
     gains = params.controller[0]
     model = loop.unmodelled[0]
     dynamics = params.unmodelled[0]
-    resting, unravel = ravel_pytree(loop.plant.init(params.plant))
+    plant_states, unravel_plant = ravel_pytree(loop.plant.init(params.plant))
+    dynamics_states, unravel_dynamics = ravel_pytree(as_arrays(model.init(dynamics)))
     quiet = PlantInput(0.0, 0.0, None, quiet_inputs(loop.plant, params.plant))
-    memory, unravel_memory = ravel_pytree(as_arrays(model.init(dynamics)))
 
-    def sigma_of(x: jax.Array) -> Scalar:
-        return tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0).sigma
+    def error_at(state: jax.Array) -> TrackingError:
+        """The tracking error, with sigma, in a state of plant and unmodelled dynamics."""
+        x = unravel_plant(state[: plant_states.size])
+        return tracking_error(loop.plant.measure(params.plant, x, quiet), ORIGIN, gains.l0)
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        x = state[: resting.size]
-        z = unravel_memory(state[resting.size :])
-        error = tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0)
-        total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
-        _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
+        """The derivative of the state of plant and unmodelled dynamics by time, under the robust command u."""
+        x = unravel_plant(state[: plant_states.size])
+        z = unravel_dynamics(state[plant_states.size :])
+        total = u + nominal_control(gains.nominal, gains.l0, error_at(state), ORIGIN, predictor_pole_at_rest(gains))
+        _, z_rate = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
         command_at_plant = model.output(dynamics, z, total)
-        rate = loop.plant.derivative(params.plant, unravel(x), quiet._replace(command=command_at_plant), 0.0)
-        return jnp.concatenate([ravel_pytree(rate)[0], ravel_pytree(as_arrays(slope))[0]])
+        x_rate = loop.plant.derivative(params.plant, x, quiet._replace(command=command_at_plant), 0.0)  # at the time 0
+        return jnp.concatenate([ravel_pytree(x_rate)[0], ravel_pytree(as_arrays(z_rate))[0]])
 
-    origin = jnp.zeros(resting.size + memory.size)
+    origin = jnp.zeros(plant_states.size + dynamics_states.size)
     a, b = jax.jacfwd(derivative, argnums=(0, 1))(origin, 0.0)
-    c = jax.grad(lambda state: sigma_of(state[: resting.size]))(origin)
+    c = jax.grad(lambda state: error_at(state).sigma)(origin)
     return Linearised(a, b, c)
 
 
 def predictor_pole_at_rest(gains: Any) -> Scalar:
-    """The pole 1/tau_m of the predictor at the origin [1/s]; 0 for a controller without a predictor."""
-    return 1.0 / gains.functions.at(0.0, 0.0, gains.l0).tau_m if hasattr(gains, "functions") else 0.0
+    """The pole 1/tau_m of the predictor at the origin [1/s]; 0 for a controller without a predictor.
+
+    Args:
+        gains: Parameters of the controller. Those with a predictor have functions of sigma and e, tau_m among them.
+    """
+    if not hasattr(gains, "functions"):
+        return 0.0
+    return 1.0 / gains.functions.at(0.0, 0.0, gains.l0).tau_m  # sigma = e = 0
 
 
 def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     """System matrix of the loop closed by the law (22) in continuous time, shape (states + 1, states + 1).
 
-    The last state is the integral term of u.
+    The law is u = -k_P sigma + w with w' = -k_I sigma. The integral term w is the last state.
 
     Args:
         loop: A loop at rest; see :func:`require_continuous`.
-        params: Parameters of the loop for one draw.
+        params: Parameters of the loop for a draw.
     """
     a, b, c = open_loop(loop, params)
     law = loop.controller[0].synthesised
     assert law is not None  # held by require_continuous, before tracing
-    proportional, integral = law(params.controller[0])
-    closed_loop = a - proportional * jnp.outer(b, c)
-    return jnp.block([[closed_loop, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
+    proportional_gain, integral_gain = law(params.controller[0])
+    closed_loop = a - proportional_gain * jnp.outer(b, c)
+    return jnp.block([[closed_loop, b[:, None]], [-integral_gain * c[None, :], jnp.zeros((1, 1))]])
 
 
 class RestLinearisation(NamedTuple):
-    """The linearisation of a loop at its start.
+    """The linear map of a loop's small deviations from its start, and whether the loop rests there.
 
     Args:
-        matrix: Jacobian of the loop's step, or system matrix in continuous time, shape (states, states).
+        matrix: Jacobian of the loop's step from sample to sample, or system matrix in continuous time [1/s],
+            shape (states, states).
         displacement: Largest change of a state in one sample; 0 if the loop starts at an equilibrium.
     """
 
@@ -179,25 +209,33 @@ class RestLinearisation(NamedTuple):
 
 
 def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:
-    """The state after the first sample as a vector, shape (states,); see :func:`first_sample`."""
-    return ravel_pytree(first_sample(loop, params))[0]
+    """The state after the first sample as a vector, shape (states,), at which a loop is linearised."""
+    vector, _ = ravel_pytree(state_after_first_sample(loop, params))
+    return vector
 
 
-def first_sample(loop: Loop, params: LoopParams) -> LoopState:
-    """The state after the first sample, at which a loop is linearised.
-
-    A controller may treat its first sample unlike the others.
-    """
-    key = jax.random.key(0)
-    return step(loop, params, key, initial_state(loop, params, key), 0)[0]
+def state_after_first_sample(loop: Loop, params: LoopParams) -> LoopState:
+    """The state after the first sample, since a controller may treat its first sample unlike the others."""
+    key = jax.random.key(0)  # a loop at rest has no noise
+    state, _ = step(loop, params, key, initial_state(loop, params, key), 0)
+    return state
 
 
 def linearise_at_rest(loop: Loop, params: LoopParams) -> RestLinearisation:
-    """Differentiate the step of the loop from its second sample to the third."""
+    """Linearise the sampled loop: differentiate its step in the second sample by the state after the first.
+
+    Args:
+        loop: A loop at rest; see :func:`at_rest`.
+        params: Parameters of the loop for a draw.
+    """
     key = jax.random.key(0)
-    resting, unravel = ravel_pytree(first_sample(loop, params))
+    start, unravel = ravel_pytree(state_after_first_sample(loop, params))
 
-    def after(state: jax.Array) -> jax.Array:
-        return ravel_pytree(step(loop, params, key, unravel(state), 1)[0])[0]
+    def next_state(state: jax.Array) -> jax.Array:
+        """The state as a vector one sample later."""
+        after, _ = step(loop, params, key, unravel(state), 1)  # 1: index of the second sample
+        vector, _ = ravel_pytree(after)
+        return vector
 
-    return RestLinearisation(jax.jacfwd(after)(resting), jnp.max(jnp.abs(after(resting) - resting), initial=0.0))
+    displacement = jnp.max(jnp.abs(next_state(start) - start), initial=0.0)
+    return RestLinearisation(jax.jacfwd(next_state)(start), displacement)

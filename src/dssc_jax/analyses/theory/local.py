@@ -38,11 +38,11 @@ from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
 SECOND_SAMPLE = 1
-"""Index of the sample that is linearised: a controller may treat its first one unlike the others."""
+"""Index of the sample that is linearised: a controller may treat its first sample, 0, unlike the others."""
 
 
 class Time(StrEnum):
-    """Kind of linearisation: of the sampled loop as it is simulated, or of the law (22) in continuous time."""
+    """Kind of linearisation: the sampled loop as it is simulated, or the loop with the law (22) in continuous time."""
 
     SAMPLED = "sampled"
     CONTINUOUS = "continuous"
@@ -55,24 +55,30 @@ CRITERIA = {
 
 
 def criteria(study: Study, kind: Time) -> tuple[str, ...]:
-    """The criterion of a kind of linearisation, and what of the study it leaves out.
+    """What a kind of linearisation asks of a draw and which parts of the loop it leaves out, in words for reports.
 
     Args:
         study: A study on a plant of one channel.
         kind: Sampled or continuous.
     """
-    left_out = opaque_parts(study) if kind == Time.CONTINUOUS else []
+    if kind == Time.SAMPLED:
+        return (CRITERIA[kind],)
+    left_out = " and ".join(f"the {section}" for section in opaque_parts(study))
     if not left_out:
         return (CRITERIA[kind],)
-    parts = " and ".join(f"the {section}" for section in left_out)
-    return CRITERIA[kind], f"plant, unmodelled dynamics and controller alone: {parts} left out"
+    return CRITERIA[kind], f"plant, unmodelled dynamics and controller alone: {left_out} left out"
 
 
 def require_in_criterion(study: Study, over: str, kind: Time) -> None:
-    """Require that the criterion of a kind of linearisation does not leave out the part of a number.
+    """Refuse a number of a part that the linearisation leaves out, since it has no effect there.
+
+    Args:
+        study: A study on a plant of one channel.
+        over: Dotted name of the number; the name of its section comes first.
+        kind: Sampled or continuous.
 
     Raises:
-        ConfigError: The criterion leaves it out.
+        ConfigError: The linearisation leaves the part out.
     """
     section = over.partition(".")[0]
     if kind == Time.CONTINUOUS and section in opaque_parts(study):
@@ -82,13 +88,14 @@ def require_in_criterion(study: Study, over: str, kind: Time) -> None:
 
 
 class Spectrum(NamedTuple):
-    """The eigenvalues of a linearised loop, and notes on the substitutes of parts without a derivative.
+    """A function that computes the eigenvalues of a linearised loop, and notes on what it replaced in the loop.
 
     Args:
-        eigenvalues: A function of the values of every law and every swept number, shape (n,) each. It returns
-            eigenvalues, shape (n, states): those of the step from sample to sample [1], or in continuous time [1/s]. It
-            raises ConfigError if the loop does not start at rest, or has no derivative there.
-        notes: Sentences. The list grows as ``eigenvalues`` meets parts at their corners.
+        eigenvalues: (values of every law and every swept number by name, shape (n,) each) -> eigenvalues,
+            shape (n, states), of the step from sample to sample [1], or in continuous time [1/s]. It raises ConfigError
+            if the loop does not start at rest, or has no derivative there.
+        notes: Sentences on the substitutes of parts without a derivative. The list grows as ``eigenvalues`` meets parts
+            at their corners.
     """
 
     eigenvalues: Callable[[Arrays], np.ndarray]
@@ -96,7 +103,9 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(study: Study, kind: Time) -> Spectrum:
-    """The eigenvalues of the linearised loop for many draws, with smooth substitutes for parts without a derivative.
+    """Compile the computation of the linearised loop's eigenvalues for many draws.
+
+    Parts without a derivative have smooth substitutes.
 
     Args:
         study: A study at rest, see :func:`at_rest`.
@@ -111,15 +120,19 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
         require_continuous(study)
 
     def smooth_loop(values: dict[str, jax.Array]) -> tuple[Loop, LoopParams]:
+        """The loop with smooth substitutes and its parameters, for the values of a draw."""
         return substituted(study.loop, study.params(values), parts)
 
     def keyed_loop(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
-        return *smooth_loop(values), jax.random.key(0)  # the key with which start_at_rest makes its sample
+        """The smooth loop of a draw with the key with which :func:`start_at_rest` makes its sample."""
+        return *smooth_loop(values), jax.random.key(0)
 
     def start(values: dict[str, jax.Array]) -> jax.Array:
+        """The state of a draw at which its loop is linearised, shape (states,)."""
         return start_at_rest(*smooth_loop(values))
 
     def linearise(values: dict[str, jax.Array], findings: jax.Array) -> RestLinearisation:
+        """Linearise the loop of a draw; a part at a corner of its map, by the findings, has a substitute."""
         loop, params = smooth_loop(values)
         if is_continuous:
             return RestLinearisation(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
@@ -132,6 +145,7 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
     linearisations = jax.jit(jax.vmap(linearise), compiler_options=options)
 
     def eigenvalues(values: Arrays) -> np.ndarray:
+        """The eigenvalues of the draws, shape (n, states); see :class:`Spectrum`."""
         with jax.enable_x64(True):
             rest_states = np.asarray(starts(values))
             findings = examine(values, np.arange(len(rest_states)), rest_states, SECOND_SAMPLE)
@@ -140,7 +154,9 @@ def spectrum(study: Study, kind: Time) -> Spectrum:
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {linear.displacement.max():.3g}"
             )
-        notes.extend(text for text in require_smooth_at(study, parts, findings) if text not in notes)
+        for note in require_smooth_at(study, parts, findings):
+            if note not in notes:
+                notes.append(note)
         return np.linalg.eigvals(linear.matrix)
 
     return Spectrum(eigenvalues, notes)
@@ -156,7 +172,7 @@ def local_margin(
     bisections: int = BISECTIONS,
     kind: Time = Time.SAMPLED,
 ) -> Margins:
-    """Find the critical value of one number for small deviations from the origin, for every draw of a study.
+    """Find the value of a number at which small deviations from the origin begin to grow, for every draw of a study.
 
     Reference, disturbance, initial state and requirements are ignored. Only stability counts, and only near the origin,
     where state-dependent functions have their values at sigma = e = 0.
@@ -191,14 +207,16 @@ def local_margin(
     laws = values_of_draws(swept, slice(0, draws))
     eigenvalues_of, notes = spectrum(swept, kind)
 
-    def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        batch = np.resize(lanes, draws)  # always as many as all draws: another size would be compiled again
-        numbers = numbers_of({name: column[batch] for name, column in laws.items()}, np.resize(values, draws))
+    def decay_rates(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Rate [1/s] at which the slowest deviation of some draws decays, each at a value of the number."""
+        batch = np.resize(lanes, draws)  # repeated up to all draws: another size would be compiled again
+        laws_of_batch = {name: column[batch] for name, column in laws.items()}
+        numbers = numbers_of(laws_of_batch, np.resize(values, draws))
         eigenvalues = eigenvalues_of(numbers)[: len(lanes)]
         if kind == Time.CONTINUOUS:
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
 
-    critical = search_critical(decay, draws, walk, bisections)
+    critical = search_critical(decay_rates, draws, walk, bisections)
     seconds = time.perf_counter() - began
     return Margins.of(study, over, walk, critical, laws, (*criteria(resting, kind), *notes), seconds, unit="1/s")

@@ -29,7 +29,7 @@ POPULATION = 8  # members of a generation for each coordinate
 def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
     """Run differential evolution on the training draws, for objectives whose derivatives are not useful.
 
-    A generation is one batch of simulations. The number of generations is that of the steps in ``[tune]``.
+    A generation is one batch of simulations. There are as many generations as ``[tune]`` has steps.
 
     Args:
         problem: The problem.
@@ -43,30 +43,32 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     table = plan.table
     size = len(plan.coordinates.names)
     goal = problem.goal_on(problem.train)
-    scale = abs(first.train.merit.objective) or 1.0
-    lanes = len(problem.train) + len(problem.extra)
-    evaluator = Evaluator(problem.plain.study, problem.plain.extents, min(BLOCK, POPULATION * size * lanes))
+    lanes_per_member = len(problem.train) + len(problem.extra)
+    most_lanes = min(BLOCK, POPULATION * size * lanes_per_member)
+    evaluator = Evaluator(problem.plain.study, problem.plain.extents, most_lanes)
     search = SearchRecord(first.validation)
     generation = 0
-    search.record(problem, 0, *first)
+    search.record(problem, generation, *first)
 
-    def cost(columns: np.ndarray) -> np.ndarray:
-        """Costs of one member, shape (size,), or of a generation, shape (size, members)."""
+    def costs_of(columns: np.ndarray) -> np.ndarray:
+        """Cost of each member of a generation; SciPy passes shape (size, members), or (size,) for a single member."""
         z = np.atleast_2d(columns.T)
         results = problem.results(z, problem.train, evaluator)
         costs = np.full(len(z), UNFIT)
         for i in range(len(z)):
-            lanes_of_member = slice(i * lanes, (i + 1) * lanes)
-            part = {name: array[lanes_of_member] for name, array in results.items()}
-            merit = goal.merit(part, (), len(problem.extra))
+            lanes = slice(i * lanes_per_member, (i + 1) * lanes_per_member)
+            results_of_member = {name: array[lanes] for name, array in results.items()}
+            merit = goal.merit(results_of_member, (), len(problem.extra))  # (): no derivatives
             if not merit.ended and problem.is_admissible(z[i]):
-                costs[i] = merit.objective / scale + PENALTY * merit.violation
+                costs[i] = merit.objective / first.scale + PENALTY * merit.violation
         return costs
 
     def record(z: np.ndarray) -> None:
+        """Record the best member so far, evaluated on the training and on the validation draws."""
         search.record(problem, generation, problem.evaluate(z, problem.train), problem.evaluate(z))
 
     def after_generation(z: np.ndarray, convergence: float) -> bool:
+        """Count a generation and record its best member from time to time; False: go on."""
         nonlocal generation
         generation += 1
         if generation % UPDATE == 0:
@@ -78,10 +80,10 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * size
     start = np.clip(first.train.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
     evolution = differential_evolution(
-        cost, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
+        costs_of, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=after_generation,
     )  # fmt: skip
-    if generation % UPDATE:
+    if generation % UPDATE:  # the last generations are not recorded yet
         record(evolution.x)
     return search
 
@@ -109,7 +111,10 @@ class ProvedComparison:
 
 
 def score_at(problem: Problem, z: np.ndarray) -> float:
-    """Score of a point: the logarithm of its proved number, signed so that less is better; infinite without a proof."""
+    """Score of a point from its proved number, which the simplex minimises; infinite without a proof.
+
+    It is the logarithm of a proved error, and minus the logarithm of the last value at which the loop is proved.
+    """
     value = problem.plan.aim_at(problem.plan.numbers_at(z)).value
     if value is None:
         return math.inf
@@ -137,20 +142,26 @@ def optimise_proof(problem: Problem, first: StartPoints, progress: ProgressCallb
     lowest = math.inf
 
     def cost(z: np.ndarray) -> float:
+        """The score of a point plus the penalty of its violation; a point that is the best so far is recorded."""
         nonlocal evaluation_count, lowest
         train = first.train if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
-        score = score_at(problem, z) if not train.merit.ended and problem.is_admissible(z) else math.inf
-        total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
+        score = math.inf
+        if not train.merit.ended and problem.is_admissible(z):
+            score = score_at(problem, z)
+        total = UNFIT
+        if math.isfinite(score):
+            total = score + PENALTY * train.merit.violation
         if total < lowest:
             lowest = total
-            validation = first.validation if evaluation_count == 0 else problem.evaluate(z)
+            validation = first.validation if evaluation_count == 0 else problem.evaluate(z)  # 0: the start
             search.record(problem, evaluation_count, train, validation, score)
         evaluation_count += 1
         if progress:
             progress(min(evaluation_count, steps), steps)
         return total
 
-    simplex = origin + EDGE * np.vstack([np.zeros(len(origin)), np.eye(len(origin))])
+    corners = np.vstack([np.zeros(len(origin)), np.eye(len(origin))])  # the start, and a step along each coordinate
+    simplex = origin + EDGE * corners
     options = {"initial_simplex": simplex, "maxfev": steps, "xatol": FINE_EDGE, "fatol": FINE_SCORE}
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * len(origin)
     nelder_mead = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
@@ -174,4 +185,5 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
     result_value = plan.aim_at(best).value
     assert start_value is not None
     assert result_value is not None
-    return ProvedComparison(plan.table.aim, start_value, result_value, next(iter(plan.table.over), None))
+    over = next(iter(plan.table.over), None)  # the table has one number at most
+    return ProvedComparison(plan.table.aim, start_value, result_value, over)

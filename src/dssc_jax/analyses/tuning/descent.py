@@ -7,6 +7,7 @@ import numpy as np
 import optax
 from scipy.optimize import minimize
 
+from dssc_jax.analyses.tuning.objective import Merit
 from dssc_jax.analyses.tuning.problem import (
     BOX_HALF_WIDTH,
     FINAL_WIDTH,
@@ -32,10 +33,10 @@ EXACT_SHARE = 0.2  # share of the steps, the last ones, in which the sign is not
 class Multipliers:
     """Multipliers lambda of the limits in a descent, by the augmented Lagrangian.
 
-    The Lagrangian of the relative objective f and the relative excesses g, which have to be g <= 0, is
-    f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c). If a limit is exceeded by more on the validation draws than on
-    the training draws, the difference is added to g, so that the search keeps a distance from limits on which its
-    training draws are misleading.
+    The relative objective f is minimised; the relative excesses g over the limits have to be g <= 0. With the penalty c
+    the Lagrangian is f + sum (max(0, lambda + c g)^2 - lambda^2)/(2 c). A limit may be exceeded by more on the
+    validation draws than on the training draws. Then the difference, its gap, is added to g, so that the search keeps a
+    distance from limits on which its training draws are misleading.
 
     Args:
         scale: Objective of the start, relative to which f is taken.
@@ -45,12 +46,16 @@ class Multipliers:
     """
 
     def __init__(self, scale: float) -> None:
+        """Start with multipliers and gaps of 0."""
         self.scale = scale
-        self.values: dict[str, float] = {}
+        self.values: dict[str, float] = {}  # lambda of each limit; a missing one is 0
         self.gaps: dict[str, float] = {}
 
     def pushes(self, point: EvaluatedPoint) -> dict[str, float]:
-        """max(0, lambda + c g) of each limit, which is its weight in the gradient and its next multiplier."""
+        """max(0, lambda + c g) of each limit, by name: its weight in the gradient, and its next multiplier.
+
+        lambda is the limit's multiplier, c the penalty and g the relative excess over the limit.
+        """
         pushes = {}
         for name, excess in point.merit.excess.items():
             tightened_excess = excess + headroom(name) + self.gaps.get(name, 0.0)
@@ -60,25 +65,32 @@ class Multipliers:
     def gradient(self, point: EvaluatedPoint) -> np.ndarray:
         """Gradient of the augmented Lagrangian by the search's coordinates, shape (n,).
 
-        Where the slope of the objective is that of a chattering loop, only the limits count, if one is exceeded.
+        A loop that chatters has a useless slope of the objective. Then the limits alone count, if one is exceeded.
         """
         total = point.gradient / self.scale
         pushes = self.pushes(point)
-        chatters = not np.all(np.abs(total) <= STEEPEST)  # an overflow, too
-        if chatters and any(pushes.values()):
+        is_useful = np.all(np.abs(total) <= STEEPEST)  # False for an overflow, too
+        if not is_useful and any(pushes.values()):
             total = np.zeros_like(total)
         for name, push in pushes.items():
             total = total + push * point.slopes[name]
         return total
 
     def update(self, train: EvaluatedPoint, validation: EvaluatedPoint) -> None:
-        """Take the next multipliers, and the gaps between validation and training draws, at a point of the search."""
+        """Take the next multipliers, and the gaps between validation and training draws, at a point of the search.
+
+        Args:
+            train: The point, evaluated on the training draws.
+            validation: The same point, evaluated on the validation draws; if one of them ended early, the gaps stay.
+        """
         self.values = self.pushes(train)
         if not validation.merit.ended:
-            training_excess = train.merit.excess
-            self.gaps = {
-                name: max(0.0, excess - training_excess[name]) for name, excess in validation.merit.excess.items()
-            }
+            self.gaps = validation_gaps(train.merit, validation.merit)
+
+
+def validation_gaps(train: Merit, validation: Merit) -> dict[str, float]:
+    """How much more a point exceeds each limit on the validation draws than on the training draws; at least 0."""
+    return {name: max(0.0, excess - train.excess[name]) for name, excess in validation.excess.items()}
 
 
 def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | None) -> SearchRecord:
@@ -97,19 +109,20 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
     if table.schedule == "cosine":
         rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
-    multipliers = Multipliers(abs(first.train.merit.objective) or 1.0)
+    multipliers = Multipliers(first.scale)
     rng = np.random.default_rng(problem.plan.seed)
     search = SearchRecord(first.validation)
     iterate = first.train
-    stale = 0
+    stale = 0  # evaluations on the validation draws since the best one
     search.record(problem, 0, *first)
     with jax.enable_x64(True):
-        state = optimiser.init(iterate.z)
+        optimiser_state = optimiser.init(iterate.z)
     for step in range(1, table.steps + 1):
         if table.smoothing is not None:
             problem.width = smoothing_width(table.smoothing, (step - 1) / table.steps)
         with jax.enable_x64(True):
-            change, state = optimiser.update(multipliers.gradient(iterate), state, iterate.z)
+            gradient = multipliers.gradient(iterate)
+            change, optimiser_state = optimiser.update(gradient, optimiser_state, iterate.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
         worsening = OBJECTIVE_STEP * multipliers.scale
         iterate, halvings = shortened_step(problem, iterate, np.asarray(change), batch, worsening)
@@ -117,8 +130,8 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
         if step % UPDATE == 0 or step == table.steps:
             validation = problem.evaluate(iterate.z)
             multipliers.update(iterate, validation)
-            better = search.record(problem, step, iterate, validation)
-            stale = 0 if better else stale + 1
+            is_best = search.record(problem, step, iterate, validation)
+            stale = 0 if is_best else stale + 1
         if progress:
             progress(step, table.steps)
         if stale >= table.patience:
@@ -186,52 +199,75 @@ def quadratic_programming(problem: Problem, first: StartPoints, progress: Progre
         D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
         from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
     """
-    iteration = QuadraticSearch(problem, SearchRecord(first.validation), first.train, progress)
+    iteration = QuadraticSearch(problem, SearchRecord(first.validation), first.train, first.scale, progress)
     iteration.search.record(problem, 0, *first)
-    width = problem.plan.table.smoothing
+    first_width = problem.plan.table.smoothing
     steps = problem.plan.table.steps
     for stage in range(1, STAGES + 1):
-        if width is not None:
-            problem.width = width * FINAL_WIDTH ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
-        iteration.run_stage(steps if width is None else stage * steps // STAGES)
+        steps_until_stage_ends = steps
+        if first_width is not None:
+            problem.width = stage_width(first_width, stage)
+            steps_until_stage_ends = stage * steps // STAGES
+        iteration.run_stage(steps_until_stage_ends)
         exceeds_limit = iteration.update_gaps()
-        if iteration.step_count >= steps or (width is None and not exceeds_limit):
+        is_done = first_width is None and not exceeds_limit
+        if is_done or iteration.step_count >= steps:
             break
     return iteration.search
 
 
+def stage_width(first: float, stage: int) -> float:
+    """Width of the smoothed sign in a stage [m/s]: it decreases geometrically from ``first``; 0 in the last stage.
+
+    Args:
+        first: Width in the first stage [m/s].
+        stage: Number of the stage, from 1 to :data:`STAGES`.
+    """
+    if stage == STAGES:
+        return 0.0
+    return first * FINAL_WIDTH ** ((stage - 1) / (STAGES - 2))
+
+
 class OutOfPatience(Exception):
-    """There was no improvement for as many evaluations on the validation draws as the patience allows."""
+    """Raised to end SLSQP: no point was better on the validation draws for as many steps as the patience allows."""
 
 
 @dataclass
 class QuadraticSearch:
-    """Cost, limits and derivatives for SLSQP, whose coordinates are those of the plan and the largest excess.
+    """Cost, limits and derivatives as functions for SLSQP, of x = (z, e).
+
+    z are the coordinates of the plan, shape (n,). The last entry e >= 0 is the largest excess over the limits (elastic
+    mode): every limit g has to be g <= e, and the cost grows with e.
 
     Args:
         problem: The problem.
         search: The record of the search.
         iterate: The present iterate.
+        scale: Objective of the start, relative to which the objective is taken.
         progress: Called after each step.
         step_count: Number of steps taken so far.
-        gaps: Increase of each limit's headroom.
+        gaps: How much more each limit is exceeded on the validation draws than on the training draws, by name.
     """
 
     problem: Problem
     search: SearchRecord
     iterate: EvaluatedPoint
+    scale: float
     progress: ProgressCallback | None
     step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
-    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)
-    _stale: int = 0
+    _points: dict[bytes, tuple[EvaluatedPoint, bool]] = field(default_factory=dict)  # of the stage, by bytes of z
+    _stale: int = 0  # steps since the best one
 
     def __post_init__(self) -> None:
-        self.names = list(self.iterate.merit.excess)
-        self.scale = abs(self.iterate.merit.objective) or 1.0
+        """Fix the order of the limits."""
+        self.names = list(self.iterate.merit.excess)  # of the limits
 
     def at(self, x: np.ndarray) -> tuple[EvaluatedPoint, bool]:
-        """The evaluated point at coordinates, and whether it is allowed; computed once in a stage."""
+        """The evaluated point at x, and whether its draws do not end early and its certificates hold.
+
+        It is computed once in a stage.
+        """
         z = x[:-1]
         key = z.tobytes()
         if key not in self._points:
@@ -240,70 +276,89 @@ class QuadraticSearch:
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
-        """The relative objective plus the penalty of the largest excess."""
-        point, fit = self.at(x)
-        return point.merit.objective / self.scale + PENALTY * float(x[-1]) if fit else UNFIT
+        """The relative objective plus the penalty of the largest excess, the last entry of x."""
+        point, is_fit = self.at(x)
+        if not is_fit:
+            return UNFIT
+        return point.merit.objective / self.scale + PENALTY * float(x[-1])
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
-        """Gradient of the cost, shape (n + 1,).
+        """Gradient of the cost by x, shape (n + 1,).
 
         SLSQP calls it at iterates only, so each new point here is a step, and is evaluated on the validation draws.
 
         Raises:
-            OutOfPatience: there was no improvement for too long.
+            OutOfPatience: There was no improvement for too long.
         """
-        point = self.at(x)[0]
+        point, _ = self.at(x)
         if not np.array_equal(point.z, self.iterate.z):
-            self.step_count += 1
-            self.iterate = point
-            better = self.search.record(self.problem, self.step_count, point, self.problem.evaluate(point.z))
-            self._stale = 0 if better else self._stale + 1
-            if self.progress:
-                self.progress(self.step_count, self.problem.plan.table.steps)
-            if self._stale >= self.problem.plan.table.patience:
-                raise OutOfPatience
+            self.take_step(point)
         return np.append(point.gradient / self.scale, PENALTY)
 
+    def take_step(self, point: EvaluatedPoint) -> None:
+        """Count a step to a point, and record the point on the validation draws.
+
+        Raises:
+            OutOfPatience: There was no improvement for too long.
+        """
+        table = self.problem.plan.table
+        self.step_count += 1
+        self.iterate = point
+        is_best = self.search.record(self.problem, self.step_count, point, self.problem.evaluate(point.z))
+        self._stale = 0 if is_best else self._stale + 1
+        if self.progress:
+            self.progress(self.step_count, table.steps)
+        if self._stale >= table.patience:
+            raise OutOfPatience
+
     def room(self, x: np.ndarray) -> np.ndarray:
-        """The distance to every limit, less its headroom, plus the largest excess; at least 0 if allowed, (limits,)."""
-        excess = self.at(x)[0].merit.excess
+        """The largest excess e, the last entry of x, less the excess of each limit, shape (limits,); it is kept >= 0.
+
+        Headroom and gap are added to the excess of a limit. A point whose draws end early exceeds every limit by 1.
+        """
+        point, _ = self.at(x)
+        excess = point.merit.excess
         tightened_excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
         return x[-1] - np.array(tightened_excesses)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of the room, shape (limits, n + 1)."""
-        rows = self.at(x)[0].slopes
-        slopes = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
-        return np.hstack([-slopes, np.ones((len(slopes), 1))])
+        """Derivatives of :meth:`room` by x, shape (limits, n + 1); 0 by z if draws end early."""
+        point, _ = self.at(x)
+        no_slope = np.zeros(len(x) - 1)
+        by_z = np.array([point.slopes.get(name, no_slope) for name in self.names])
+        by_largest_excess = np.ones((len(by_z), 1))
+        return np.hstack([-by_z, by_largest_excess])
 
     def run_stage(self, steps: int) -> None:
-        """Run one stage, until the given total number of steps."""
+        """Run SLSQP from the present iterate, until ``steps`` steps are taken in all stages together."""
         self._points.clear()
         self._stale = 0
-        begin = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
-        begin[-1] = max([0.0, *-self.room(begin)])
+        start = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
+        start[-1] = max([0.0, *-self.room(start)])  # the least excess that all limits allow
         limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
+        constraints = [limits] if self.names else []
+        box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(start) - 1)
+        not_negative = (0.0, None)
         try:
             minimize(
-                self.cost, begin, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
-                bounds=[(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(begin) - 1) + [(0.0, None)],
+                self.cost, start, jac=self.gradient, method="SLSQP", constraints=constraints,
+                bounds=[*box, not_negative],
                 options={"maxiter": max(1, steps - self.step_count), "ftol": CONVERGED},
             )  # fmt: skip
         except OutOfPatience:
             self.search.stopped = f"no better on the validation draws for {self._stale} looks"
-        else:
-            self.search.stopped = "all steps done" if self.step_count >= self.problem.plan.table.steps else "converged"
+            return
+        all_done = self.step_count >= self.problem.plan.table.steps
+        self.search.stopped = "all steps done" if all_done else "converged"
 
     def update_gaps(self) -> bool:
-        """Set each limit's gap: its excess on the validation draws minus that on the training draws, if positive.
-
-        Nothing changes if a validation draw ended early.
+        """Take the gaps of the limits at the present iterate; they stay if a validation draw ends early.
 
         Returns:
             Whether the validation draws exceed a limit.
         """
         validation = self.problem.evaluate(self.iterate.z).merit
-        excesses = self.iterate.merit.excess
-        if not validation.ended:
-            self.gaps = {name: max(0.0, excess - excesses[name]) for name, excess in validation.excess.items()}
-        return not validation.ended and validation.violation > 0.0
+        if validation.ended:
+            return False
+        self.gaps = validation_gaps(self.iterate.merit, validation)
+        return validation.violation > 0.0

@@ -11,6 +11,7 @@ from dssc_jax.analyses.tuning.problem import Problem
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
+from dssc_jax.engine.sampling import Arrays
 
 DIFFERENCE_STEP = 1e-5  # step of the differences
 SEARCH_STEP = 0.03  # a typical step of a search, in its coordinates
@@ -24,7 +25,7 @@ INSET = 0.05  # share of an interval's logarithm that is left out at both ends
 
 @dataclass(frozen=True)
 class GradientAgreement:
-    """How well derivatives agree with differences.
+    """How well the derivatives of metrics agree with differences.
 
     Args:
         points: Number of random points, each with a draw.
@@ -98,18 +99,19 @@ class DerivativePair(NamedTuple):
 
     def worst(self) -> list[tuple[int, ...]]:
         """Indices of the :data:`SHOWN` worst disagreements away from kinks, the largest relative difference first."""
-        places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
         distance = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
-        distance = np.nan_to_num(distance, nan=np.inf)
-        indices = [tuple(place) for place in places.tolist()]
-        return sorted(indices, key=lambda index: -distance[index])[:SHOWN]
+        distance = np.nan_to_num(distance, nan=np.inf)  # a derivative that is not a number disagrees most
+        places = [tuple(place) for place in np.argwhere(~self.agree & ~self.kink).tolist()]
+        return sorted(places, key=lambda place: -distance[place])[:SHOWN]
 
 
 def compare_derivatives(
     exact: np.ndarray, value: np.ndarray, forward: np.ndarray, backward: np.ndarray
 ) -> DerivativePair:
-    """Compare derivatives with the differences on both sides, arrays of the same shape.
+    """Compare derivatives with the differences on both sides: is there a kink, and do they agree?
+
+    All arrays have the same shape.
 
     Args:
         exact: Derivatives.
@@ -119,8 +121,8 @@ def compare_derivatives(
     """
     noise = DIFFERENCE_NOISE * np.abs(value)
     central = 0.5 * (forward + backward)
-    larger = np.maximum(np.abs(forward), np.abs(backward))
-    kink = np.abs(forward - backward) > KINK * larger + noise
+    larger_side = np.maximum(np.abs(forward), np.abs(backward))
+    kink = np.abs(forward - backward) > KINK * larger_side + noise
     agree = np.abs(exact - central) <= AGREEMENT * np.maximum(np.abs(exact), np.abs(central)) + noise
     return DerivativePair(exact, central, kink, agree)
 
@@ -140,51 +142,98 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     tuned_count = len(coordinates.names)
     centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, tuned_count)))
     draws = rng.choice(problem.train, points)
-    axes = np.eye(tuned_count)
-    shifts = np.concatenate(
-        [
-            np.zeros((1, tuned_count)),
-            DIFFERENCE_STEP * axes,
-            -DIFFERENCE_STEP * axes,
-            SEARCH_STEP * axes,
-            -SEARCH_STEP * axes,
-        ]
-    )
-    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)
+    shifts = coordinate_shifts(tuned_count)
+    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)  # all points, at one shift after the other
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
     lanes |= coordinates.numbers(z)
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
-    derivatives = problem.with_derivatives(draws, {name: column[:points] for name, column in lanes.items()})
-    number_slopes = coordinates.slopes(centre)
+    unshifted_lanes = {name: column[:points] for name, column in lanes.items()}
+    derivatives = problem.with_derivatives(draws, unshifted_lanes)
     is_complete = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     metrics = list(problem.plan.measures)
-    count = int(np.count_nonzero(is_complete))
-    exact = []
-    for name in metrics:
-        rows = [derivatives[Derivative(name, number)][:, None] * number_slopes[number] for number in problem.names]
-        exact.append(np.sum(rows, axis=0)[is_complete])
     values = np.stack([results[name].reshape(len(shifts), points)[:, is_complete] for name in metrics])
-    moved = values[:, 1:].reshape(len(metrics), 4, tuned_count, count)
-    higher, lower, step_higher, step_lower = np.moveaxis(moved, (1, 3), (0, 2))  # shape (metrics, count, numbers) each
-    value = np.broadcast_to(values[:, 0, :, None], higher.shape)
-    forward = (higher - value) / DIFFERENCE_STEP
-    backward = (value - lower) / DIFFERENCE_STEP
-    comparison = compare_derivatives(np.stack(exact), value, forward, backward)
-    predictive = is_predictive(comparison.exact, value, (step_higher - step_lower) / (2.0 * SEARCH_STEP))
-    share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
-    kink_shares = {}
-    for metric, row in zip(metrics, share.tolist(), strict=True):
-        kink_shares[metric] = dict(zip(coordinates.names, row, strict=True))
+    exact = derivatives_by_coordinates(problem, metrics, derivatives, centre)[:, is_complete]
+    differences = differences_of(values, tuned_count)
+    comparison = compare_derivatives(exact, differences.value, differences.forward, differences.backward)
+    predictive = is_predictive(exact, differences.value, differences.step_slope)
+    count = int(np.count_nonzero(is_complete))
+    kink_shares = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
+    kinked = {}
+    for metric, row in zip(metrics, kink_shares.tolist(), strict=True):
+        kinked[metric] = dict(zip(coordinates.names, row, strict=True))
     tuned = {name: column[is_complete] for name, column in coordinates.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
         ended=points - count,
-        kinked=kink_shares,
+        kinked=kinked,
         disagreeing=[disagreement(comparison, place, metrics, tuned) for place in comparison.worst()],
         **comparison.shares,
     )
+
+
+def coordinate_shifts(tuned_count: int) -> np.ndarray:
+    """Shifts of a point at which its metrics are computed, shape (1 + 4 tuned numbers, tuned numbers).
+
+    First none, then a short step along each coordinate, backward, then a search's step along each, and backward.
+    """
+    axes = np.eye(tuned_count)
+    no_shift = np.zeros((1, tuned_count))
+    return np.concatenate(
+        [no_shift, DIFFERENCE_STEP * axes, -DIFFERENCE_STEP * axes, SEARCH_STEP * axes, -SEARCH_STEP * axes]
+    )
+
+
+def derivatives_by_coordinates(
+    problem: Problem, metrics: Sequence[str], derivatives: Arrays, centre: np.ndarray
+) -> np.ndarray:
+    """Derivatives of metrics by the search's coordinates, shape (metrics, points, tuned numbers), by the chain rule.
+
+    Args:
+        problem: The problem.
+        metrics: Names of the metrics.
+        derivatives: Derivatives of the metrics by the loop's numbers at the points, shape (points,) each.
+        centre: Coordinates of the points, shape (points, tuned numbers).
+    """
+    number_slopes = problem.plan.coordinates.slopes(centre)
+    rows = []
+    for metric in metrics:
+        terms = [derivatives[Derivative(metric, name)][:, None] * number_slopes[name] for name in problem.names]
+        rows.append(np.sum(terms, axis=0))
+    return np.stack(rows)
+
+
+class Differences(NamedTuple):
+    """Values of metrics at points, and their differences along the coordinates; shape (metrics, points, numbers) each.
+
+    Args:
+        value: The value, the same along all coordinates.
+        forward: Forward differences over a short step, per unit of the coordinate.
+        backward: Backward differences over a short step.
+        step_slope: Central differences over a typical step of a search.
+    """
+
+    value: np.ndarray
+    forward: np.ndarray
+    backward: np.ndarray
+    step_slope: np.ndarray
+
+
+def differences_of(values: np.ndarray, tuned_count: int) -> Differences:
+    """The differences of metrics along the coordinates, from their values at shifted points.
+
+    Args:
+        values: Values at the :func:`coordinate_shifts` of each point, shape (metrics, shifts, points).
+        tuned_count: Number of tuned numbers.
+    """
+    metrics, _, points = values.shape
+    shifted = values[:, 1:].reshape(metrics, 4, tuned_count, points)
+    higher, lower, step_higher, step_lower = shifted.transpose(1, 0, 3, 2)  # shape (metrics, points, numbers) each
+    value = np.broadcast_to(values[:, 0, :, None], higher.shape)
+    forward = (higher - value) / DIFFERENCE_STEP
+    backward = (value - lower) / DIFFERENCE_STEP
+    return Differences(value, forward, backward, (step_higher - step_lower) / (2.0 * SEARCH_STEP))
 
 
 def is_predictive(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np.ndarray:
@@ -202,7 +251,7 @@ def is_predictive(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) 
 def disagreement(
     comparison: DerivativePair, place: tuple[int, ...], metrics: Sequence[str], tuned: Mapping[str, np.ndarray]
 ) -> JsonObject:
-    """A derivative and a difference that disagree, for JSON.
+    """A derivative and the difference that disagrees with it, with metric, number and point, for JSON.
 
     Args:
         comparison: All derivatives and differences.

@@ -24,7 +24,7 @@ COUNTEREXAMPLES = "counterexamples"
 
 
 class Merit(NamedTuple):
-    """The objective and the excesses over the limits on some draws.
+    """The objective and the excesses over the limits on some draws; empty fields if draws have no objective.
 
     Args:
         objective: The aggregate of the draws' costs.
@@ -49,9 +49,10 @@ class Merit(NamedTuple):
 
 
 def draw_weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
-    """The weight of each draw in the aggregate of the costs, shape (n,). The weights add up to 1.
+    """The weight of each draw in the aggregate of the costs, shape (n,); the weights add up to 1.
 
-    The gradient of the aggregate is the sum of the draws' gradients with the same weights.
+    The gradient of the aggregate is taken as the sum of the draws' gradients with the same weights. For ``worst`` this
+    neglects that the weights depend on the costs.
 
     Args:
         costs: Cost of each draw, shape (n,).
@@ -66,10 +67,13 @@ def draw_weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
     if aggregate == "mean":
         return np.full(count, 1.0 / count)
     if aggregate == "worst":
-        spread = max(SHARPNESS * float(np.std(costs)), np.finfo(float).eps * float(np.max(np.abs(costs))))
-        return softmax(costs / (spread if spread > np.finfo(float).tiny else 1.0))
-    worst_count = (1.0 - level) * count  # a fraction of a draw counts
-    rank = np.empty(count)  # 0 is the worst draw
+        rounding = np.finfo(float).eps * float(np.max(np.abs(costs)))
+        temperature = max(SHARPNESS * float(np.std(costs)), rounding)
+        if temperature <= np.finfo(float).tiny:
+            temperature = 1.0  # all costs are 0
+        return softmax(costs / temperature)
+    worst_count = (1.0 - level) * count  # a fraction of a draw counts in part
+    rank = np.empty(count)  # 0: the worst draw
     rank[np.argsort(-costs, kind="stable")] = np.arange(count)
     return np.clip(worst_count - rank, 0.0, 1.0) / worst_count
 
@@ -107,50 +111,55 @@ class Goal:
 
     def excess(self, results: Arrays) -> np.ndarray:
         """How far each draw misses its worst requirement, relative to the bound, shape (n,); 0 if it meets all."""
-        return np.maximum(np.max(self._relative(results), axis=0), 0.0)
+        return np.maximum(np.max(self._relative_excess(results), axis=0), 0.0)
 
-    def _relative(self, results: Arrays) -> np.ndarray:
-        """How far each draw misses each requirement, relative to the bound, finite; shape (requirements, draws)."""
+    def _relative_excess(self, results: Arrays) -> np.ndarray:
+        """How far each draw misses each requirement, relative to the bound, shape (requirements, draws).
+
+        It is negative where the requirement is met. A metric that is missing or infinite misses its bound by
+        :data:`ENDLESS`, so that all values are finite.
+        """
         relative_excess = np.array([-results[r.name] / r.scale for r in self.requirements])
         return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
-    def undefined(self, results: Arrays) -> np.ndarray:
+    def lacks_value(self, results: Arrays) -> np.ndarray:
         """Whether each draw lacks a cost or a limited metric, shape (n,): it ended early, or has no margin."""
-        undefined = ended_early(results["outcome"]) | np.isnan(self.cost(results))
+        is_lacking = ended_early(results["outcome"]) | np.isnan(self.cost(results))
         for name in self.limits:
-            undefined = undefined | np.isnan(results[name])
-        return undefined
+            is_lacking = is_lacking | np.isnan(results[name])
+        return is_lacking
 
     def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
-        """Objective and excesses from results of draws and counterexamples, with derivatives if there are some.
+        """Objective and excesses from results of draws and counterexamples, with their derivatives by some numbers.
 
         Args:
             results: Results of the draws, then of the counterexamples.
-            numbers: The loop's numbers by which the results have derivatives.
+            numbers: The loop's numbers by which the results have derivatives; none: no derivatives.
             counterexample_count: Number of counterexamples; they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - counterexample_count
-        ended = int(np.count_nonzero(self.undefined(results)))
+        ended = int(np.count_nonzero(self.lacks_value(results)))
         if ended:
             return Merit(float("inf"), {}, {}, {}, ended)
         draw_results = {name: array[:count] for name, array in results.items()}
         costs = self.cost(draw_results)
-        share = draw_weights(costs, self.aggregate, self.level)
+        weights = draw_weights(costs, self.aggregate, self.level)
         excess = {}
         slopes = {}
         for name, bound in self.limits.items():
-            scale = bound or 1.0
+            scale = bound or 1.0  # an excess over 0 is absolute
             excess[name] = float((np.mean(draw_results[name]) - bound) / scale)
-            slopes[name] = {
-                number: float(np.mean(draw_results[Derivative(name, number)]) / scale) for number in numbers
-            }
+            by_number = {}
+            for number in numbers:
+                by_number[number] = float(np.mean(draw_results[Derivative(name, number)]) / scale)
+            slopes[name] = by_number
         if self.requirements:
             excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._mean_excess(draw_results, numbers)
             if counterexample_count:
                 counterexamples = {name: array[count:] for name, array in results.items()}
                 excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._mean_excess(counterexamples, numbers)
-        gradient = {number: float(share @ self._slope(draw_results, number)) for number in numbers}
-        return Merit(float(share @ costs), gradient, excess, slopes, 0)
+        gradient = {number: float(weights @ self._slope(draw_results, number)) for number in numbers}
+        return Merit(float(weights @ costs), gradient, excess, slopes, ended=0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
         """Derivative of each draw's cost by one of the loop's numbers, shape (n,)."""
@@ -160,15 +169,16 @@ class Goal:
         return total
 
     def _mean_excess(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
-        """Mean over the draws of how far the worst requirement is missed, and its derivatives."""
-        relative_excess = self._relative(results)
-        worst = np.argmax(relative_excess, axis=0)
+        """Mean over the draws of how far the worst requirement is missed, and its derivatives by some numbers."""
+        relative_excess = self._relative_excess(results)
+        worst = np.argmax(relative_excess, axis=0)  # index of a requirement for each draw
         is_violated = np.max(relative_excess, axis=0) > 0.0
         slopes = {}
         for number in numbers:
             rows = np.array([-results[Derivative(r.name, number)] / r.scale for r in self.requirements])
-            slope = np.take_along_axis(rows, worst[None], 0)[0]
-            slopes[number] = float(np.mean(np.where(is_violated & np.isfinite(slope), slope, 0.0)))
+            slope_of_worst = np.take_along_axis(rows, worst[None], 0)[0]
+            counted = np.where(is_violated & np.isfinite(slope_of_worst), slope_of_worst, 0.0)
+            slopes[number] = float(np.mean(counted))
         return float(np.mean(self.excess(results))), slopes
 
 
@@ -200,16 +210,12 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
     ended = ended_early(results["outcome"])
     rows = []
     if ended.any():
-        rows.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, ""))
+        rows.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, unit=""))
     for requirement in goal.requirements:
-        slacks = results[requirement.name]
-        is_missed = violated(slacks) & ~ended
+        slacks = results[requirement.name][~ended]
+        is_missed = violated(slacks)
         if is_missed.any():
-            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[is_missed]))
-            value = requirement.bound + (excess if requirement.maximum is not None else -excess)
-            excess = abs(requirement.shown(value)[0] - requirement.shown(requirement.bound)[0])
-            unit = requirement.shown(value)[1]
-            rows.append(MissedBound(requirement.short, int(np.count_nonzero(is_missed)), excess, unit))
+            rows.append(missed_requirement(requirement, slacks[is_missed]))
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~ended])) - bound if not ended.all() else math.nan
         if excess > 0.0:
@@ -217,7 +223,24 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
     return tuple(rows)
 
 
-RESAMPLES = 2000
+def missed_requirement(requirement: Requirement, slacks: np.ndarray) -> MissedBound:
+    """How far the worst of some draws misses a requirement, in the unit in which the requirement is shown.
+
+    Args:
+        requirement: The requirement.
+        slacks: Slack of each draw that misses it; NaN without a metric.
+    """
+    distance = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)))
+    worst_value = requirement.bound - distance
+    if requirement.maximum is not None:
+        worst_value = requirement.bound + distance
+    shown_value, unit = requirement.shown(worst_value)
+    shown_bound, _ = requirement.shown(requirement.bound)
+    return MissedBound(requirement.short, len(slacks), abs(shown_value - shown_bound), unit)
+
+
+RESAMPLES = 2000  # of the bootstrap
+JUDGED_LANES = 4096  # most draws of the verdict that are simulated at once
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
@@ -229,7 +252,7 @@ class Verdict:
     Args:
         draws: Number of draws, which are those of the study itself.
         objective: The aggregate of the costs; infinite if a draw ended early.
-        reduction: 1 - result/start.
+        reduction: Reduction of the objective, 1 - result/start.
         reduction_interval: Bootstrap interval of the reduction over the draws; NaN if a draw ended early.
         quantile: Exact order-statistic intervals of the cost's quantile at the level of the aggregate.
         difference: Median and exact interval of the difference of the cost draw by draw, result minus start.
@@ -259,8 +282,8 @@ class Verdict:
 
     @property
     def within(self) -> bool:
-        """Whether every limit holds on these draws."""
-        return all(results <= bound for bound, _, results in self.limits.values())
+        """Whether every limit holds on these draws for the result."""
+        return all(result_mean <= bound for bound, _, result_mean in self.limits.values())
 
 
 def judge_tuning(
@@ -278,12 +301,15 @@ def judge_tuning(
         The verdict, and the cost of every draw for ``start`` and ``tuned``, shape (draws,) each.
     """
     study = plan.study
-    evaluator = Evaluator(study, {name: (start[name], start[name]) for name in start}, min(study.config.draws, 4096))
-    indices = np.arange(study.config.draws)
-    laws = evaluator.values_of_draws(slice(0, len(indices)))
+    draws = study.config.draws
+    extents = {name: (value, value) for name, value in start.items()}
+    evaluator = Evaluator(study, extents, min(draws, JUDGED_LANES))
+    laws = evaluator.values_of_draws(slice(0, draws))
 
     def simulate(numbers: Mapping[str, float]) -> Arrays:
-        return evaluator(indices, laws | {name: np.full(len(indices), value) for name, value in numbers.items()})
+        """Results of all draws with some numbers of the loop."""
+        columns = {name: np.full(draws, value) for name, value in numbers.items()}
+        return evaluator(np.arange(draws), laws | columns)
 
     start_results = simulate(start)
     results = simulate(best)
@@ -304,7 +330,7 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
-    level = goal.level if goal.aggregate == "cvar" else 0.5
+    level = goal.level if goal.aggregate == "cvar" else 0.5  # of the quantile whose intervals are given
     cost_difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)
@@ -316,8 +342,9 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
         limits[name] = (limit, start_mean, float(np.mean(results[name])))
     by_requirement = {}
     for requirement in goal.requirements:
-        counts = (int(np.count_nonzero(violated(part[requirement.name]))) for part in (start_results, results))
-        by_requirement[requirement.short] = tuple(counts)
+        start_violations = int(np.count_nonzero(violated(start_results[requirement.name])))
+        violations = int(np.count_nonzero(violated(results[requirement.name])))
+        by_requirement[requirement.short] = (start_violations, violations)
     start_count = int(np.count_nonzero(start_failed))
     count = int(np.count_nonzero(failed))
     return Verdict(
@@ -336,12 +363,12 @@ def compare_results(plan: Plan, goal: Goal, start_results: Arrays, results: Arra
 
 
 def failure_interval(failures: int, draws: int) -> Pair:
-    """Exact interval of a failure probability (Clopper-Pearson)."""
+    """Exact (Clopper-Pearson) interval of a failure probability, from the failures among some draws."""
     low, high = clopper_pearson(failures, draws).tolist()
     return low, high
 
 
-def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tuple[float, float]:
+def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> Pair:
     """Percentile bootstrap interval of 1 - result/start over paired draws; NaN if a draw has no cost.
 
     Args:
@@ -352,11 +379,9 @@ def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tupl
     if not (np.isfinite(start).all() and np.isfinite(tuned).all()):
         return float("nan"), float("nan")
 
-    def mean_cost(costs: np.ndarray) -> float:
-        return float(draw_weights(costs, goal.aggregate, goal.level) @ costs)
-
-    def reduction(first: np.ndarray, second: np.ndarray) -> float:
-        return 1.0 - mean_cost(second) / mean_cost(first)
+    def reduction(start_costs: np.ndarray, tuned_costs: np.ndarray) -> float:
+        """1 - result/start of resampled draws."""
+        return 1.0 - goal.value(tuned_costs) / goal.value(start_costs)
 
     interval = bootstrap(
         (start, tuned), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 REACH_BOXES = 1  # boxes of uncertain numbers at each value of a walk, so that a value without a proof takes little time
 
 NumbersKey: TypeAlias = tuple[tuple[str, float], ...]
-"""The loop's numbers, as the key of a proof."""
+"""The loop's numbers by name, as the key under which their proof is stored."""
 
 
 class ProvedAim(NamedTuple):
@@ -71,7 +71,7 @@ class Plan:
 
     @classmethod
     def _of(cls, study: Study) -> "Plan":
-        """As :meth:`of`, with errors that do not name the study's file."""
+        """Create the plan of a study without a sweep, with errors that do not name the study's file."""
         table = tune_table(study)
         varied = dict(table.parameters)
         starts = {name: start_value(study, name, extent) for name, extent in table.parameters.items()}
@@ -82,9 +82,9 @@ class Plan:
             theorem = Theorem(study, fixed)
             expand = theorem.expand
             varied |= free
-            starts |= {name: (low * high) ** 0.5 for name, (low, high) in free.items()}
+            starts |= {name: (low * high) ** 0.5 for name, (low, high) in free.items()}  # the geometric mean
         elif table.slack is not None:
-            theorem = Theorem(study, {}, "tune.slack")
+            theorem = Theorem(study, fixed={}, option="tune.slack")
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
         return cls(study, table, SearchCoordinates(varied, starts, expand), theorem, seed_of(study, table))
@@ -96,7 +96,7 @@ class Plan:
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
     def proof_at(self, numbers: Mapping[str, float]) -> "AnyProved":
-        """Search for a proof of the study with other numbers; once for each set of numbers."""
+        """Prove the study with other numbers, or return the proof that an earlier call found for them."""
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())
@@ -110,30 +110,32 @@ class Plan:
         return self.table.aim != OBJECTIVE
 
     def aim_at(self, numbers: Mapping[str, float]) -> ProvedAim:
-        """Compute the proved number that is optimised, for the study with other numbers."""
+        """Compute the proved number that is optimised, for the study with other numbers; once for each set of them."""
         if self.table.aim == PROVED_ERROR:
             proof = self.proof_at(numbers)
             if proof.complete:
-                return ProvedAim(proof.error, proof, "")
+                return ProvedAim(proof.error, proof, reason="")
             return ProvedAim(None, None, proof.reason)
         from dssc_jax.proofs.reach import proved_up_to
 
-        ((name, bounds),) = self.table.over.items()
+        ((name, bounds),) = self.table.over.items()  # the rules of [tune] require exactly one
         key = tuple(numbers.items())
         if key not in self._aims:
             reach = proved_up_to(self.study.override(numbers), name, bounds, log=True, boxes=REACH_BOXES)
-            self._aims[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
+            reason = reach.reason if reach.last is None else ""
+            self._aims[key] = ProvedAim(reach.proved, reach.last, reason)
         return self._aims[key]
 
     def proof_of_result(self, numbers: Mapping[str, float]) -> "AnyProved | None":
-        """The proof to store with the result: that of the proved number, or of the loop; None if none is required."""
+        """The proof to store with the result: of the proved number, or of the loop; None if none is required."""
         if self.optimises_proof:
             return self.aim_at(numbers).proof
         return self.proof_at(numbers) if self.table.proved else None
 
     def numbers_at(self, z: np.ndarray) -> dict[str, float]:
         """The loop's numbers at coordinates of the search, shape (n,), by dotted name."""
-        return {name: float(value[0]) for name, value in self.coordinates.numbers(z[None]).items()}
+        one_point = z[None]
+        return {name: float(values[0]) for name, values in self.coordinates.numbers(one_point).items()}
 
     def trial(self) -> Study:
         """The study used for training: other draws, no plot, and only the metrics that the search reads.
@@ -158,7 +160,7 @@ class Plan:
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 
     def _written_name(self, measure: Measure) -> str:
-        """A metric's name as written in the study; a user's metric has its dotted name."""
+        """A metric's name as the study writes it; a user's own metric is written with its module, before a colon."""
         for name in self.study.config.metrics.names or ():
             if name.rpartition(":")[2] == measure.kind:
                 return name

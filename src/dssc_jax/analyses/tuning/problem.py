@@ -38,6 +38,11 @@ class StartPoints(NamedTuple):
     train: EvaluatedPoint
     validation: EvaluatedPoint
 
+    @property
+    def scale(self) -> float:
+        """Size of the start's objective, relative to which a search takes objectives; 1 in place of 0."""
+        return abs(self.train.merit.objective) or 1.0
+
 
 class TheoremSlacks:
     """Excesses of Theorem 1's inequalities over a required slack, as a compiled function of the search's coordinates.
@@ -47,22 +52,30 @@ class TheoremSlacks:
     """
 
     def __init__(self, plan: Plan) -> None:
+        """Compile the excesses and their derivatives."""
         theorem = plan.theorem
         slack = plan.table.slack
         assert theorem is not None
         assert slack is not None
 
         def excess(z: jax.Array) -> dict[str, jax.Array]:
+            """The excess of each inequality at traced coordinates of shape (n,)."""
             return theorem.excess(plan.coordinates.traced(z), slack)
 
-        self._excess_and_slopes = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
+        def excess_and_slopes(z: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+            """The excess of each inequality, and its derivatives by the coordinates."""
+            return excess(z), jax.jacfwd(excess)(z)
+
+        self._excess_and_slopes = jax.jit(excess_and_slopes)
 
     def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
-        """The excess of each inequality at coordinates of shape (n,), and its derivatives by them, shape (n,) each."""
+        """The excess of each inequality at coordinates of shape (n,), and its derivatives by them, shape (n,) each.
+
+        A slope that is not a number, as at the end of a range, is taken as 0.
+        """
         with jax.enable_x64(True):
             traced_excess, traced_slopes = self._excess_and_slopes(jnp.asarray(z))
         excess = {name: float(value) for name, value in traced_excess.items()}
-        # a slope that is not a number, as at the end of a range, moves nothing
         slopes = {name: np.nan_to_num(np.asarray(slope)) for name, slope in traced_slopes.items()}
         return excess, slopes
 
@@ -89,17 +102,19 @@ class Problem:
     proved: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        """Prepare the programs with and without derivatives, split the draws, and read the goal."""
         trial = self.plan.trial()
         table = self.plan.table
         start = self.plan.numbers_at(self.plan.coordinates.origin)
         self.names = list(start)
         lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
-        ends = {name: (value, value) for name, value in start.items()}
-        self.plain = Evaluator(trial, ends, lanes)
+        extents = {name: (value, value) for name, value in start.items()}
+        self.plain = Evaluator(trial, extents, lanes)
         self.width = table.smoothing
-        smooth = ends if self.width is None else ends | {WIDTH: (self.width, self.width)}
-        reverse = table.derivatives == "reverse"
-        self.evaluator = GradientEvaluator(self.plan.smoothed(), smooth, lanes, names=self.names, reverse=reverse)
+        if self.width is not None:
+            extents = extents | {WIDTH: (self.width, self.width)}
+        is_reverse = table.derivatives == "reverse"
+        self.evaluator = GradientEvaluator(self.plan.smoothed(), extents, lanes, names=self.names, reverse=is_reverse)
         self.laws = self.evaluator.values_of_draws(slice(0, trial.config.draws))
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
@@ -108,8 +123,11 @@ class Problem:
 
     @property
     def extra(self) -> np.ndarray:
-        """Draw index of each counterexample, which is 0: they were found with the noise of draw 0."""
-        return np.zeros(len(next(iter(self.counterexamples.values()), [])), dtype=int)
+        """Draw index of each counterexample, shape (counterexamples,); 0, since they were found with draw 0's noise."""
+        if not self.counterexamples:
+            return np.zeros(0, dtype=int)
+        first_column = next(iter(self.counterexamples.values()))
+        return np.zeros(len(first_column), dtype=int)
 
     @property
     def differentiable(self) -> bool:
@@ -117,17 +135,21 @@ class Problem:
         return not native_code(self.plain.swept)
 
     def begin(self) -> StartPoints:
-        """Evaluate the start on the training and on the validation draws; limits may refer to its values."""
+        """Evaluate the start on the training and on the validation draws; store its metrics for limits ``start``."""
         origin = self.plan.coordinates.origin
         draws = np.concatenate([self.train, self.validation])
         results = self.results(origin[None], draws, self.plain)
         self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
-        plain = self.plan.optimises_proof or not self.differentiable
-        train = self.evaluate(origin, self.train) if plain else self.at(origin, self.train)
+        needs_derivatives = self.differentiable and not self.plan.optimises_proof
+        train = self.at(origin, self.train) if needs_derivatives else self.evaluate(origin, self.train)
         return StartPoints(train, self.evaluate(origin))
 
     def goal_on(self, draws: np.ndarray) -> Goal:
-        """The goal for some of the draws: a limit ``start`` is the value at the start on the same draws."""
+        """The goal for some of the draws; where a limit is ``start``, its bound is the start's mean on the same draws.
+
+        Args:
+            draws: Indices of the draws.
+        """
         limits = {}
         for name, bound in self.plan.table.limits.items():
             value = np.mean(self.start_metrics[name][draws]) if bound == "start" else bound
@@ -140,7 +162,7 @@ class Problem:
         Args:
             z: Coordinates of the points, shape (m, n).
             draws: Indices of the draws, shape (d,).
-            evaluator: A program to use instead of the one with derivatives.
+            evaluator: A program to use; None: the one with derivatives.
 
         Returns:
             Arrays of shape (m (d + counterexamples),), point by point.
@@ -152,7 +174,8 @@ class Problem:
             lanes[name] = np.tile(values, len(z))
         for name, column in self.plan.coordinates.numbers(z).items():
             lanes[name] = np.repeat(column, len(indices))
-        return (evaluator or self.with_derivatives)(np.tile(indices, len(z)), lanes)
+        simulate = self.with_derivatives if evaluator is None else evaluator
+        return simulate(np.tile(indices, len(z)), lanes)
 
     def with_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
         """Simulate lanes with derivatives, at the present width of the sign.
@@ -171,36 +194,49 @@ class Problem:
         return evaluator(indices, lanes | self._width(indices))
 
     def _width(self, indices: np.ndarray) -> Arrays:
-        """The width of the smoothed sign as a number of each lane; empty if the sign is not smoothed."""
+        """The width of the smoothed sign as a number of each lane, shape (lanes,); empty if it is not smoothed."""
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> EvaluatedPoint:
-        """Evaluate a point with the exact sign and without derivatives, by default on the validation draws."""
+        """Evaluate a point with the exact sign and without derivatives.
+
+        Args:
+            z: Coordinates of the point, shape (n,).
+            draws: Indices of the draws; None: the validation draws.
+        """
         draws = self.validation if draws is None else draws
-        merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
-        if not merit.ended and self.slacks is not None:
-            merit = merit._replace(excess=merit.excess | self.slacks.at(z)[0])
+        results = self.results(z[None], draws, self.plain)
+        merit = self.goal_on(draws).merit(results, (), len(self.extra))  # (): no derivatives
+        if self.slacks is not None and not merit.ended:
+            slack_excess, _ = self.slacks.at(z)
+            merit = merit._replace(excess=merit.excess | slack_excess)
         return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
 
     def at(self, z: np.ndarray, draws: np.ndarray) -> EvaluatedPoint:
-        """Evaluate a point with derivatives, at the present width of the sign, on some of the draws."""
+        """Evaluate a point with derivatives, at the present width of the sign, on some of the draws.
+
+        Args:
+            z: Coordinates of the point, shape (n,).
+            draws: Indices of the draws.
+        """
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
             return EvaluatedPoint(z, merit, gradient=np.full(len(z), np.nan), slopes={})
         number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
 
-        def along(slopes: dict[str, float]) -> np.ndarray:
-            return np.sum([slope * number_slopes[name] for name, slope in slopes.items()], axis=0)
+        def by_coordinates(by_number: dict[str, float]) -> np.ndarray:
+            """Derivatives by the coordinates from those by the loop's numbers, by the chain rule; shape (n,)."""
+            return np.sum([slope * number_slopes[name] for name, slope in by_number.items()], axis=0)
 
-        slopes = {name: along(row) for name, row in merit.slopes.items()}
+        slopes = {name: by_coordinates(by_number) for name, by_number in merit.slopes.items()}
         if self.slacks is not None:
             excess, excess_slopes = self.slacks.at(z)
             merit = merit._replace(excess=merit.excess | excess)
             slopes |= excess_slopes
-        return EvaluatedPoint(z, merit, along(merit.gradient), slopes)
+        return EvaluatedPoint(z, merit, by_coordinates(merit.gradient), slopes)
 
     def is_admissible(self, z: np.ndarray) -> bool:
-        """Whether Theorem 1 certifies a point, and the point is proved, as far as either is required."""
+        """Whether a point of shape (n,) is certified by Theorem 1 and proved, as far as the plan requires either."""
         numbers = self.plan.numbers_at(z)
         if self.plan.theorem is not None:
             if not self.plan.theorem.certificate(numbers).certified:
@@ -214,7 +250,7 @@ class Problem:
 
 
 HEADROOM = 0.01  # relative distance from each limit that a search keeps
-UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
+UNFIT = 1e6  # cost of a point that is not admissible, or whose draws end early
 BOX_HALF_WIDTH = 6.0  # largest |z| of a search: 0.25 % of an interval's logarithm is left out at each end
 FINAL_WIDTH = 1e-3  # ratio of the last width of the sign above 0 to the first one
 PENALTY = 20.0  # weight of a relative excess beside the relative objective; more than the sum of the multipliers
@@ -264,19 +300,26 @@ class SearchRecord:
         for name, value in problem.plan.coordinates.tuned(train.z).items():
             row[name] = float(value)
         self.history.append(row)
-        key = rank(validation, score)
-        better = key < self.lowest
-        if better or step == 0:
+        new_rank = rank(validation, score)
+        is_best = new_rank < self.lowest
+        if is_best or step == 0:
             self.best = validation
-            self.lowest = key
-        return better
+            self.lowest = new_rank
+        return is_best
 
 
 def headroom(limit: str) -> float:
-    """The relative headroom kept within a limit; 0 for the theorem's, which do not depend on the draws."""
+    """The relative distance that a search keeps from a limit; 0 from Theorem 1's, which do not depend on draws."""
     return 0.0 if limit.startswith(SLACK) else HEADROOM
 
 
 def rank(point: EvaluatedPoint, score: float | None) -> tuple[float, float]:
-    """Rank of a point among others, the smallest is the best: by its violation, then by its score or objective."""
-    return point.merit.violation, point.merit.objective if score is None else score
+    """Rank of a point among others, the smallest is the best: by its violation, then by its score.
+
+    Args:
+        point: The point, evaluated on the validation draws.
+        score: Its score; None: its objective.
+    """
+    if score is None:
+        score = point.merit.objective
+    return point.merit.violation, score

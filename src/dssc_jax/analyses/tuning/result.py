@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.falsification.falsify import PointAnswer
+from dssc_jax.analyses.falsification.answer import PointAnswer
 from dssc_jax.analyses.tuning.derivative_free import ProvedComparison
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
@@ -50,7 +50,10 @@ PROOF_FILE = "proof.json"
 
 @dataclass(frozen=True)
 class Counterexample:
-    """The worst draw that a search found against a tuned loop."""
+    """The worst draw that a search found against a tuned loop, after one round of a robust tuning.
+
+    In JSON the fields of ``worst`` stand among its own.
+    """
 
     worst: PointAnswer = field(metadata={MERGED: True})
     simulations: Annotated[int, Quantity("1", "simulations spent")]
@@ -58,7 +61,11 @@ class Counterexample:
 
 @dataclass(frozen=True)
 class SearchFacts:
-    """How the search went."""
+    """How the search for the tuned numbers went: its method and its end, and what its result meets and misses.
+
+    ``missed`` has the bounds that the result misses, ``aimed`` the proved number if it was optimised, and
+    ``counterexamples`` the worst draw after each round.
+    """
 
     method: Annotated[str, Quantity("", "method of the search")]
     stopped: Annotated[str, Quantity("", "why it ended")]
@@ -76,7 +83,7 @@ class SearchFacts:
 
 @dataclass(frozen=True)
 class ObjectiveAnswer:
-    """The objective, as the study's ``[tune]`` has it."""
+    """The objective, as the study's ``[tune]`` states it."""
 
     costs: Annotated[dict[str, float], Quantity("1/that of the metric", "weight of each metric")]
     aggregate: Annotated[str, Quantity("", "aggregate over the draws")]
@@ -85,7 +92,10 @@ class ObjectiveAnswer:
 
 @dataclass(frozen=True)
 class VerdictAnswer:
-    """The evaluation on fresh draws."""
+    """The comparison of result and start on fresh draws, with its confidence.
+
+    In JSON the fields of ``verdict`` stand among its own.
+    """
 
     verdict: Verdict = field(metadata={MERGED: True})
     within_limits: Annotated[bool, Quantity("", "whether every limit holds on these draws")]
@@ -94,7 +104,10 @@ class VerdictAnswer:
 
 @dataclass(frozen=True)
 class GradientAnswer:
-    """The comparison of derivatives with differences."""
+    """The comparison of derivatives with differences, with its result in words.
+
+    In JSON the fields of ``agreement`` stand among its own.
+    """
 
     agreement: GradientAgreement = field(metadata={MERGED: True})
     text: Annotated[str, Quantity("", "the result in one line")]
@@ -102,7 +115,7 @@ class GradientAnswer:
 
 @dataclass(frozen=True)
 class TuningDraws:
-    """The draws of the search."""
+    """How many draws the search used, and their seed."""
 
     train: Annotated[int, Quantity("1", "training draws")]
     validation: Annotated[int, Quantity("1", "validation draws")]
@@ -111,7 +124,10 @@ class TuningDraws:
 
 @dataclass(frozen=True)
 class TunedAnswer:
-    """The tuned numbers, and how they do on fresh draws."""
+    """The tuned numbers, and how they do on fresh draws.
+
+    ``gradients`` is None if the method needs no derivatives. In JSON the fields of ``search`` stand among its own.
+    """
 
     objective: ObjectiveAnswer
     start: Annotated[dict[str, float], Quantity("that of the number", "tuned numbers at the start")]
@@ -155,7 +171,7 @@ class Tuned(Analysis):
 
     @property
     def tuned_study(self) -> Study:
-        """The study with the tuned numbers."""
+        """The study with the tuned numbers in place of its own."""
         return self.study.override(self.numbers)
 
     @property
@@ -166,12 +182,18 @@ class Tuned(Analysis):
     @property
     def history(self) -> list[dict[str, Any]]:
         """The history of the search: a row for each evaluation on validation draws, values by column."""
-        looks = self.dataset[[name for name, variable in self.dataset.items() if variable.dims == ("look",)]]
-        return rows_of_columns({str(name): variable.values.tolist() for name, variable in looks.items()})
+        columns = {}
+        for name, variable in self.dataset.items():
+            if variable.dims == ("look",):
+                columns[str(name)] = variable.values.tolist()
+        return rows_of_columns(columns)
 
     @property
     def proved_loop(self) -> dict[str, Any]:
-        """The loop that the result's certificate has to prove, in the form of a certificate's file."""
+        """The loop that the result's certificate has to prove, in the form of a certificate's file.
+
+        If the last proved value of a number was optimised, it is the loop with this value.
+        """
         from dssc_jax.proofs.coverage import problem_of
         from dssc_jax.proofs.reach import problem_at
 
@@ -180,18 +202,19 @@ class Tuned(Analysis):
             problem = problem_of(self.tuned_study)
         else:
             problem = problem_at(self.tuned_study, aimed.over, aimed.result)
-        return json.loads(json.dumps(problem.to_dict()))
+        return json.loads(json.dumps(problem.to_dict()))  # tuples become lists, as in a file
 
     @property
     def costs(self) -> Arrays:
-        """Cost of every fresh draw, ``start`` and ``tuned``."""
+        """Cost of every fresh draw, shape (draws,), for ``start`` and ``tuned``."""
         return {name: self.dataset[COST + name].values for name in ("start", "tuned")}
 
     @property
     def met(self) -> bool:
         """Whether limits and requirements hold on the validation draws, and the last worst draw does not fail."""
         counterexamples = self.facts.counterexamples
-        return self.facts.feasible and not (counterexamples and counterexamples[-1].worst.slack < 0.0)
+        fails_worst_draw = bool(counterexamples) and counterexamples[-1].worst.slack < 0.0
+        return self.facts.feasible and not fails_worst_draw
 
     @property
     def headline(self) -> str:
@@ -244,26 +267,32 @@ class Tuned(Analysis):
 
 
 def tuning_dataset(study: Study, history: Sequence[Mapping[str, Any]], costs: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """The dataset of :class:`Tuned`.
+    """The dataset of :class:`Tuned`: the history along ``look``, the costs of the fresh draws along ``draw``.
 
     Args:
         study: The study.
         history: A row for each evaluation on validation draws.
         costs: Cost of every fresh draw for ``start`` and ``tuned``, shape (draws,) each.
     """
-    meanings = {name: Quantity("1", text) for name, text in HISTORY.items()} | study.quantities
+    quantities = history_quantities(study)
+    variables = {}
+    for name in history[0]:
+        values = np.array([row[name] for row in history])
+        variables[name] = ("look", values, unit_and_meaning(quantities[name].unit, quantities[name].meaning))
+    for name, values in costs.items():
+        variables[COST + name] = ("draw", values, unit_and_meaning("1", f"cost of a draw, {name}"))
+    return xr.Dataset(variables, attrs={"title": study.name})
+
+
+def history_quantities(study: Study) -> dict[str, Quantity]:
+    """Unit and meaning of every column that a history may have: those of the search, and the tuned numbers."""
+    quantities = {name: Quantity("1", text) for name, text in HISTORY.items()} | study.quantities
     aim = tuned_table(study).aim
     if aim != OBJECTIVE:
-        meanings[aim] = aim_quantity(study)
+        quantities[aim] = aim_quantity(study)
     for name, hint in get_type_hints(Free, include_extras=True).items():
-        meanings[FREE_PREFIX + name] = hint.__metadata__[0]
-    columns = {name: ("look", np.array([row[name] for row in history]), meanings[name]) for name in history[0]}
-    for name, values in costs.items():
-        columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))
-    variables = {}
-    for name, (dimension, values, quantity) in columns.items():
-        variables[name] = (dimension, values, unit_and_meaning(quantity.unit, quantity.meaning))
-    return xr.Dataset(variables, attrs={"title": study.name})
+        quantities[FREE_PREFIX + name] = hint.__metadata__[0]  # Annotated[float, Quantity(...)]
+    return quantities
 
 
 def aim_quantity(study: Study) -> Quantity:
@@ -271,13 +300,13 @@ def aim_quantity(study: Study) -> Quantity:
     table = tuned_table(study)
     if table.aim == PROVED_ERROR:
         return Quantity(study.units[0].output, f"proved bound of {claim_of_study(study).error} once settled")
-    name = next(iter(table.over))
+    name = next(iter(table.over))  # its only one
     unit = study.quantities[name].unit if name in study.quantities else "1"
     return Quantity(unit, f"last proved {name}")
 
 
 def tuned_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study that has been tuned."""
+    """The ``[tune]`` of a study that has been tuned, and therefore has this table."""
     table = study.config.tune
     assert table is not None
     return table

@@ -23,7 +23,7 @@ UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names tha
 
 
 def tune_table(study: Study) -> TuneTable:
-    """The ``[tune]`` of a study, after all its rules are checked.
+    """The ``[tune]`` of a study, after all of its rules are checked.
 
     Raises:
         ConfigError: The table is missing, or breaks a rule.
@@ -65,7 +65,7 @@ def require_optimiser(table: TuneTable) -> None:
 
 
 def require_theorem_settings(table: TuneTable) -> None:
-    """Require settings of Theorem 1 that agree: a slack without, free parameters with ``certified = true``.
+    """Require settings of Theorem 1 that agree: ``slack`` only without ``certified = true``, ``free`` only with it.
 
     Raises:
         ConfigError: Two settings contradict each other.
@@ -78,18 +78,20 @@ def require_theorem_settings(table: TuneTable) -> None:
 
 
 def example(study: Study) -> str:
-    """An example of a ``[tune]`` for a study's message: the first positive gain of its controller, its first metric."""
-    gain = ""
+    """An example of ``[tune]`` for the message about a missing one: a first positive gain, and a first metric."""
+    range_of_gain = ""  # the controller has no positive gain
     for name, value in study.leaves().items():
-        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name):
-            gain = f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]'
+        if not name.startswith("controller.") or not is_free(study, name):
+            continue
+        if isinstance(value, float) and value > 0.0:
+            range_of_gain = f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]'
             break
-    metric = next((measure.name for measure in study.measures), "error_rms")
-    return f"[tune] parameters = {{ {gain} }}, objective = {{ {metric} = 1.0 }}"
+    metrics = [measure.name for measure in study.measures] or ["error_rms"]
+    return f"[tune] parameters = {{ {range_of_gain} }}, objective = {{ {metrics[0]} = 1.0 }}"
 
 
 def is_free(study: Study, name: str) -> bool:
-    """Whether a number may differ between draws and follows from no parameter."""
+    """Whether a number may have a law and no expression determines it."""
     return study.quantities[name].law and study.numbers[name].expression is None
 
 
@@ -116,8 +118,8 @@ def require_aim(study: Study, table: TuneTable) -> None:
     ((name, bounds),) = table.over.items()
     if name in table.parameters:
         raise ConfigError(f"tune.over.{name}", "is tuned, too; take it out of [tune.parameters]")
-    for value in bounds:
-        require_provable(study, "tune.aim", (name, value))
+    for end in bounds:
+        require_provable(study, "tune.aim", at=(name, end))
 
 
 def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, float] | None = None) -> None:
@@ -126,7 +128,7 @@ def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, fl
     Args:
         study: The study.
         place: The setting that asks for proofs, for the message.
-        at: Name and value of a number, if the loop is to be proved with that value; else None.
+        at: Name and value of a number with which the loop is to be proved; None: as the study states it.
 
     Raises:
         ConfigError: No proof covers the loop, or a package is missing.
@@ -147,8 +149,10 @@ def require_provable(study: Study, place: str = "tune.proved", at: tuple[str, fl
 
 
 def seed_of(study: Study, table: TuneTable) -> int:
-    """The seed of the training and validation draws."""
-    return (study.config.seed + 1) % 2**32 if table.seed is None else table.seed
+    """The seed of the training and validation draws: as ``[tune]`` states it, else the one after the study's own."""
+    if table.seed is not None:
+        return table.seed
+    return (study.config.seed + 1) % 2**32
 
 
 def require_metrics(study: Study, table: TuneTable) -> None:
@@ -168,18 +172,26 @@ def require_metrics(study: Study, table: TuneTable) -> None:
 
 
 def require_room(study: Study, table: TuneTable) -> None:
-    """Require that some value of every metric meets all its requirements and limits.
+    """Require that some value of every metric meets all of its requirements and limits.
 
     Raises:
         ConfigError: A metric must be above one number and below a smaller one.
     """
-    required = [(r.measure.name, r.minimum, r.maximum) for r in study.requirements]
-    limits = [("requirement", name, high) for name, _, high in required if high is not None]
-    limits += [(f"tune.limits.{name}", name, bound) for name, bound in table.limits.items() if isinstance(bound, float)]
-    for place, name, high in limits:
-        floor = max((low for metric, low, _ in required if metric == name and low is not None), default=high)
-        if floor > high:
-            raise ConfigError(place, f"no value of {name} is >= {floor:g} and <= {high:g}: nothing can satisfy both")
+    least_values: dict[str, float] = {}
+    upper_bounds = []  # (place for the message, metric, largest value)
+    for requirement in study.requirements:
+        name = requirement.measure.name
+        if requirement.minimum is not None:
+            least_values[name] = max(requirement.minimum, least_values.get(name, requirement.minimum))
+        if requirement.maximum is not None:
+            upper_bounds.append(("requirement", name, requirement.maximum))
+    for name, bound in table.limits.items():
+        if isinstance(bound, float):  # the others are "start"
+            upper_bounds.append((f"tune.limits.{name}", name, bound))
+    for place, name, highest in upper_bounds:
+        least = least_values.get(name, highest)
+        if least > highest:
+            raise ConfigError(place, f"no value of {name} is >= {least:g} and <= {highest:g}: nothing can satisfy both")
 
 
 def require_sign(study: Study) -> None:
@@ -223,7 +235,11 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
 
 
 def require_fixed_bounds(study: Study, name: str) -> None:
-    """Require that Theorem 1's bounds do not depend on a number that is tuned.
+    """Require that the bounds of Theorem 1 do not depend on a number that is tuned.
+
+    Args:
+        study: The study.
+        name: Dotted name of the number.
 
     Raises:
         ConfigError: The bounds follow from the number, or a gain of Table 1 does.
@@ -239,12 +255,12 @@ def require_fixed_bounds(study: Study, name: str) -> None:
 
 
 def reason_unfit(study: Study, name: str) -> str:
-    """Why a name that is not that of a number cannot be tuned, as the predicate of a sentence."""
-    value: object = study.table
+    """Why a dotted name that is no number of the loop cannot be tuned, as the predicate of a sentence."""
+    entry: object = study.table
     for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    if value is not None:
-        return f"is no number of the loop but {value!r}, which has no derivative"
+        entry = entry.get(part) if isinstance(entry, Mapping) else None
+    if entry is not None:
+        return f"is no number of the loop but {entry!r}, which has no derivative"
     try:
         study.override({name: 1.0})
     except ConfigError as error:

@@ -23,7 +23,7 @@ Numbers: TypeAlias = Mapping[str, Scalar]
 
 
 def identity(tuned: Numbers) -> Numbers:
-    """The tuned numbers as the loop's numbers, if no design follows from them."""
+    """Return the tuned numbers as the loop's numbers: the ``expand`` of a search without a design."""
     return dict(tuned)
 
 
@@ -31,7 +31,8 @@ def identity(tuned: Numbers) -> Numbers:
 class SearchCoordinates:
     """The map between tuned numbers in intervals and unbounded coordinates z of a search.
 
-    The value of a number is low (high/low)^s(z) with s(z) = 1/(1 + e^-z).
+    A number is low (high/low)^s(z) with s(z) = 1/(1 + e^-z): close to ``low`` for very negative z, to ``high`` for
+    large z.
 
     Args:
         extents: Lowest and highest value of each tuned number, 0 < low < high.
@@ -50,7 +51,7 @@ class SearchCoordinates:
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of the lower and of the upper ends of the intervals, shape (n,) each."""
+        """Natural logarithms of the lower and of the upper ends of the intervals, shape (n,) each."""
         low, high = np.log(np.array(list(self.extents.values()))).T
         return low, high
 
@@ -58,7 +59,8 @@ class SearchCoordinates:
     def origin(self) -> np.ndarray:
         """Coordinates of the start, shape (n,)."""
         low, high = self.ends
-        return logit((np.log([self.start[name] for name in self.names]) - low) / (high - low))
+        start = np.log([self.start[name] for name in self.names])
+        return logit((start - low) / (high - low))
 
     def tuned(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """The tuned numbers at coordinates of shape (..., n), each of shape (...)."""
@@ -67,17 +69,17 @@ class SearchCoordinates:
         return {name: values[..., i] for i, name in enumerate(self.names)}
 
     def numbers(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """The loop's numbers at points of shape (m, n), each of shape (m,)."""
+        """The loop's numbers at points of shape (m, n), by dotted name; shape (m,) each."""
         with jax.enable_x64(True):
-            return on_host(_numbers(self.traced, jnp.asarray(z)))
+            return on_host(values_at_points(self.traced, jnp.asarray(z)))
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """Derivatives of the loop's numbers with respect to the coordinates at points (m, n), each (m, n)."""
+        """Derivatives of the loop's numbers by the coordinates, at points of shape (m, n); shape (m, n) each."""
         with jax.enable_x64(True):
-            return on_host(_slopes(self.traced, jnp.asarray(z)))
+            return on_host(slopes_at_points(self.traced, jnp.asarray(z)))
 
     def traced(self, z: jax.Array) -> dict[str, jax.Array]:
-        """The loop's numbers at one traced point of shape (n,)."""
+        """The loop's numbers at one traced point of shape (n,), by dotted name."""
         low, high = self.ends
         values = jnp.exp(low + (high - low) * jax.nn.sigmoid(z))
         numbers = self.expand({name: values[i] for i, name in enumerate(self.names)})
@@ -85,23 +87,23 @@ class SearchCoordinates:
 
 
 def on_host(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:
-    """Copies of arrays as those of NumPy, by name."""
+    """JAX arrays copied to NumPy arrays, by name."""
     return {name: np.asarray(array) for name, array in arrays.items()}
 
 
 @partial(jax.jit, static_argnums=0)
-def _numbers(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+def values_at_points(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
     """Values of a function at points z of shape (m, n), by name, shape (m,) each."""
     return jax.vmap(function)(z)
 
 
 @partial(jax.jit, static_argnums=0)
-def _slopes(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+def slopes_at_points(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
     """Derivatives of a function at points z of shape (m, n), by name, shape (m, n) each."""
     return jax.vmap(jax.jacfwd(function))(z)
 
 
-FREE_PREFIX = "free."
+FREE_PREFIX = "free."  # of a free parameter's name among the tuned numbers
 REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
@@ -112,8 +114,8 @@ def name_in_study(name: str) -> str:
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
 
 
-SMALL_GAIN = "small gain"
-SLACK = "slack of "
+SMALL_GAIN = "small gain"  # name of the small-gain condition among the inequalities
+SLACK = "slack of "  # prefix of an inequality's name among the limits
 PARAMETER_OF_NUMBER = {name_in_study(name): name for name in Parameters._fields}
 """The parameter of Table 1 by the dotted name of the loop's number; the free parameters determine all of them."""
 
@@ -138,6 +140,7 @@ class Theorem:
     ends: Ends = field(init=False)
 
     def __post_init__(self) -> None:
+        """Find the parameters of Table 1 and check that the loop's bounds are known."""
         nominal = getattr(self.study.template.controller[0], "nominal", None)
         if nominal is not None and nominal.predictor_term:
             rule = "the bound of u_n then holds 1/tau_m, hence the parameters that follow from it; set it to false"
@@ -163,16 +166,17 @@ class Theorem:
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the design that follows from the free parameters, and the other tuned numbers."""
         free = self.free_parameters(tuned)
-        # bounds of the nominal control depend on l0
-        _, bounds = self.parameters_and_bounds({name_in_study("l0"): free.l0})
-        parameters = design(bounds, free)
-        numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
-        return numbers | {name_in_study(name): value for name, value in parameters._asdict().items()}
+        error_pole = {name_in_study("l0"): free.l0}  # the bound of the nominal control depends on it
+        _, bounds = self.parameters_and_bounds(error_pole)
+        designed = design(bounds, free)
+        other_numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
+        return other_numbers | {name_in_study(name): value for name, value in designed._asdict().items()}
 
     def parameters_and_bounds(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
-        """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers in place of the study's.
+        """Parameters of Table 1 and bounds of the loop, with some of the loop's numbers changed.
 
-        Numbers that are no parameters of Table 1 are ignored.
+        Args:
+            numbers: The numbers by dotted name; the others are the study's. Only parameters of Table 1 are taken.
         """
         changes = {}
         for loop_name, name in PARAMETER_OF_NUMBER.items():
@@ -182,8 +186,10 @@ class Theorem:
         return parameters, loop_bounds.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
-        """Check the inequalities of Theorem 1 for the loop with these numbers, without any tolerance."""
-        return check(*self.parameters_and_bounds({name: float(value) for name, value in numbers.items()}))
+        """Check the inequalities of Theorem 1 for the loop with some of its numbers changed, without any tolerance."""
+        plain_numbers = {name: float(value) for name, value in numbers.items()}
+        parameters, bounds = self.parameters_and_bounds(plain_numbers)
+        return check(parameters, bounds)
 
     def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
         """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
@@ -201,7 +207,7 @@ class Theorem:
         excess = {}
         for name, value, bound in rows:
             is_finite = jnp.isfinite(bound)
-            limit = jnp.where(is_finite, bound, 0.0)
+            limit = jnp.where(is_finite, bound, 0.0)  # a finite number, so that its derivative is no NaN
             shortfall = ((1.0 + slack) * limit - value) / (jnp.abs(limit) + jnp.abs(value))
             excess[SLACK + name] = jnp.where(is_finite, shortfall, 1.0)
         return excess
@@ -212,11 +218,13 @@ def split_parameters(
 ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
     """Split the free parameters of ``[tune.free]`` into those that are varied and those that are fixed.
 
+    Args:
+        free: [low, high] of each varied parameter, and the value of each fixed one, by name.
+
     Returns:
         The interval of each varied one, by its name with :data:`FREE_PREFIX`, and the value of each fixed one.
-
     Raises:
-        ConfigError: One is missing or unknown, or none is varied.
+        ConfigError: A parameter is missing or unknown, or none is varied.
     """
     for name in free:
         if name not in Free._fields:
@@ -224,7 +232,13 @@ def split_parameters(
     for name in REQUIRED_PARAMETERS:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
-    intervals = {FREE_PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
+    intervals = {}
+    fixed = {}
+    for name, value in free.items():
+        if isinstance(value, tuple):
+            intervals[FREE_PREFIX + name] = value
+        else:
+            fixed[name] = value
     if not intervals:
         raise ConfigError("tune.free", "varies nothing; give [low, high] for one at least")
-    return intervals, {name: value for name, value in free.items() if not isinstance(value, tuple)}
+    return intervals, fixed

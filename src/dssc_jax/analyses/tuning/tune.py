@@ -2,6 +2,7 @@
 
 import json
 import time
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from dssc_jax.study import Study, takes_file
 CHECKED = 16  # points of the gradient check before a descent
 USEFUL = 0.5  # share of derivatives that must agree; below it evolution takes over
 METHODS = {PROGRAMMING: quadratic_programming, EVOLUTION: evolve, SIMPLEX: optimise_proof}
-"""Searches other than those of optax."""
+"""The searches by name, other than those of optax, which :func:`descend` runs."""
 
 
 @takes_file
@@ -67,8 +68,9 @@ def tune(
     if plan.theorem is not None:
         require_certified(plan)
     require_proved(plan)
-    solution = solve_rounds(plan, rounds if robust else 0, budget, progress)
+    solution = solve_rounds(plan, rounds if robust else 0, budget, progress)  # 0: not robust
     best = solution.record.best
+    is_feasible = best.merit.violation == 0.0
     start = plan.numbers_at(plan.coordinates.origin)
     numbers = plan.numbers_at(best.z)
     verdict, costs = judge_tuning(plan, solution.problem.goal, start, numbers)
@@ -77,9 +79,9 @@ def tune(
     facts = SearchFacts(
         method=search_method(plan, solution.gradients is not None and are_useful(solution.gradients)),
         stopped=solution.record.stopped,
-        feasible=best.merit.violation == 0.0,
+        feasible=is_feasible,
         violation=float(best.merit.violation),
-        missed=() if best.merit.violation == 0.0 else missed_on_validation(solution.problem, best),
+        missed=() if is_feasible else missed_on_validation(solution.problem, best),
         shortened=solution.record.shortened,
         certified_points=solution.certified if plan.theorem else None,
         proved_points=solution.proved if plan.table.proved else None,
@@ -88,7 +90,7 @@ def tune(
         counterexamples=solution.counterexamples,
         seconds=time.perf_counter() - began,
     )
-    values = plan.coordinates.tuned(best.z)  # NumPy; the loop has JAX's digits
+    values = plan.coordinates.tuned(best.z)  # by NumPy; where the loop has such a number, its digits are JAX's
     tuned = Tuned(
         study=plan.study,
         dataset=tuning_dataset(plan.study, solution.record.history, costs),
@@ -107,7 +109,7 @@ class Solution(NamedTuple):
     """The solution of a tuning, after all its rounds.
 
     Args:
-        problem: The problem of the last round, with all counterexamples before it.
+        problem: The problem of the last round, with all counterexamples found before it.
         record: The search of the last round.
         gradients: The comparison of derivatives with differences in the last round; None if there was none.
         counterexamples: The worst draw found after each round of a robust tuning.
@@ -124,9 +126,9 @@ class Solution(NamedTuple):
 
 
 def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallback | None) -> Solution:
-    """Search for the best point; then search for its worst draw, require that draw too, and search again.
+    """Search for the best point, then for its worst draw; require that draw, too, and search again.
 
-    The rounds end when no failure is found, or after the given number.
+    The rounds end when no failure is found, or after ``rounds`` searches for the worst draw.
 
     Args:
         plan: The plan.
@@ -138,7 +140,7 @@ def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallbac
     record, gradients = solve(problem, progress)
     certified = problem.certified
     proved = problem.proved
-    required: Arrays = {}
+    required: Arrays = {}  # the values of each uncertain number in the worst draws
     found: list[Counterexample] = []
     while len(found) < rounds:
         tuned = plan.study.override(plan.numbers_at(record.best.z))
@@ -147,7 +149,7 @@ def solve_rounds(plan: Plan, rounds: int, budget: int, progress: ProgressCallbac
         if worst.slack >= 0.0 or len(found) == rounds:
             break
         required = {name: np.append(required.get(name, []), value) for name, value in worst.witness.items()}
-        problem = Problem(plan, required)
+        problem = Problem(plan, counterexamples=required)
         record, gradients = solve(problem, progress)
         certified += problem.certified
         proved += problem.proved
@@ -203,15 +205,18 @@ def run_search(
         differentiable: Whether derivatives can be used.
         progress: Called with the steps done.
     """
-    return METHODS.get(search_method(problem.plan, differentiable), descend)(problem, first, progress)
+    search = METHODS.get(search_method(problem.plan, differentiable), descend)
+    return search(problem, first, progress)
 
 
 def search_method(plan: Plan, differentiable: bool) -> str:
-    """The name of the search method.
+    """The name of the search method: the optimiser of ``[tune]`` if derivatives can be used.
+
+    Otherwise it is differential evolution, and the simplex for a proved number.
 
     Args:
         plan: The plan.
-        differentiable: Whether derivatives can be used; if not, it is differential evolution.
+        differentiable: Whether derivatives can be used.
     """
     if plan.optimises_proof:
         return SIMPLEX
@@ -219,12 +224,14 @@ def search_method(plan: Plan, differentiable: bool) -> str:
 
 
 def are_useful(gradients: GradientAgreement) -> bool:
-    """Whether derivatives can be used for descent: most agree with differences, and most predict a longer step."""
+    """Whether derivatives can be used for descent: enough agree with differences, and enough predict a longer step."""
     return min(gradients.useful, gradients.predictive) >= USEFUL
 
 
 def verify_certificate(certificate: JsonObject) -> JsonObject:
-    """Verify a certificate once more, from its content as the file will have it; return that content.
+    """Verify a certificate from its content as the file will have it, and return that content.
+
+    This check is independent of the search that found the certificate.
 
     Raises:
         RuntimeError: The verifier refuses it.
@@ -239,18 +246,18 @@ def verify_certificate(certificate: JsonObject) -> JsonObject:
 
 
 def require_certified(plan: Plan) -> None:
-    """Require that Theorem 1 certifies the start, with the required slack.
+    """Require that Theorem 1 certifies the start, with the slack that ``[tune]`` requires.
 
     Raises:
-        ConfigError: It does not.
+        ConfigError: The start is not certified, or has less slack.
     """
     assert plan.theorem is not None
     numbers = plan.numbers_at(plan.coordinates.origin)
     if plan.table.slack is not None:
         excesses = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
-        worst = max(excesses, key=excesses.__getitem__)
-        if excesses[worst] > 0.0:
-            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {excesses[worst]:.3g} (relative)"
+        worst, excess = max(excesses.items(), key=itemgetter(1))
+        if excess > 0.0:
+            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {excess:.3g} (relative)"
             raise ConfigError(plan.study.source, f"tune.slack: {rule}")
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"
@@ -261,7 +268,7 @@ def require_proved(plan: Plan) -> None:
     """Require a proof of the start, if the settings require proofs or optimise a proved number.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: The start is not proved.
     """
     numbers = plan.numbers_at(plan.coordinates.origin)
     if plan.table.proved:
@@ -271,8 +278,10 @@ def require_proved(plan: Plan) -> None:
     if plan.optimises_proof:
         outcome = plan.aim_at(numbers)
         if outcome.value is None:
-            place = "".join(f" at the safe end {name} = {low:g}" for name, (low, _) in plan.table.over.items())
-            raise infeasible_start(plan, "tune.aim", f"it is not proved{place}", outcome.reason)
+            missing = "it is not proved"
+            for name, (safe_end, _) in plan.table.over.items():  # one number at most
+                missing += f" at the safe end {name} = {safe_end:g}"
+            raise infeasible_start(plan, "tune.aim", missing, outcome.reason)
 
 
 def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> ConfigError:

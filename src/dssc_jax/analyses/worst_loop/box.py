@@ -9,6 +9,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
+from dssc_jax.study.laws import Law
 
 MOST_GROWTH = 4.0
 GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
@@ -16,14 +17,14 @@ GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
 
 
 class Side(NamedTuple):
-    """The range of one uncertain number, a side of the box, with a coordinate u from -1 to 1.
+    """The range of one uncertain number: a side of the box, with a coordinate u from -1 at its low end to 1.
 
     Args:
         name: Dotted name of the number in the study.
         low: Lower end of the range.
         high: Upper end of the range.
         logarithmic: Whether the coordinate is linear in the logarithm of the number.
-        cut: Whether the law has no ends, so that these are set.
+        cut: Whether the number's law has no ends, so that ``sigma`` sets those of the range (:func:`box_of`).
     """
 
     name: str
@@ -33,7 +34,7 @@ class Side(NamedTuple):
     cut: bool
 
     def at(self, u: np.ndarray) -> np.ndarray:
-        """Values of the number at coordinates u, of the same shape; u may lie beyond -1 and 1."""
+        """Values of the number at coordinates u, of the same shape; where u lies beyond -1 or 1, the box has grown."""
         if self.logarithmic:
             middle = 0.5 * (np.log(self.low) + np.log(self.high))
             half = 0.5 * (np.log(self.high) - np.log(self.low))
@@ -56,14 +57,12 @@ class Box(NamedTuple):
 
     def numbers(self, point: np.ndarray) -> dict[str, float]:
         """The uncertain numbers at one point, shape (sides,), by dotted name."""
-        return {name: float(column[0]) for name, column in self.values(point[None]).items()}
+        one_row = point[None]
+        return {name: float(column[0]) for name, column in self.values(one_row).items()}
 
 
 def box_of(study: Study, sigma: float) -> Box:
-    """The box of a study's laws; laws without ends are cut at ``sigma`` standard deviations of a normal law.
-
-    Such a law (``normal``, ``lognormal``) is symmetric about its median, on a linear or a logarithmic scale. It is cut
-    at both ends. That a lognormal number is above 0 is no end: no deviation reaches it.
+    """The box of a study's uncertain numbers; ``sigma`` cuts the laws without ends.
 
     Raises:
         ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
@@ -77,26 +76,50 @@ def box_of(study: Study, sigma: float) -> Box:
         low, high = law.support
         cut = not (np.isfinite(low) and np.isfinite(high))
         if cut:
-            one_sigma = law.quantile(norm.cdf(-1.0))
-            with np.errstate(over="ignore", under="ignore"):
-                low = float(law.spread(one_sigma, sigma))
-                high = float(law.spread(one_sigma, -sigma))
-            if not np.isfinite(high) or (law.logarithmic and not low > 0.0):
-                raise ConfigError("sigma", f"cuts {name} at [{low:g}, {high:g}]; take fewer standard deviations")
+            low, high = cut_ends(name, law, sigma)
         sides.append(Side(name, low, high, law.logarithmic, cut))
     return Box(tuple(sides))
+
+
+def cut_ends(name: str, law: Law, sigma: float) -> tuple[float, float]:
+    """The values ``sigma`` standard deviations below and above the median of a law without ends.
+
+    Such a law (``normal``, ``lognormal``) is symmetric about its median, on a linear or a logarithmic scale. A
+    lognormal law is cut at both ends, too: no number of standard deviations reaches its lower end, 0.
+
+    Args:
+        name: Dotted name of the number.
+        law: Its law.
+        sigma: The number of standard deviations of a normal law.
+
+    Raises:
+        ConfigError: An end is not a positive or finite number, so that ``sigma`` is too large.
+    """
+    one_deviation_below = law.quantile(norm.cdf(-1.0))
+    with np.errstate(over="ignore", under="ignore"):
+        low = float(law.spread(one_deviation_below, sigma))
+        high = float(law.spread(one_deviation_below, -sigma))  # a negative factor mirrors it at the median
+    if not np.isfinite(high) or (law.logarithmic and not low > 0.0):
+        raise ConfigError("sigma", f"cuts {name} at [{low:g}, {high:g}]; take fewer standard deviations")
+    return low, high
 
 
 def admissible_growths(study: Study, box: Box) -> list[float]:
     """The factors of :data:`GROWTHS` by which the box can grow so that the study accepts its ends, largest first.
 
-    The factor 1 is always among them.
+    The box itself, factor 1, is always among them.
     """
     return [growth for growth in GROWTHS if growth == 1.0 or accepts_box(study, box, growth)]
 
 
 def accepts_box(study: Study, box: Box, growth: float) -> bool:
-    """Whether a study accepts the ends of a grown box, for all numbers together and for each alone."""
+    """Whether a study accepts the ends of a grown box: all its numbers at an end together, and each alone.
+
+    Args:
+        study: The study.
+        box: The box of its uncertain numbers.
+        growth: Factor by which the box grows about its middle.
+    """
     try:
         for end in (growth, -growth):
             numbers = box.numbers(np.full(len(box.sides), end))

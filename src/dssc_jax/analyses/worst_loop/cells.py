@@ -1,18 +1,22 @@
 """Bounds of the closed loop's response over a box of uncertain numbers and all frequencies, cell by cell.
 
-A cell is a part of the box and an interval of angles theta = omega T_s. The response is a part of an inverse,
+A cell is a part of the box and an interval of angles theta = omega T_s. The loop x+ = A x + B w, v = C x is broken in
+some channels: w enters there and v comes back. Its response G from w to v is a block of an inverse,
 
     G = [N^-1]_(v,w),    N = [[z I - A, -B, 0], [0, I, 0], [-C, 0, I]],    z = e^(j theta),
 
-one entry for a loop that is broken in one channel. N = N_0 + D at a point u in [-1, 1]^k of the cell: k - 1 numbers and
-the angle. With R = N_0^-1, its columns x at w and rows y at v, and absolute values taken entry by entry,
+a single entry if one channel is broken. N_0 is N in the middle of the cell. At a point u in [-1, 1]^k of the cell N is
+N_0 + D; the coordinates u are those of k - 1 numbers and, last, of the angle. With R = N_0^-1, its columns x at w, its
+rows y at v, and absolute values taken entry by entry,
 
     G = G_0 - y D x + y D N^-1 D x,    abs(y D N^-1 D x) <= abs(y D) (I - K)^-1 abs(R D x),    K >= abs(R D),
 
-where the spectral radius of K must be below 1; (I - K)^-1 >= 0 proves that it is. D is linear in u up to a remainder, D
-= sum of u_i N_i + E. So an entry of G lies in a polygon, widened by a disk. Where such a K exists on all cells, no
+where the spectral radius of K must be below 1; (I - K)^-1 >= 0 proves that it is. D is linear in u up to a remainder E:
+D = sum of u_i N_i + E. So an entry of G lies in a polygon, widened by a disk. Where such a K exists on all cells, no
 eigenvalue of A meets the unit circle: a loop that is stable at one point of the box is stable on all of it. The cells
 cover all frequencies. The states are the modes in the middle of each part of the box, in which K is smallest.
+
+Shapes: N has m rows, a row for each state and two for each channel.
 
 Reference:
     R. E. Moore, R. B. Kearfott, M. J. Cloud, Introduction to Interval Analysis (2009): mean-value form, subdivision.
@@ -33,6 +37,7 @@ INTERVALS = 24  # further intervals of angles at the start, up to pi
 BATCH_CELLS = 256  # most cells that are halved at once
 CHEAPER = 3.0  # preference for halving an interval of angles, since half a box has to be linearised again
 SQUARINGS = 4  # squarings of a matrix, after which its largest eigenvalue prevails
+UNBOUNDED = np.inf  # the bound of a gain that has none
 
 
 class Cells(NamedTuple):
@@ -51,7 +56,7 @@ class Cells(NamedTuple):
     end: np.ndarray
 
     def at(self, index: np.ndarray) -> "Cells":
-        """The cells with some indices."""
+        """The cells with the given indices."""
         return Cells(*(part[index] for part in self))
 
 
@@ -60,7 +65,7 @@ class CellBounds(NamedTuple):
 
     Args:
         gains: An upper bound of each gain of the readout, shape (n, gains); infinite where there is none.
-        axis: Index of the side to halve, the angle being the last, shape (n,).
+        axis: Index of the side to halve, shape (n,); the index after the last side is the angle.
     """
 
     gains: np.ndarray
@@ -85,12 +90,13 @@ class CoverBounds(NamedTuple):
 
 
 class Expansion(NamedTuple):
-    """N on n cells as N_0 + sum of u_i N_i, up to a remainder E.
+    """N on n cells as N_0 + sum of u_i N_i + E, where N = [[z I - A, -B, 0], [0, I, 0], [-C, 0, I]].
 
     Args:
-        middle: N_0, shape (n, m + 1, m + 1).
-        steps: N_i, the angle last, shape (n, sides + 1, m + 1, m + 1).
-        remainder: A bound of abs(E), shape (n, m + 1, m + 1).
+        middle: N_0, N in the middle of each cell, shape (n, m, m).
+        steps: N_i, half the change of N across the cell along each side and, last, along the angle; shape
+            (n, sides + 1, m, m).
+        remainder: A bound of abs(E), what is not linear in the coordinates u, shape (n, m, m).
     """
 
     middle: np.ndarray
@@ -99,12 +105,14 @@ class Expansion(NamedTuple):
 
 
 def first_angles(poles: np.ndarray) -> np.ndarray:
-    """Ends of the first intervals of angles, from 0 to pi, even in the logarithm from below the slowest pole on.
+    """Ends of the first intervals of angles omega T_s, from 0 to pi, shape (INTERVALS + 1,).
+
+    From an angle well below the slowest pole on, they are evenly spaced in the logarithm.
 
     Args:
         poles: Poles of the loop in the middle of the box, shape (states,).
     """
-    lasting_poles = poles[np.abs(poles) > FIRST_ANGLE].astype(complex)
+    lasting_poles = poles[np.abs(poles) > FIRST_ANGLE].astype(complex)  # the others decay within one sample
     slowest = np.abs(np.log(lasting_poles)).min(initial=1.0)
     first = min(FIRST_ANGLE * slowest, 0.1)
     return np.concatenate([[0.0], np.geomspace(first, np.pi, INTERVALS)])
@@ -124,26 +132,25 @@ def cover_box(
         evaluate: The loop at points of the box; it is stable at one of them.
         ends: Lower and upper corner of the box, shape (sides,).
         goals: Bounds that are good enough, shape (gains,).
-        most: Number of cells to compute at most.
+        most: Number of cells to compute at most; the first :data:`INTERVALS` are computed in any case.
         remaining_points: Number of points that may still be evaluated.
         readout: The gains.
     """
+    sides = len(ends[0])
+    points_per_part = len(measurement_points(sides))
+    if remaining_points() < points_per_part:
+        return CoverBounds(np.full(readout.size, UNBOUNDED), cells=0)
     models = LinearModels(evaluate, readout.channels)
-    channels = readout.channels
-    points_per_cell = len(measurement_points(len(ends[0])))
-    if remaining_points() < points_per_cell:
-        return CoverBounds(np.full(readout.size, np.inf), 0)
-    centre = evaluate(0.5 * (ends[0] + ends[1])[None])[0]
-    angles = first_angles(np.linalg.eigvals(centre[:-channels, :-channels]))
-    count = len(angles) - 1
-    cells = Cells(np.tile(ends[0], (count, 1)), np.tile(ends[1], (count, 1)), angles[:-1], angles[1:])
+    cells = first_cells(evaluate, ends, readout.channels)
     bounds = bound_cells(cells, models.on(cells.low, cells.high), goals, readout)
-    cell_count = count
+    cell_count = len(cells.start)
     while True:
         excess = np.max(bounds.gains / goals, axis=1)
-        order = np.argsort(-excess)
-        worst = order[excess[order] > 1.0][: min(BATCH_CELLS, (most - cell_count) // 2)]
-        points = np.cumsum(np.where(bounds.axis[worst] == len(ends[0]), 0, 2 * points_per_cell))
+        order = np.argsort(-excess)  # the worst first
+        halvable = min(BATCH_CELLS, max(0, most - cell_count) // 2)
+        worst = order[excess[order] > 1.0][:halvable]
+        is_angular = bounds.axis[worst] == sides  # both halves share the linear model of their part of the box
+        points = np.cumsum(np.where(is_angular, 0, 2 * points_per_part))
         worst = worst[points <= remaining_points()]
         if not worst.size:
             return CoverBounds(bounds.gains.max(axis=0), cell_count)
@@ -158,34 +165,48 @@ def cover_box(
         cell_count += len(half_cells.start)
 
 
+def first_cells(evaluate: Evaluate, ends: tuple[np.ndarray, np.ndarray], channels: int) -> Cells:
+    """The cells with which a cover begins: the whole box, at each of :data:`INTERVALS` intervals of angles.
+
+    Args:
+        evaluate: The loop at points of the box.
+        ends: Lower and upper corner of the box, shape (sides,).
+        channels: Channels in which the loop is broken.
+    """
+    low, high = ends
+    middle = 0.5 * (low + high)
+    matrices = evaluate(middle[None])[0]  # [[A, B], [C, 0]]
+    angles = first_angles(np.linalg.eigvals(matrices[:-channels, :-channels]))
+    count = len(angles) - 1
+    return Cells(np.tile(low, (count, 1)), np.tile(high, (count, 1)), angles[:-1], angles[1:])
+
+
 def halve(cells: Cells, axis: np.ndarray) -> Cells:
-    """Halve cells: the lower half of each along its axis, then the upper halves.
+    """Halve n cells along one axis each: 2 n cells, all lower halves first, then the upper halves.
 
     Args:
         cells: The n cells.
-        axis: Index of the side of each, the angle being the last, shape (n,).
+        axis: Index of the side of each, shape (n,); the index after the last side is the angle.
     """
-    low, high, start, end = (part.copy() for part in cells)
-    upper_low, lower_high, upper_start, lower_end = (part.copy() for part in (low, high, start, end))
-    angular = axis == low.shape[1]
-    middle = 0.5 * (start + end)
-    upper_start[angular] = middle[angular]
-    lower_end[angular] = middle[angular]
-    rows = np.flatnonzero(~angular)
+    lower = Cells(*(part.copy() for part in cells))
+    upper = Cells(*(part.copy() for part in cells))
+    is_angular = axis == cells.low.shape[1]
+    middle_angles = 0.5 * (cells.start + cells.end)
+    lower.end[is_angular] = middle_angles[is_angular]
+    upper.start[is_angular] = middle_angles[is_angular]
+    rows = np.flatnonzero(~is_angular)
     sides = axis[rows]
-    middles = 0.5 * (low[rows, sides] + high[rows, sides])
-    upper_low[rows, sides] = middles
-    lower_high[rows, sides] = middles
-    return Cells(
-        np.concatenate([low, upper_low]),
-        np.concatenate([lower_high, high]),
-        np.concatenate([start, upper_start]),
-        np.concatenate([lower_end, end]),
-    )
+    middles = 0.5 * (cells.low[rows, sides] + cells.high[rows, sides])
+    lower.high[rows, sides] = middles
+    upper.low[rows, sides] = middles
+    return Cells(*(np.concatenate(halves) for halves in zip(lower, upper, strict=True)))
 
 
 def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, readout: Readout) -> CellBounds:
     """Bound the gains on each cell, from the linear model of its part of the box.
+
+    On a cell the response is G = G_0 - y D x + y D N^-1 D x, with N = N_0 + D and R = N_0^-1, whose columns at the
+    broken channels' inputs are x and whose rows at their outputs are y.
 
     Args:
         cells: The n cells.
@@ -194,43 +215,48 @@ def bound_cells(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, 
         readout: The gains.
     """
     centre, slopes, deviation, bends = (np.stack(parts) for parts in zip(*models, strict=True))
-    finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
+    is_finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
     sides = slopes.shape[1]
     channels = readout.channels
     states = slopes.shape[2] - channels
-    n, steps, remainder = expansion(cells, centre, slopes, deviation, channels)
-    n[~finite] = np.eye(states + 2 * channels)
+    inputs = slice(states, states + channels)
+    outputs = slice(states + channels, None)
+    n_0, steps, remainder = expand(cells, centre, slopes, deviation, channels)
+    n_0[~is_finite] = np.eye(states + 2 * channels)  # it has an inverse; these cells get no bound
     with np.errstate(all="ignore"):
-        r = invert(n)
-        x = r[:, :, states : states + channels]
-        y = r[:, states + channels :]
+        r = invert(n_0)
+        x = r[:, :, inputs]
+        y = r[:, outputs]
         change = inverse_change(r, x, y, steps, remainder)
-        response = y[:, :, states : states + channels]
-        linear = y[:, None] @ (steps @ x[:, None])
-        first = np.abs(y) @ remainder @ np.abs(x)
-        second = change.left_size @ change.inverse @ change.right_size
-        gains = readout.gains(Enclosure(response, linear, first + second, cells.end), goals)
-        is_bounded = finite & np.all(change.inverse >= 0.0, axis=(1, 2))
+        response = y[:, :, inputs]  # G_0
+        linear = y[:, None] @ (steps @ x[:, None])  # y N_i x, up to a sign, which u_i has anyway
+        nonlinear = np.abs(y) @ remainder @ np.abs(x)  # abs(y E x) at most
+        second_order = change.left_size @ change.inverse @ change.right_size  # abs(y D N^-1 D x) at most
+        gains = readout.gains(Enclosure(response, linear, nonlinear + second_order, cells.end), goals)
+        is_bounded = is_finite & np.all(change.inverse >= 0.0, axis=(1, 2))
         weights = side_weights(change, add_border(bends, channels), readout.scales(response), is_bounded)
-    weights[:, sides] *= CHEAPER
-    has_no_weights = ~np.all(np.isfinite(weights), axis=1)
+    weights[:, sides] *= CHEAPER  # the angle
+    has_no_weights = ~np.all(np.isfinite(weights), axis=1)  # then the widest side is halved
     weights[has_no_weights, :sides] = (cells.high - cells.low)[has_no_weights]
     weights[has_no_weights, sides] = (cells.end - cells.start)[has_no_weights]
-    return CellBounds(np.where(is_bounded[:, None], gains, np.inf), np.argmax(weights, axis=1))
+    return CellBounds(np.where(is_bounded[:, None], gains, UNBOUNDED), np.argmax(weights, axis=1))
 
 
 class InverseChange(NamedTuple):
-    """Sizes of the terms by which N^-1 differs from R on n cells, as the module names them; absolute values.
+    """Sizes of the terms by which the inverse N^-1 differs on n cells from R, the inverse in the middle of each cell.
+
+    N = N_0 + D with D = sum of u_i N_i + E; x and y are the columns of R at the broken channels' inputs and its rows at
+    their outputs. Absolute values are taken entry by entry.
 
     Args:
-        sizes: abs(R), shape (n, m + 1, m + 1).
-        spread: abs(R N_i), shape (n, sides + 1, m + 1, m + 1).
-        left: abs(y N_i), shape (n, sides + 1, channels, m + 1).
-        right: abs(R N_i x), shape (n, sides + 1, m + 1, channels).
-        left_size: A bound of abs(y D), shape (n, channels, m + 1).
-        right_size: A bound of abs(R D x), shape (n, m + 1, channels).
-        k: K, shape (n, m + 1, m + 1).
-        inverse: (I - K)^-1, shape (n, m + 1, m + 1).
+        sizes: abs(R), shape (n, m, m).
+        spread: abs(R N_i), shape (n, sides + 1, m, m).
+        left: abs(y N_i), shape (n, sides + 1, channels, m).
+        right: abs(R N_i x), shape (n, sides + 1, m, channels).
+        left_size: A bound of abs(y D), shape (n, channels, m).
+        right_size: A bound of abs(R D x), shape (n, m, channels).
+        k: K, a bound of abs(R D), shape (n, m, m).
+        inverse: (I - K)^-1, shape (n, m, m); a negative entry shows that K is too large for a bound.
     """
 
     sizes: np.ndarray
@@ -246,20 +272,20 @@ class InverseChange(NamedTuple):
 def inverse_change(
     r: np.ndarray, x: np.ndarray, y: np.ndarray, steps: np.ndarray, remainder: np.ndarray
 ) -> InverseChange:
-    """Bound the terms by which N^-1 differs from R on each cell.
+    """Bound the terms by which N^-1 differs from R, the inverse in the middle of each of n cells.
 
     Args:
-        r: R, the inverse in the middle of the cell, shape (n, m + 1, m + 1).
-        x: The columns of R at the inputs, shape (n, m + 1, channels).
-        y: The rows of R at the outputs, shape (n, channels, m + 1).
-        steps: N_i, shape (n, sides + 1, m + 1, m + 1).
-        remainder: A bound of abs(E), shape (n, m + 1, m + 1).
+        r: R, shape (n, m, m).
+        x: The columns of R at the inputs, shape (n, m, channels).
+        y: The rows of R at the outputs, shape (n, channels, m).
+        steps: N_i, half the change of N across the cell along each side and the angle, shape (n, sides + 1, m, m).
+        remainder: A bound of abs(E), the change of N that is not linear, shape (n, m, m).
     """
     sizes = np.abs(r)
     spread = np.abs(r[:, None] @ steps)
     left = np.abs(y[:, None] @ steps)
     right = np.abs(r[:, None] @ (steps @ x[:, None]))
-    k = spread.sum(axis=1) + sizes @ remainder
+    k = spread.sum(axis=1) + sizes @ remainder  # bounds abs(R D) for D = N - N_0 = sum of u_i N_i + E
     return InverseChange(
         sizes=sizes,
         spread=spread,
@@ -273,56 +299,60 @@ def inverse_change(
 
 
 def side_weights(change: InverseChange, bends: np.ndarray, scales: np.ndarray, is_bounded: np.ndarray) -> np.ndarray:
-    """How much each side of a cell contributes to the bounds, shape (n, sides + 1); the largest is halved next.
+    """How much each side of a cell contributes to its bounds, shape (n, sides + 1), the angle last.
 
-    Where there is no bound yet, it is the contribution to the spectral radius of K.
+    With weights s of the channels the second-order bound is s |y D| (I - K)^-1 |R D x| 1/s. The weight of side i is its
+    change with the size of N_i, a term for each of the three factors. Where a cell has no bound yet, it is the change
+    of the spectral radius of K, which must become less than 1. The side with the largest weight is halved next.
 
     Args:
         change: Sizes of the terms of N^-1.
-        bends: The deviation from a linear dependence along each side, shape (n, sides, m + 1, m + 1).
-        scales: Positive weights of the channels, shape (n, channels).
+        bends: The deviation from a linear dependence along each side, shape (n, sides, m, m).
+        scales: s, positive, shape (n, channels).
         is_bounded: Whether each cell has a bound, shape (n,).
     """
-    left_weights, right_weights = dominant_vectors(change.k)
-    left_bounds = np.einsum("nc,nci->ni", scales, change.left_size @ change.inverse)
+    left_eigenvectors, right_eigenvectors = dominant_vectors(change.k)
+    left_bounds = np.einsum("nc,nci->ni", scales, change.left_size @ change.inverse)  # s |y D| (I - K)^-1
     right_bounds = np.einsum("nic,nc->ni", change.inverse @ change.right_size, 1.0 / scales)
-    left_weights = np.where(is_bounded[:, None], left_bounds, left_weights)
-    right_weights = np.where(is_bounded[:, None], right_bounds, right_weights)
+    left_weights = np.where(is_bounded[:, None], left_bounds, left_eigenvectors)
+    right_weights = np.where(is_bounded[:, None], right_bounds, right_eigenvectors)
+    # n: cell, k: side, c: channel; i, j, l: rows and columns of N
     bend_weights = np.einsum("ni,nij,nkjl,nl->nk", left_weights, change.sizes, WIDENED * bends, right_weights)
     weights = np.einsum("ni,nkij,nj->nk", left_weights, change.spread, right_weights)
-    direct = np.einsum("nc,nkci,ni->nk", scales, change.left, right_weights)
-    direct += np.einsum("ni,nkic,nc->nk", left_weights, change.right, 1.0 / scales)
-    weights += np.where(is_bounded[:, None], direct, 0.0)
-    weights[:, : bends.shape[1]] += bend_weights
+    outer_factors = np.einsum("nc,nkci,ni->nk", scales, change.left, right_weights)
+    outer_factors += np.einsum("ni,nkic,nc->nk", left_weights, change.right, 1.0 / scales)
+    weights += np.where(is_bounded[:, None], outer_factors, 0.0)
+    weights[:, : bends.shape[1]] += bend_weights  # the angle has no bends
     return weights
 
 
-def expansion(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.ndarray, channels: int) -> Expansion:
-    """Expand N on each cell, as a linear function of the coordinates and the angle.
+def expand(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.ndarray, channels: int) -> Expansion:
+    """Expand N = [[z I - A, -B, 0], [0, I, 0], [-C, 0, I]] on each cell, to first order in coordinates and angle.
 
     Args:
         cells: The n cells.
-        centre: [[A, B], [C, 0]] in the middle of each part of the box, shape (n, m, m).
-        slopes: Its slopes along the sides, shape (n, sides, m, m).
-        deviation: A bound of its deviations from the linear function, shape (n, m, m).
+        centre: [[A, B], [C, 0]] in the middle of each part of the box, shape (n, states + channels, states + channels).
+        slopes: Its slopes along the sides, shape (n, sides, states + channels, states + channels).
+        deviation: A bound of its deviations from the linear function, of the shape of ``centre``.
         channels: Columns of B.
     """
     states = centre.shape[-1] - channels
-    middle = 0.5 * (cells.start + cells.end)
-    width = 0.5 * (cells.end - cells.start)
-    z = np.exp(1j * middle)
-    identity = np.diag([*np.ones(states), *np.zeros(2 * channels)])
-    n = z[:, None, None] * identity
-    n[:, range(states, states + 2 * channels), range(states, states + 2 * channels)] = 1.0
-    n -= add_border(centre, channels)
-    angular = (1j * z * width)[:, None, None, None] * identity
-    steps = np.concatenate([-add_border(slopes, channels), angular], axis=1)
-    remainder = add_border(deviation, channels) + 0.5 * (width**2)[:, None, None] * identity
-    return Expansion(n, steps, remainder)
+    middle_angle = 0.5 * (cells.start + cells.end)
+    half_width = 0.5 * (cells.end - cells.start)
+    z = np.exp(1j * middle_angle)
+    state_identity = np.diag([*np.ones(states), *np.zeros(2 * channels)])  # the matrix by which z is multiplied
+    n_0 = z[:, None, None] * state_identity
+    n_0[:, range(states, states + 2 * channels), range(states, states + 2 * channels)] = 1.0
+    n_0 -= add_border(centre, channels)
+    angular_step = (1j * z * half_width)[:, None, None, None] * state_identity  # dz/dtheta = j z
+    steps = np.concatenate([-add_border(slopes, channels), angular_step], axis=1)
+    second_order = 0.5 * (half_width**2)[:, None, None] * state_identity  # |z - z_0 - j z_0 dtheta| <= dtheta^2 / 2
+    remainder = add_border(deviation, channels) + second_order
+    return Expansion(n_0, steps, remainder)
 
 
 def invert(matrices: np.ndarray) -> np.ndarray:
-    """Inverses of n matrices, shape (n, m, m) both; NaN for a singular one."""
+    """Inverses of n matrices, of their shape (n, m, m); NaN for a singular one."""
     try:
         return np.linalg.inv(matrices)  # all at once, which fails if one is singular
     except np.linalg.LinAlgError:
@@ -336,24 +366,33 @@ def invert(matrices: np.ndarray) -> np.ndarray:
 
 
 def dominant_vectors(k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Approximate left and right eigenvectors of the largest eigenvalues of nonnegative matrices, shape (n, m) each."""
-    square = k
+    """Left and right eigenvectors of the largest eigenvalues of n nonnegative matrices, roughly; shape (n, m) each.
+
+    A high power of a matrix is nearly the product of the two vectors: its columns and rows are multiples of them.
+
+    Args:
+        k: The matrices, shape (n, m, m).
+    """
+    power = k
     for _ in range(SQUARINGS):
-        square = square @ square
-        square /= np.maximum(square.max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
-    return square.sum(axis=1), square.sum(axis=2)
+        power = power @ power
+        power /= np.maximum(power.max(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+    return power.sum(axis=1), power.sum(axis=2)
 
 
 def add_border(matrices: np.ndarray, channels: int) -> np.ndarray:
-    """Matrices [[A, B], [C, 0]] extended to [[A, B, 0], [0, 0, 0], [C, 0, 0]], in the last two axes.
+    """Matrices [[A, B], [C, 0]] in the places that A, B and C have in N: [[A, B, 0], [0, 0, 0], [C, 0, 0]].
 
     Args:
         matrices: Shape (..., states + channels, states + channels).
         channels: Columns of B.
+
+    Returns:
+        Shape (..., states + 2 channels, states + 2 channels).
     """
-    m = matrices.shape[-1]
-    states = m - channels
-    result = np.zeros((*matrices.shape[:-2], m + channels, m + channels), matrices.dtype)
-    result[..., :states, :m] = matrices[..., :states, :]
-    result[..., m:, :states] = matrices[..., states:, :states]
+    size = matrices.shape[-1]
+    states = size - channels
+    result = np.zeros((*matrices.shape[:-2], size + channels, size + channels), matrices.dtype)
+    result[..., :states, :size] = matrices[..., :states, :]
+    result[..., size:, :states] = matrices[..., states:, :states]
     return result

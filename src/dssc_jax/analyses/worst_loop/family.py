@@ -7,19 +7,21 @@ import numpy as np
 
 from dssc_jax.analyses.worst_loop.box import Box
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.linearisation.equilibria import RestingLoop
 from dssc_jax.engine.linearisation.matrices import StateMatrices
-from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.smooth_parts import Finding
 
 BATCH_POINTS = 64  # points that are linearised at once
 KEYS = 8  # draws whose random keys are compared
 SAME = 1e-9  # largest relative difference of matrices that count as equal
 PROBES = 4  # points from which each number is moved, to see whether it matters
+ANY_SAMPLE = 1  # at rest every sample after the first, 0, has the same linear loop
 DIGITS = 12  # decimal digits of a coordinate; points that agree in them are one
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
 Case = TypeVar("Case")
+"""What a search finds of a broken loop."""
 RemainingPoints = Callable[[], int]
 """() -> the number of points that may still be evaluated."""
 
@@ -36,90 +38,104 @@ class LoopFamily:
     """
 
     def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray, advance: Callable[[int], None]) -> None:
+        """Start with an empty cache of linearised points."""
         self.resting = resting
         self.advance = advance
         self.box = box
         self.findings = findings
         self.cache: list[StateMatrices] = []
         self.row_of_point: dict[bytes, int] = {}  # row of the cache for each point, by the bytes of the point
-        self.patterns: dict[bytes, StateMatrices] = {}  # one loop of the cache for each pattern of zeros
+        self.patterns: dict[bytes, StateMatrices] = {}  # one loop of the cache for each zero_pattern
 
     def at(self, points: np.ndarray) -> StateMatrices:
-        """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
+        """Matrices at points of shape (n, sides); NaN where there is no equilibrium. Each point is linearised once."""
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
         new_by_key = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
         new_points = list(new_by_key.values())
         for first in range(0, len(new_points), BATCH_POINTS):
-            batch = np.array(new_points[first : first + BATCH_POINTS])
-            padded_batch = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
-            matrices = self.linearise(padded_batch, np.zeros(BATCH_POINTS, int))
-            for row, point in enumerate(batch):
-                self.row_of_point[point.tobytes()] = len(self.cache)
-                loop = StateMatrices(*(part[row] for part in matrices))
-                self.cache.append(loop)
-                self.patterns.setdefault(zero_pattern(loop), loop)
-            self.advance(len(self.cache))
-        rows = [self.cache[self.row_of_point[key]] for key in keys]
-        return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+            self.store(np.array(new_points[first : first + BATCH_POINTS]))
+        loops = [self.cache[self.row_of_point[key]] for key in keys]
+        return StateMatrices(*(np.stack(parts) for parts in zip(*loops, strict=True)))
+
+    def store(self, batch: np.ndarray) -> None:
+        """Linearise the loop at new points and store it in the cache.
+
+        Args:
+            batch: The points, shape (n, sides), n at most :data:`BATCH_POINTS`.
+        """
+        filling = np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)  # all batches have one shape
+        draw_0 = np.zeros(BATCH_POINTS, int)
+        matrices = self.linearise(np.concatenate([batch, filling]), draw_0)
+        for row, point in enumerate(batch):
+            self.row_of_point[point.tobytes()] = len(self.cache)
+            loop = StateMatrices(*(part[row] for part in matrices))
+            self.cache.append(loop)
+            self.patterns.setdefault(zero_pattern(loop), loop)
+        self.advance(len(self.cache))
 
     def seen_loops(self, drawn: StateMatrices) -> StateMatrices:
-        """The loops of the draws, and one with each pattern of zeros among the points linearised so far.
+        """The loops of the draws, and one loop with each pattern of zeros among the points linearised so far.
 
-        A state may have an effect at some of the points only, as a delay's memory of a command sent long ago.
+        A pattern tells which states have an effect. A state may have one at some of the points only, as a delay's
+        memory of a command sent long ago.
 
         Args:
             drawn: The loops of the draws that have an operating point.
         """
-        known = [loop for loop in self.patterns.values() if np.isfinite(loop.a).all()]
+        representatives = [loop for loop in self.patterns.values() if np.isfinite(loop.a).all()]
         parts = []
         for index, part in enumerate(drawn):
-            parts.append(np.concatenate([part, *(loop[index][None] for loop in known)]))
+            parts.append(np.concatenate([part, *(loop[index][None] for loop in representatives)]))
         return StateMatrices(*parts)
 
     def states_at(self, drawn: StateMatrices, place: int) -> np.ndarray:
-        """Indices of the states that carry a signal back to a break point at any point linearised so far.
+        """Indices of the states that carry a signal back to a break point, in a draw or at a linearised point.
 
         Args:
             drawn: The loops of the draws that have an operating point.
             place: Index of the break point.
         """
         loops = self.seen_loops(drawn)
-        return loops.loop_states(place, np.ones(len(loops.a), bool))
+        all_loops = np.ones(len(loops.a), bool)
+        return loops.loop_states(place, all_loops)
 
     def remaining_points(self, most: int) -> int:
         """Number of points that may still be linearised, if ``most`` is the limit for all searches together."""
         return max(0, most - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
-        """A function that returns how many of ``points`` further points may still be linearised."""
+        """Return a function that counts how many of ``points`` further points may still be linearised."""
         most_rows = len(self.cache) + points
         return lambda: max(0, most_rows - len(self.cache))
 
     def linearise(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Linearise the loop at points of shape (n, sides); NaN where there is no equilibrium.
 
+        A part that rests on a boundary of its smooth range (a corner) is linearised as within the boundary.
+
         Args:
             points: The points.
             indices: The draw whose random key is used at each point, shape (n,).
         """
         values = self.box.values(points)
-        states, matrices, settled, _ = self.resting.settle(values, indices)
+        states, matrices, is_settled, _ = self.resting.settle(values, indices)
         if np.any(self.findings == Finding.CORNER):
             findings = np.broadcast_to(self.findings, (len(points), self.findings.size))
-            matrices = self.resting.linearise(values, indices, states, 1, findings)
-        gaps = np.where(settled, 0.0, np.nan)[:, None, None]
+            matrices = self.resting.linearise(values, indices, states, ANY_SAMPLE, findings)
+        gaps = np.where(is_settled, 0.0, np.nan)[:, None, None]  # a sum with NaN is NaN
         return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
-        """Require that the uncertain numbers alone determine the linearised loop.
+        """Require that the uncertain numbers alone determine the linearised loop, by draws in the middle of the box.
 
         Raises:
             ConfigError: The loop depends on the random key of a draw, too.
         """
         centre = np.zeros((BATCH_POINTS, len(self.box.sides)))
-        matrices = self.linearise(centre, np.arange(BATCH_POINTS) % KEYS)
-        for part in matrices[1:]:
+        draws = np.arange(BATCH_POINTS) % KEYS
+        matrices = self.linearise(centre, draws)
+        for part in (matrices.a, matrices.b, matrices.c):
             if not np.allclose(part, part[:1], rtol=SAME, atol=SAME, equal_nan=True):
                 raise ConfigError(
                     self.resting.study.source,
@@ -129,81 +145,90 @@ class LoopFamily:
 
 
 def zero_pattern(loop: StateMatrices) -> bytes:
-    """Which entries of the matrices of one loop are not 0, as a key."""
-    return b"".join(np.packbits(part != 0.0).tobytes() for part in loop[1:])
+    """A key that tells which entries of A, B and C of one loop are 0; loops with the same zeros have the same key."""
+    masks = [np.packbits(matrix != 0.0) for matrix in (loop.a, loop.b, loop.c)]
+    return b"".join(mask.tobytes() for mask in masks)
 
 
 class BrokenFamily:
-    """The loop broken at one place or at several at once, as a function of the numbers on which it depends.
+    """The loop broken at one place or at several at once, as a function of the numbers that change it.
 
     Args:
         family: The whole loop over the whole box.
-        state_indices: Indices of the states between the break points.
+        state_indices: Indices of the states that carry a signal from the break points around the loop.
         places: Indices of the break points.
     """
 
     def __init__(self, family: LoopFamily, state_indices: np.ndarray, places: Sequence[int]) -> None:
+        """Find the sides of the box that change this loop."""
         self.family = family
         self.state_indices = state_indices
         self.places = list(places)
-        self.sides = self._influential()
+        self.sides = self._influential_sides()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dotted names of the numbers on which this loop depends."""
+        """Dotted names of the numbers that change this loop."""
         return tuple(self.family.box.sides[side].name for side in self.sides)
 
     def in_whole_box(self, points: np.ndarray) -> np.ndarray:
-        """Points, shape (n, sides), as points of the whole box, shape (n, sides of the box).
+        """Points of shape (n, sides) as points of the whole box, shape (n, sides of the box).
 
-        Numbers on which this loop does not depend get the middle of their ranges, 0.
+        Numbers that do not change this loop get the middle of their ranges, coordinate 0.
         """
         result = np.zeros((len(points), len(self.family.box.sides)))
         result[:, self.sides] = points
         return result
 
     def numbers(self, point: np.ndarray) -> dict[str, float]:
-        """The numbers on which this loop depends at one point, shape (sides,), by dotted name."""
-        numbers = self.family.box.numbers(self.in_whole_box(point[None])[0])
+        """The numbers that change this loop, at one point of shape (sides,), by dotted name."""
+        (whole_point,) = self.in_whole_box(point[None])
+        numbers = self.family.box.numbers(whole_point)
         return {name: numbers[name] for name in self.names}
 
     def has_operating_point(self, point: np.ndarray) -> bool:
-        """Whether the loop has an operating point at which no limit opens it, for its numbers at one point."""
+        """Whether the loop has an equilibrium at one point, shape (sides,), at which no limit opens the loop."""
         matrices = self.family.at(self.in_whole_box(point[None]))
-        return bool(np.isfinite(matrices.a).all() and not matrices.is_open()[0])
+        (is_open,) = matrices.is_open()
+        return bool(np.isfinite(matrices.a).all() and not is_open)
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """[[A, B], [C, 0]] at points of shape (n, sides), shape (n, states + places, states + places)."""
+        """[[A, B], [C, 0]] of this loop at points of shape (n, sides), shape (n, states + places, states + places)."""
         return self.break_loops(self.family.at(self.in_whole_box(points)))
 
     def break_loops(self, matrices: StateMatrices) -> np.ndarray:
-        """[[A, B], [C, 0]] of this broken loop, from the matrices of n whole loops; (n, states + places, the same)."""
-        _, a, b, c = matrices
+        """This broken loop from n whole loops, as [[A, B], [C, 0]] of shape (n, states + places, states + places).
+
+        Args:
+            matrices: Matrices of the whole loops, with all states and all break points.
+        """
         states = self.state_indices
         places = self.places
+        a = matrices.a[:, states][:, :, states]
+        b = matrices.b[:, states][:, :, places]
+        c = matrices.c[:, places][:, :, states]
         zeros = np.zeros((len(a), len(places), len(places)))
-        top = np.concatenate([a[:, states][:, :, states], b[:, states][:, :, places]], axis=2)
-        bottom = np.concatenate([c[:, places][:, :, states], zeros], axis=2)
-        return np.concatenate([top, bottom], axis=1)
+        return np.concatenate([np.concatenate([a, b], axis=2), np.concatenate([c, zeros], axis=2)], axis=1)
 
-    def _influential(self) -> list[int]:
+    def _influential_sides(self) -> list[int]:
         """Indices of the sides of the box that change this loop, found by moving each number from random points."""
         sides = len(self.family.box.sides)
-        bases = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
-        neighbours = np.repeat(bases[:, None], sides, axis=1)
-        neighbours[:, range(sides), range(sides)] += 0.5
-        reference = self.break_loops(self.family.at(bases))
-        variants = self.break_loops(self.family.at(neighbours.reshape(-1, sides)))
+        starts = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
+        moved = np.repeat(starts[:, None], sides, axis=1)  # shape (PROBES, sides, sides): a point for each moved number
+        moved[:, range(sides), range(sides)] += 0.5
+        reference = self.break_loops(self.family.at(starts))
+        variants = self.break_loops(self.family.at(moved.reshape(-1, sides)))
         variants = variants.reshape(PROBES, sides, *reference.shape[1:])
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
         is_unchanged = np.abs(variants - reference[:, None]) <= limit  # False where there is no equilibrium
-        return np.flatnonzero(np.any(~is_unchanged, axis=(0, 2, 3))).tolist()
+        is_influential = np.any(~is_unchanged, axis=(0, 2, 3))  # at any start, in any entry of the matrix
+        return np.flatnonzero(is_influential).tolist()
 
 
 def with_all_states(
     broken: BrokenFamily, states_of: Callable[[], np.ndarray], search: Callable[[BrokenFamily], Case]
 ) -> Case:
-    """Search a broken loop; again with more states, as long as a point of the search shows further ones.
+    """Search a broken loop, and again with more states, as long as a search has met points where further ones matter.
 
     Args:
         broken: The broken loop, with the states that are known before the search.

@@ -1,4 +1,8 @@
-"""The worst disk margin of all commands at once over the box."""
+"""The worst disk margin of all commands at once over the box of uncertain numbers.
+
+The command of every channel is multiplied by a complex factor. The disk margin alpha is the size of the smallest
+factors' perturbations that make the loop oscillate; it is the inverse of the structured singular value mu.
+"""
 
 from typing import NamedTuple
 
@@ -12,10 +16,10 @@ from dssc_jax.analyses.loop_margins.multiloop import (
     joint_margins,
     joint_places,
 )
-from dssc_jax.analyses.worst_loop.cells import CoverBounds, cover_box
+from dssc_jax.analyses.worst_loop.cells import UNBOUNDED, CoverBounds, cover_box
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, LoopFamily, RemainingPoints, with_all_states
 from dssc_jax.analyses.worst_loop.readouts import joint_readout
-from dssc_jax.analyses.worst_loop.search import WorstPoint, radii_of, worst_values
+from dssc_jax.analyses.worst_loop.search import WorstPoint, spectral_radii, worst_values
 from dssc_jax.engine.linearisation.matrices import StateMatrices
 from dssc_jax.study import Study
 
@@ -25,7 +29,7 @@ class JointCase(NamedTuple):
 
     Args:
         channels: Names of the channels whose commands are perturbed.
-        names: Dotted names of the numbers on which the loop depends.
+        names: Dotted names of the numbers that change the loop.
         drawn: Worst margin of the draws; 0: a loop is unstable.
         found: Worst margin found in the box; 0: a loop is unstable.
         numbers: The numbers at which it was found, by name.
@@ -46,8 +50,10 @@ class JointCase(NamedTuple):
     cells: int
 
 
-def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
-    """The disk margins of n loops, with the balanced bound of mu; 0 where a loop is unstable.
+def joint_disk_margins(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
+    """The disk margins of n loops, with the balanced bound of mu, and the perturbations that attain them.
+
+    An unstable loop has margins of 0, and NaN for its frequency and factors.
 
     Args:
         matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels).
@@ -56,15 +62,19 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
     """
     count = len(matrices)
     result = JointMargins(
-        np.zeros(count), np.zeros(count), np.full(count, np.nan), np.full((count, channels), np.nan, complex)
+        guaranteed=np.zeros(count),
+        attained=np.zeros(count),
+        frequency=np.full(count, np.nan),
+        factors=np.full((count, channels), np.nan, complex),
     )
-    stable = radii_of(matrices, channels) < 1.0
-    if stable.any():
-        a = matrices[stable, :-channels, :-channels]
-        loops = JointLoops(a, matrices[stable, :-channels, -channels:], matrices[stable, -channels:, :-channels])
-        margins = joint_margins(loops, np.linalg.eigvals(a), sample_time, balanced_bounds)
-        for total, part in zip(result, margins, strict=True):
-            total[stable] = part
+    is_stable = spectral_radii(matrices, channels) < 1.0
+    if is_stable.any():
+        a = matrices[is_stable, :-channels, :-channels]
+        b = matrices[is_stable, :-channels, -channels:]
+        c = matrices[is_stable, -channels:, :-channels]
+        margins = joint_margins(JointLoops(a, b, c), np.linalg.eigvals(a), sample_time, balanced_bounds)
+        for values, stable_values in zip(result, margins, strict=True):
+            values[is_stable] = stable_values
     return result
 
 
@@ -81,10 +91,12 @@ def worst_joint_margin(
         budget: Number of points that may still be evaluated.
     """
 
-    def values_at(points: np.ndarray) -> np.ndarray:
-        return margins_of(evaluate(points), channels, sample_time).attained[:, None]
+    def attained_margins(points: np.ndarray) -> np.ndarray:
+        """The disk margin at each point as the one quantity of the search, shape (n, 1)."""
+        return joint_disk_margins(evaluate(points), channels, sample_time).attained[:, None]
 
-    return worst_values(values_at, np.negative, sides, budget)[0]
+    (worst,) = worst_values(attained_margins, np.negative, sides, budget)  # a smaller margin is worse
+    return worst
 
 
 def joint_mu_bound(
@@ -115,7 +127,7 @@ def joint_case(
     cells: int,
     points: int,
 ) -> JointCase:
-    """Find the worst disk margin of all commands at once: that of the draws, that of a search, and a bound.
+    """Find the worst disk margin of all commands at once: of the draws, of a search, and a bound for the whole box.
 
     Args:
         broken_family: The loop over the box, broken at these commands.
@@ -128,22 +140,25 @@ def joint_case(
     """
     sides = len(broken_family.sides)
     count = len(channels)
+    evaluate = broken_family.at
     budget = broken_family.family.allowance(points)
-    worst = worst_joint_margin(broken_family.at, sides, count, sample_time, broken_family.family.allowance(points // 3))
-    at_worst = margins_of(broken_family.at(worst.point[None]), count, sample_time)
-    covered = CoverBounds(np.array([np.inf]), 0)
-    if worst.value > 0.0:
-        covered = joint_mu_bound(broken_family.at, sides, count, gap / worst.value, cells, budget)
-    bounded = 1.0 / covered.gains[0] if covered.stable else np.nan
+    search_budget = broken_family.family.allowance(points // 3)
+    drawn = joint_disk_margins(drawn_loops, count, sample_time).attained
+    worst = worst_joint_margin(evaluate, sides, count, sample_time, search_budget)
+    at_worst = joint_disk_margins(evaluate(worst.point[None]), count, sample_time)
+    covered = CoverBounds(np.array([UNBOUNDED]), cells=0)
+    if worst.value > 0.0:  # an unstable loop has no bound
+        covered = joint_mu_bound(evaluate, sides, count, gap / worst.value, cells, budget)
+    (mu,) = covered.gains
     return JointCase(
         channels=channels,
         names=broken_family.names,
-        drawn=float(margins_of(drawn_loops, count, sample_time).attained.min()),
+        drawn=float(drawn.min()),
         found=worst.value,
         numbers=broken_family.numbers(worst.point),
         frequency=float(at_worst.frequency[0]),
         factors=at_worst.factors[0],
-        bounded=float(bounded),
+        bounded=float(1.0 / mu if covered.stable else np.nan),
         cells=covered.cells,
     )
 
@@ -157,7 +172,8 @@ def seen_joint_places(study: Study, family: LoopFamily, drawn: StateMatrices) ->
         drawn: The loops of the draws that have an operating point.
     """
     loops = family.seen_loops(drawn)
-    return joint_places(study.loop.channels, loops, np.ones(len(loops.a), bool))
+    all_loops = np.ones(len(loops.a), bool)
+    return joint_places(study.loop.channels, loops, all_loops)
 
 
 def multiloop_case(
@@ -183,13 +199,15 @@ def multiloop_case(
         return None
     channels = tuple(study.loop.channels[index] for index in joint.channels)
 
-    def states_of() -> np.ndarray:
+    def known_states() -> np.ndarray:
+        """Indices of the states between the commands at any point linearised so far."""
         places = seen_joint_places(study, family, drawn)
-        assert places is not None  # the loops that were seen only become more
+        assert places is not None  # the loops seen so far become more, never fewer
         return places.states
 
     def search(broken: BrokenFamily) -> JointCase:
+        """The worst case of all commands at once, with the points that are left."""
         drawn_loops = broken.break_loops(drawn)
         return joint_case(broken, channels, drawn_loops, study.config.loop.sample_time, gap, cells, remaining_points())
 
-    return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), states_of, search)
+    return with_all_states(BrokenFamily(family, joint.states, joint.points.tolist()), known_states, search)

@@ -10,19 +10,19 @@ from dssc_jax.analyses.worst_loop.family import Evaluate
 
 WIDENED = 1.5
 """Factor of the measured deviations from a linear dependence, since those between the points may be larger."""
-CORNERED = 4  # most numbers with which the deviations are measured at all corners and edges
-RANDOM_CORNERS = 32  # corners at which they are measured with more numbers
+CORNERED = 4  # largest number of sides with which the deviations are measured at all corners and edges
+RANDOM_CORNERS = 32  # corners at which they are measured with more sides
 MOST_PARALLEL = 1e6  # largest condition number of the matrix of modes
 
 
 class LinearModel(NamedTuple):
-    """M = [[A, B], [C, 0]] on a part of the box as centre + sum of u_i slopes_i + E, u_i in [-1, 1].
+    """M = [[A, B], [C, 0]] of the loop on a part of the box, as centre + sum of u_i slopes_i + E, u_i in [-1, 1].
 
     The states are the modes of the loop in the middle of the part.
 
     Args:
         centre: M in the middle, shape (m, m).
-        slopes: The slope of M along each side, shape (sides, m, m).
+        slopes: Half the change of M across the part along each side, shape (sides, m, m).
         deviation: A bound of abs(E), entry by entry, shape (m, m).
         bends: The part of the deviation that comes from each side alone, shape (sides, m, m).
     """
@@ -36,14 +36,16 @@ class LinearModel(NamedTuple):
 def measurement_points(sides: int) -> np.ndarray:
     """Points of [-1, 1]^sides at which deviations from a linear dependence are measured, shape (n, sides).
 
-    The centre, the middles of faces and the points halfway to them come first. With few sides all corners and middles
-    of edges follow, else the corners of each pair of sides and random corners.
+    :func:`linear_model` reads them by this order: the centre, the middles of the upper faces, those of the lower faces,
+    then the points halfway to the upper and to the lower ones. With few sides all corners and middles of edges follow,
+    else the corners of each pair of sides and random corners.
     """
     unit = np.eye(sides)
     points = [np.zeros((1, sides)), unit, -unit, 0.5 * unit, -0.5 * unit]
     if sides <= CORNERED:
         steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=sides)))
-        points.append(steps[np.count_nonzero(steps, axis=1) >= max(2, sides - 1)])
+        is_corner_or_edge = np.count_nonzero(steps, axis=1) >= max(2, sides - 1)
+        points.append(steps[is_corner_or_edge])
     else:
         for i, j in itertools.combinations(range(sides), 2):
             first = unit[[i]]
@@ -62,6 +64,7 @@ class LinearModels:
     """
 
     def __init__(self, evaluate: Evaluate, channels: int) -> None:
+        """Start without a model; each is computed when it is first needed."""
         self.evaluate = evaluate
         self.channels = channels
         self.models: dict[bytes, LinearModel] = {}
@@ -77,18 +80,18 @@ class LinearModels:
         new_parts = {key: index for index, key in enumerate(keys) if key not in self.models}
         if new_parts:
             indices = list(new_parts.values())
-            points = measurement_points(lows.shape[1])
+            unit_points = measurement_points(lows.shape[1])
             middle = 0.5 * (lows + highs)[indices, None]
-            half = 0.5 * (highs - lows)[indices, None]
-            points_of_parts = middle + half * points
-            matrices = self.evaluate(points_of_parts.reshape(-1, points_of_parts.shape[-1]))
+            half_widths = 0.5 * (highs - lows)[indices, None]
+            points = middle + half_widths * unit_points  # shape (new parts, points of each, sides)
+            matrices = self.evaluate(points.reshape(-1, points.shape[-1]))
             for key, matrices_of_part in zip(new_parts, np.split(matrices, len(indices)), strict=True):
-                self.models[key] = linear_model(points, matrices_of_part, self.channels)
+                self.models[key] = linear_model(unit_points, matrices_of_part, self.channels)
         return [self.models[key] for key in keys]
 
 
 def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> LinearModel:
-    """Fit a linear model to the loop on a part of the box.
+    """Fit a linear model to the loop on a part of the box, and bound its deviation from the loop.
 
     Args:
         points: The points of :func:`measurement_points`, shape (n, sides).
@@ -96,11 +99,14 @@ def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> Lin
         channels: Columns of B.
     """
     sides = points.shape[1]
+    upper_faces = slice(1, 1 + sides)
+    lower_faces = slice(1 + sides, 1 + 2 * sides)
+    halfway = slice(1 + 2 * sides, 1 + 3 * sides)
     matrices = to_modes(matrices, channels)
     centre = matrices[0]
-    slopes = 0.5 * (matrices[1 : 1 + sides] - matrices[1 + sides : 1 + 2 * sides])
+    slopes = 0.5 * (matrices[upper_faces] - matrices[lower_faces])
     deviations = np.abs(matrices - centre - np.einsum("ni,ijk->njk", points, slopes))
-    bends = np.maximum(deviations[1 : 1 + sides], 4.0 * deviations[1 + 2 * sides : 1 + 3 * sides])
+    bends = np.maximum(deviations[upper_faces], 4.0 * deviations[halfway])  # a parabola is 4 times as far at the face
     deviation = np.maximum(deviations.max(axis=0), bends.sum(axis=0))
     return LinearModel(centre, slopes, WIDENED * deviation, bends)
 
@@ -108,15 +114,16 @@ def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> Lin
 def to_modes(matrices: np.ndarray, channels: int) -> np.ndarray:
     """Matrices [[A, B], [C, 0]] with the modes of the first A as states, shape (n, m, m) both.
 
-    Where the modes are nearly parallel, the Schur vectors of the first A take their place.
+    Where the modes are nearly parallel, the Schur vectors of the first A take their place. A first A that is not finite
+    has no modes, and the states stay.
     """
+    result = matrices.astype(complex)
     a = matrices[0, :-channels, :-channels]
     if not np.all(np.isfinite(a)):
-        return matrices.astype(complex)
-    vectors = np.linalg.eig(a)[1]
-    if np.linalg.cond(vectors) > MOST_PARALLEL:
-        vectors = schur(a, output="complex")[1]
-    result = matrices.astype(complex)
-    result[:, :-channels] = np.linalg.solve(vectors, result[:, :-channels])
-    result[:, :, :-channels] = result[:, :, :-channels] @ vectors
+        return result
+    modes = np.linalg.eig(a)[1]
+    if np.linalg.cond(modes) > MOST_PARALLEL:
+        modes = schur(a, output="complex")[1]
+    result[:, :-channels] = np.linalg.solve(modes, result[:, :-channels])
+    result[:, :, :-channels] = result[:, :, :-channels] @ modes
     return result

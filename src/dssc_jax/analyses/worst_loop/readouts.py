@@ -1,4 +1,9 @@
-"""Bounds of gains of the closed loop on a cell, from a set that encloses the frequency response there."""
+"""Bounds of gains of the closed loop on a cell, from a set that encloses the frequency response G there.
+
+A cell is a part of the box of uncertain numbers with an interval of angles theta = omega T_s. With S = 1 + G and
+T = -G, a bound of a gain is a bound of a margin: of S, of T and of (S - T)/2 = G + 1/2, whose inverse is the disk
+margin.
+"""
 
 import itertools
 from collections.abc import Callable
@@ -9,22 +14,22 @@ import numpy as np
 from dssc_jax.analyses.loop_margins.structured import balancing_scales, best_scales, scaled_norms
 
 DIRECTIONS = 64  # directions in which the extent of a polygon is computed
-VERTICES = 4  # numbers of which all combinations of ends are tried; for the others norms are added
-ROUNDING = 1e-9  # share by which every bound is enlarged
+VERTICES = 4  # coordinates of which all combinations of ends are tried; for the others norms are added
+ROUNDING = 1e-9  # share by which every bound is enlarged, more than the errors of rounding
 FEEDTHROUGHS = {"sensitivity_peak": 1.0, "complementary_peak": 0.0, "disk": 0.5}
 """What is added to G: S = 1 + G, T = -G, (S - T)/2 = G + 1/2."""
 GAINS = (*FEEDTHROUGHS, "delay")
-"""The gains of one broken loop; that of ``delay`` is abs(T) theta."""
+"""The gains of a loop that is broken in one channel; ``delay`` is abs(T) theta, whose inverse bounds a delay in T_s."""
 
 
 class Enclosure(NamedTuple):
-    """Sets that contain the response on n cells: G = centre + sum of u_i linear_i + R, u_i in [-1, 1], abs(R) <= r.
+    """Sets that contain the response G = centre + sum of u_i linear_i + R on n cells, for all u_i in [-1, 1].
 
     Args:
         centre: The response in the middle of each cell, shape (n, channels, channels).
-        linear: Its linear part along each side and the angle, shape (n, sides + 1, channels, channels).
-        remainder: The bound r of abs(R), entry by entry, shape (n, channels, channels).
-        end: Last angle of each cell, shape (n,).
+        linear: Its linear part along each side and, last, the angle; shape (n, sides + 1, channels, channels).
+        remainder: The bound of abs(R), entry by entry, shape (n, channels, channels).
+        end: Last angle omega T_s of each cell, shape (n,).
     """
 
     centre: np.ndarray
@@ -34,7 +39,7 @@ class Enclosure(NamedTuple):
 
 
 class Readout(NamedTuple):
-    """The gains of a broken loop that are bounded, and how.
+    """What is read from the response of a broken loop: the gains that are bounded, and how.
 
     Args:
         channels: Number of channels in which the loop is broken.
@@ -51,30 +56,38 @@ class Readout(NamedTuple):
 
 
 def unscaled(responses: np.ndarray) -> np.ndarray:
-    """Weights of 1, for a loop that is broken in one channel, from responses of shape (n, 1, 1)."""
+    """The weights of a loop that is broken in one channel, all 1, from responses of shape (n, 1, 1); shape (n, 1)."""
     return np.ones(responses.shape[:2])
 
 
 def single_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
-    """Bounds of the :data:`GAINS` of a loop that is broken in one channel on each cell, shape (n, gains)."""
+    """Bounds of the :data:`GAINS` of a loop that is broken in one channel on each cell, shape (n, gains).
+
+    Args:
+        enclosure: The sets that contain the response.
+        goals: Not used; all bounds are as sharp as they can be.
+    """
     centre = enclosure.centre[:, 0, 0]
     linear = enclosure.linear[:, :, 0, 0]
-    disk = enclosure.remainder[:, 0, 0]
-    gains = []
-    for feedthrough in FEEDTHROUGHS.values():
-        gains.append((1.0 + ROUNDING) * (magnitude_bound(centre + feedthrough, linear) + disk))
-    gains.append(gains[1] * enclosure.end)
-    return np.stack(gains, axis=1)
+    radius = enclosure.remainder[:, 0, 0]
+    bounds = {}
+    for name, feedthrough in FEEDTHROUGHS.items():
+        bounds[name] = (1.0 + ROUNDING) * (magnitude_bound(centre + feedthrough, linear) + radius)
+    bounds["delay"] = bounds["complementary_peak"] * enclosure.end
+    return np.stack([bounds[name] for name in GAINS], axis=1)
 
 
 def magnitude_bound(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """A bound of abs(centre + sum of u_i generators_i) over u_i in [-1, 1], shape (n,).
+    """A bound of abs(centre + sum of u_i generators_i) over all u_i in [-1, 1], shape (n,).
+
+    These numbers form a polygon in the complex plane. Its extent is computed in :data:`DIRECTIONS` directions. A point
+    lies at most half the angle between two directions off one of them, which the division by a cosine covers.
 
     Args:
         centre: Complex numbers, shape (n,).
         generators: Complex numbers, shape (n, k).
     """
-    turns = np.exp(-2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+    turns = np.exp(-2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)  # each turns its direction onto the real axis
     reach = np.real(centre[:, None] * turns)
     for generator in generators.T:
         reach += np.abs(np.real(generator[:, None] * turns))
@@ -82,78 +95,87 @@ def magnitude_bound(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
 
 
 def joint_scales(responses: np.ndarray) -> np.ndarray:
-    """Diagonals of D that balance the responses, shape (n, channels); 1 where a response is not finite.
+    """Diagonals of D for which the responses D G D^-1 are balanced, shape (n, channels); 1 where G is not finite.
 
     Args:
-        responses: Shape (n, channels, channels).
+        responses: G, shape (n, channels, channels).
     """
-    finite = np.all(np.isfinite(responses), axis=(1, 2))
-    return np.exp(balancing_scales(np.where(finite[:, None, None], responses, 0.0)))
+    is_finite = np.all(np.isfinite(responses), axis=(1, 2))
+    return np.exp(balancing_scales(np.where(is_finite[:, None, None], responses, 0.0)))
 
 
 def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
-    """A bound of the structured singular value of G + I/2 on each cell, shape (n, 1), by one D for each cell.
+    """A bound of the structured singular value of M = G + I/2 on each cell, shape (n, 1); infinite if M is not finite.
 
-    Every positive D gives a bound. The first D balances the largest sizes of the entries on the cell. If its bound in
-    the middle of the cell is above the goal already, the best D for the middle is tried, too. Otherwise a smaller cell
-    is enough.
+    The largest singular value of D M D^-1 is a bound for every positive diagonal D; each cell has one D. The first D
+    balances the largest sizes of the entries on the cell. If its bound in the middle of the cell is above the goal
+    already, the best D for the middle is tried, too. Otherwise a smaller cell is enough.
+
+    Args:
+        enclosure: The sets that contain the response G.
+        goals: The bound that is good enough, shape (1,).
     """
     middle = enclosure.centre + 0.5 * np.eye(enclosure.centre.shape[-1])
     sizes = np.abs(middle) + np.abs(enclosure.linear).sum(axis=1) + enclosure.remainder
-    gains = np.full(len(middle), np.inf)
+    bounds = np.full(len(middle), np.inf)
     rows = np.flatnonzero(np.all(np.isfinite(sizes), axis=(1, 2)))
     if not rows.size:
-        return gains[:, None]
-    logs = balancing_scales(sizes[rows])
-    gains[rows] = scaled_bounds(middle[rows], enclosure.linear[rows], enclosure.remainder[rows], logs)
-    above_goal = rows[scaled_norms(middle[rows], logs)[0] > goals[0]]
-    if above_goal.size:
-        best = best_scales(middle[above_goal])
-        sharper = scaled_bounds(middle[above_goal], enclosure.linear[above_goal], enclosure.remainder[above_goal], best)
-        gains[above_goal] = np.minimum(gains[above_goal], sharper)
-    return (1.0 + ROUNDING) * gains[:, None]
+        return bounds[:, None]
+    balancing_logs = balancing_scales(sizes[rows])
+    bounds[rows] = scaled_bounds(middle[rows], enclosure.linear[rows], enclosure.remainder[rows], balancing_logs)
+    middle_norms, _ = scaled_norms(middle[rows], balancing_logs)
+    above = rows[middle_norms > goals[0]]
+    if above.size:
+        best_logs = best_scales(middle[above])
+        sharper = scaled_bounds(middle[above], enclosure.linear[above], enclosure.remainder[above], best_logs)
+        bounds[above] = np.minimum(bounds[above], sharper)
+    return (1.0 + ROUNDING) * bounds[:, None]
 
 
 def scaled_bounds(middle: np.ndarray, linear: np.ndarray, remainder: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Bounds of the largest singular value of D M D^-1 on each cell, shape (n,); infinite where they overflow.
+    """Bounds of the largest singular value of D M D^-1 on each cell, shape (n,); infinite where D overflows.
+
+    M = middle + sum of u_i linear_i + R with u_i in [-1, 1] and abs(R) <= remainder.
 
     Args:
         middle: M in the middle of each cell, shape (n, channels, channels).
         linear: The linear part of M, shape (n, sides + 1, channels, channels).
-        remainder: A bound of the remainder of M, shape (n, channels, channels).
-        logs: log D, shape (n, channels).
+        remainder: The bound of abs(R), entry by entry, shape (n, channels, channels).
+        logs: log of the diagonal of D, shape (n, channels).
     """
-    ratios = np.exp(logs[:, :, None] - logs[:, None, :])
-    scaled_parts = [middle * ratios, linear * ratios[:, None], remainder * ratios]
-    finite = np.all(np.isfinite(scaled_parts[1]), axis=(1, 2, 3))
-    for part in (scaled_parts[0], scaled_parts[2]):
-        finite &= np.all(np.isfinite(part), axis=(1, 2))
+    ratios = np.exp(logs[:, :, None] - logs[:, None, :])  # entry i, j of D M D^-1 is M_ij times D_i/D_j
+    middle = middle * ratios
+    linear = linear * ratios[:, None]
+    remainder = remainder * ratios
+    is_finite = np.all(np.isfinite(linear), axis=(1, 2, 3))
+    is_finite &= np.all(np.isfinite(middle), axis=(1, 2)) & np.all(np.isfinite(remainder), axis=(1, 2))
     bounds = np.full(len(middle), np.inf)
-    centre, generators, remainders = (part[finite] for part in scaled_parts)
-    bounds[finite] = norm_over_box(centre, generators) + largest_singular_values(remainders)
+    linear_bounds = norm_over_box(middle[is_finite], linear[is_finite])
+    bounds[is_finite] = linear_bounds + largest_singular_values(remainder[is_finite])
     return bounds
 
 
 def norm_over_box(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
-    """A bound of the largest singular value of centre + sum of u_i generators_i over u_i in [-1, 1], shape (n,).
+    """A bound of the largest singular value of centre + sum of u_i generators_i over all u_i in [-1, 1], shape (n,).
 
     The singular value is convex in u, so its maximum over a box lies at a vertex. All vertices are tried for the
-    largest generators. For the others norms are added.
+    :data:`VERTICES` largest generators. For the others norms are added.
 
     Args:
         centre: Shape (n, m, m).
         generators: Shape (n, k, m, m).
     """
-    sizes = largest_singular_values(generators)
-    order = np.argsort(-sizes, axis=1)
+    norms = largest_singular_values(generators)
+    order = np.argsort(-norms, axis=1)  # the largest first
     sorted_generators = np.take_along_axis(generators, order[:, :, None, None], 1)
-    remaining_norms = np.take_along_axis(sizes, order, 1)[:, VERTICES:].sum(axis=1)
-    leading_generators = sorted_generators[:, :VERTICES]
+    sorted_norms = np.take_along_axis(norms, order, 1)
+    tried_generators = sorted_generators[:, :VERTICES]
+    added_norms = sorted_norms[:, VERTICES:].sum(axis=1)
     largest = np.zeros(len(centre))
-    for signs in itertools.product((-1.0, 1.0), repeat=leading_generators.shape[1]):
-        vertex = centre + np.einsum("k,nkij->nij", np.array(signs), leading_generators)
+    for signs in itertools.product((-1.0, 1.0), repeat=tried_generators.shape[1]):
+        vertex = centre + np.einsum("k,nkij->nij", np.array(signs), tried_generators)
         largest = np.maximum(largest, largest_singular_values(vertex))
-    return largest + remaining_norms
+    return largest + added_norms
 
 
 def largest_singular_values(matrices: np.ndarray) -> np.ndarray:

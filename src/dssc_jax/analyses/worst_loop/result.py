@@ -1,8 +1,7 @@
-"""Worst case of the linearised loop: its dataset, answer, figure and folder."""
+"""Worst case of the linearised loop: its answer, its witnesses and its figure."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 import xarray as xr
@@ -10,55 +9,22 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
-from dssc_jax.analyses.worst_loop.box import Box
-from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, unit_and_meaning
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 from dssc_jax.study.known_draws import study_of_draw
 
 ALL_COMMANDS = "all commands"
 """Name of the margin of all commands at once, beside those of the break points."""
-OPERATING_POINT = "whether the nearest unstable loop has an operating point within its limits"
 BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 """Shares by which an unstable witness may lie farther from the middle of the box than the point found."""
 
 
-class LoopCase(NamedTuple):
-    """The worst case of one broken loop.
-
-    Args:
-        names: Dotted names of the numbers on which the loop depends.
-        drawn: Worst value of each margin among the draws, shape (margins,).
-        found: Worst value of each margin found in the box, shape (margins,).
-        numbers: For each margin the numbers at which its worst value was found, by name.
-        bounded: Values of the margins that hold on all of the box, shape (margins,); NaN if none was found.
-        growth_found: Smallest growth of the box found that reaches an unstable loop; infinite if none was found.
-        unstable: The numbers of that loop, by name.
-        has_operating_point: Whether that loop has an operating point within its limits; one without counts as unstable.
-        growth_bounded: Growth up to which the loop is proved to be stable.
-        growable: Largest growth that was searched.
-        cells: Number of cells that were computed.
-    """
-
-    names: tuple[str, ...]
-    drawn: np.ndarray
-    found: np.ndarray
-    numbers: list[dict[str, float]]
-    bounded: np.ndarray
-    growth_found: float
-    unstable: dict[str, float]
-    has_operating_point: bool
-    growth_bounded: float
-    growable: float
-    cells: int
-
-
 @dataclass(frozen=True)
 class WorstMargin:
-    """The worst case of a margin."""
+    """The worst case of a margin at one break point: of the draws, found in the box, and bounded for all of it."""
 
     unit: Annotated[str, Quantity("", "unit of the margin")]
     drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
@@ -69,7 +35,7 @@ class WorstMargin:
 
 @dataclass(frozen=True)
 class LoopWorst:
-    """The worst case of the loop broken at one place."""
+    """The worst case of the loop broken at one place: its stability on the box, and its margins by name."""
 
     stable: Annotated[bool | None, Quantity("", "whether it is stable on all of the box; None: undecided")]
     growth_bounded: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
@@ -84,7 +50,7 @@ class LoopWorst:
 
 @dataclass(frozen=True)
 class BoxSide:
-    """The range of one uncertain number."""
+    """The range of one uncertain number: a side of the box."""
 
     low: Annotated[float, Quantity("that of the number", "lower end")]
     high: Annotated[float, Quantity("that of the number", "upper end")]
@@ -153,22 +119,39 @@ class WorstLoop(Analysis):
     seconds: float
 
     def numbers(self, loop: str, margin: str) -> dict[str, float]:
-        """The numbers of the study that have the worst value found of a margin."""
+        """The numbers of the study with which a margin has the worst value found, by dotted name.
+
+        Args:
+            loop: Name of the break point.
+            margin: Name of the margin.
+        """
         return numbers_present(self.dataset["perturbation"].sel(loop=loop, margin=margin))
 
     def witness(self, loop: str, margin: str) -> Study:
-        """The study with the numbers of :meth:`numbers` in place of their laws."""
+        """The study of the worst loop found: the numbers of :meth:`numbers` replace their laws.
+
+        Args:
+            loop: Name of the break point.
+            margin: Name of the margin.
+        """
         return study_of_draw(self.study, self.numbers(loop, margin))
 
     def unstable(self, loop: str) -> dict[str, float]:
-        """Numbers of the nearest unstable loop found; empty: none was found."""
+        """Numbers of the unstable loop found nearest to the middle of the box, by dotted name; empty: none was found.
+
+        Args:
+            loop: Name of the break point.
+        """
         return numbers_present(self.dataset["unstable"].sel(loop=loop))
 
     def unstable_witness(self, loop: str) -> Study | None:
-        """The study of an unstable loop: its numbers lie up to 2 % beyond those of :meth:`unstable`.
+        """The study of an unstable loop, with numbers up to 2 % beyond those of :meth:`unstable`; None: none was found.
 
-        Nearer numbers are taken if the study does not accept those, as where a root of a difference is undefined. None
-        if no unstable loop was found.
+        A study may not accept numbers so far out, as where a root of a difference is undefined. Then nearer ones are
+        taken.
+
+        Args:
+            loop: Name of the break point.
         """
         if not self.unstable(loop):
             return None
@@ -180,20 +163,27 @@ class WorstLoop(Analysis):
         return study_of_draw(self.study, self.unstable(loop))
 
     def numbers_beyond(self, loop: str, share: float) -> dict[str, float]:
-        """Numbers that lie farther from the middle of the box than those of :meth:`unstable`, by a share."""
+        """Numbers that lie farther from the middle of the box than those of :meth:`unstable`.
+
+        Args:
+            loop: Name of the break point.
+            share: Additional distance from the middle, relative to theirs.
+        """
         numbers = {}
         for name, value in self.unstable(loop).items():
             side = self.dataset.sel(number=name)
             low = float(side["low"])
             high = float(side["high"])
             if bool(side["logarithmic"]):
-                numbers[name] = value * np.exp(share * (np.log(value) - 0.5 * (np.log(low) + np.log(high))))
+                middle = 0.5 * (np.log(low) + np.log(high))
+                numbers[name] = value * np.exp(share * (np.log(value) - middle))
             else:
-                numbers[name] = value + share * (value - 0.5 * (low + high))
+                middle = 0.5 * (low + high)
+                numbers[name] = value + share * (value - middle)
         return numbers
 
     def witnesses(self) -> dict[str, Study]:
-        """The studies of all worst cases, by loop and margin; ``LOOP-stability`` is unstable."""
+        """The studies of all worst cases, by ``LOOP-MARGIN``; ``LOOP-stability`` is that of an unstable loop."""
         studies = {}
         for loop in self.loops:
             name = loop.replace(" ", "-")
@@ -222,17 +212,17 @@ class WorstLoop(Analysis):
             return f"broken at {loop}: some loops of the box {verdict}, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
-        is_bounded = np.isfinite(disk.bounded)
-        least = f"a disk margin of at least {disk.bounded:.3g}" if is_bounded else "no bound of its margins"
+        bound = "no bound of its margins"
+        if np.isfinite(disk.bounded):
+            bound = f"a disk margin of at least {disk.bounded:.3g}"
         text = (
-            f"broken at {loop}: stable on all of the box, with {least} "
+            f"broken at {loop}: stable on all of the box, with {bound} "
             f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_bounded:.3g} "
             "times its size"
         )
         for name, joint in self.multiloop.items():
-            is_bounded = np.isfinite(joint.bounded)
-            text += f"; {name}: " + (f"at least {joint.bounded:.3g}" if is_bounded else "no bound")
-            text += f" (worst found {joint.found:.3g})"
+            bound = f"at least {joint.bounded:.3g}" if np.isfinite(joint.bounded) else "no bound"
+            text += f"; {name}: {bound} (worst found {joint.found:.3g})"
         return text
 
     def figure(self) -> Figure:
@@ -240,21 +230,15 @@ class WorstLoop(Analysis):
         return plotting.worst_loop(self)
 
     def worst_of(self, loop: str) -> LoopWorst:
-        """The worst case of the loop broken at one place, read from the dataset."""
+        """The worst case of the loop broken at one place, read from the dataset.
+
+        Args:
+            loop: Name of the break point.
+        """
         data = self.dataset.sel(loop=loop)
-        margins = {}
-        for name in MARGINS:
-            values = data.sel(margin=name)
-            margins[name] = WorstMargin(
-                unit=MARGIN_KINDS[name].unit,
-                drawn=float(values["drawn"]),
-                found=float(values["found"]),
-                bounded=float(values["bounded"]),
-                numbers=self.numbers(loop, name),
-            )
         growth_found = float(data["growth_found"])
         growth_bounded = float(data["growth_bounded"])
-        stable = None
+        stable = None  # undecided
         if growth_bounded >= 1.0:
             stable = True
         elif growth_found <= 1.0:
@@ -268,7 +252,23 @@ class WorstLoop(Analysis):
             has_operating_point=bool(data["has_operating_point"]),
             depends_on=tuple(map(str, self.dataset["number"].values[data["depends"].values])),
             cells=int(data["cells"]),
-            margins=margins,
+            margins={name: self.worst_margin(loop, name) for name in MARGINS},
+        )
+
+    def worst_margin(self, loop: str, margin: str) -> WorstMargin:
+        """The worst case of one margin of the loop broken at one place, read from the dataset.
+
+        Args:
+            loop: Name of the break point.
+            margin: Name of the margin.
+        """
+        values = self.dataset.sel(loop=loop, margin=margin)
+        return WorstMargin(
+            unit=MARGIN_KINDS[margin].unit,
+            drawn=float(values["drawn"]),
+            found=float(values["found"]),
+            bounded=float(values["bounded"]),
+            numbers=self.numbers(loop, margin),
         )
 
     @property
@@ -314,85 +314,9 @@ class WorstLoop(Analysis):
 
 
 def numbers_present(values: xr.DataArray) -> dict[str, float]:
-    """The values along ``number`` that are not missing, by the number's name."""
+    """The values along the dimension ``number`` that are not NaN, by the number's dotted name."""
     numbers = {}
     for name, value in zip(values["number"].values, values.values, strict=True):
         if not np.isnan(value):
             numbers[str(name)] = float(value)
     return numbers
-
-
-def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
-    """The dataset of :class:`WorstLoop` for single break points, from the worst case at each, by name."""
-    names = [side.name for side in box.sides]
-    of_margin = {"units": "that of the margin"}
-    of_number = {"units": "that of the number"}
-
-    def rows(numbers: Mapping[str, float]) -> list[float]:
-        return [numbers.get(name, np.nan) for name in names]
-
-    loop_cases = list(cases.values())
-    table = ("loop", "margin")
-    perturbations = np.array([[rows(numbers) for numbers in case.numbers] for case in loop_cases])
-    unstable = np.array([rows(case.unstable) for case in loop_cases])
-    depends = np.array([[name in case.names for name in names] for case in loop_cases])
-    columns = {
-        "perturbation": ((*table, "number"), perturbations, of_number | {"long_name": "numbers of the worst found"}),
-        "unstable": (("loop", "number"), unstable, of_number | {"long_name": "numbers of the nearest unstable loop"}),
-        "has_operating_point": (
-            "loop",
-            np.array([case.has_operating_point for case in loop_cases]),
-            {"long_name": OPERATING_POINT},
-        ),
-        "depends": (("loop", "number"), depends, {"long_name": "whether the number changes the loop"}),
-    }
-    for name, meaning in {
-        "drawn": "worst margin of all draws",
-        "found": "worst margin found in the box",
-        "bounded": "margin that holds on all of the box",
-    }.items():
-        values = np.stack([getattr(case, name) for case in loop_cases])
-        columns[name] = (table, values, of_margin | {"long_name": meaning})
-    for name, meaning in {
-        "growth_found": "growth of the box that reaches an unstable loop",
-        "growth_bounded": "growth of the box up to which the loop is stable",
-        "growable": "largest growth that was searched",
-        "cells": "cells computed",
-    }.items():
-        values = np.array([getattr(case, name) for case in loop_cases])
-        columns[name] = ("loop", values, unit_and_meaning("1", meaning))
-    for name, meaning in {
-        "low": "lower end",
-        "high": "upper end",
-        "cut": "whether the law has no end there",
-        "logarithmic": "whether the box grows in the logarithm",
-    }.items():
-        values = np.array([getattr(side, name) for side in box.sides])
-        columns[name] = ("number", values, of_number | {"long_name": meaning})
-    coords = {
-        "loop": ("loop", np.array(list(cases)), {"long_name": "where the loop is broken"}),
-        "margin": ("margin", np.array(MARGINS), {"long_name": "margin"}),
-        "number": ("number", np.array(names), {"long_name": "uncertain number"}),
-    }
-    return xr.Dataset(columns, coords=coords)
-
-
-def multiloop_dataset(box: Box, case: JointCase | None) -> xr.Dataset:
-    """The variables of a :class:`WorstLoop` for all commands at once; an empty dataset if there is no such case."""
-    if case is None:
-        return xr.Dataset()
-    numbers = [case.numbers.get(side.name, np.nan) for side in box.sides]
-    columns = {
-        "drawn": ((), case.drawn, "1", "worst disk margin of all commands at once, of all draws"),
-        "found": ((), case.found, "1", "worst disk margin of all commands at once found in the box"),
-        "bounded": ((), case.bounded, "1", "disk margin of all commands at once that holds on all of the box"),
-        "frequency": ((), case.frequency, "rad/s", "frequency at which the worst loop found oscillates"),
-        "gain": ("channel", np.abs(case.factors), "1", "gain of each command with which it does"),
-        "phase": ("channel", np.angle(case.factors), "rad", "phase of each command with which it does"),
-        "perturbation": ("number", numbers, "that of the number", "numbers of the worst found"),
-        "cells": ((), case.cells, "1", "cells computed"),
-    }
-    variables = {}
-    for name, (dims, values, unit, meaning) in columns.items():
-        variables[f"multiloop_{name}"] = (dims, np.asarray(values), unit_and_meaning(unit, meaning))
-    return xr.Dataset(variables, coords={"channel": list(case.channels)})

@@ -15,11 +15,13 @@ MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_pe
 UNSTABLE = {"lower": 0.0, "upper": np.inf}
 """The value of a margin of an unstable loop, by the side of its limit."""
 MOST_CORNERS = 6  # numbers up to which all corners are tried
-RANDOM_POINTS = 64
+RANDOM_POINTS = 64  # random points at which a search begins
 FIRST_STEP = 0.5  # of the search along each number
 SMALLEST_STEP = 1e-3
-RADII = 24  # at which stability is tested along a direction
-BISECTIONS = 16
+LEAST_GAIN = 1e-12  # by which a step has to improve the worst value
+LEAST_SHRINKAGE = 1e-4  # share by which a step has to reduce the growth to an instability
+GROWTH_STEPS = 24  # steps of the growth along a direction, after each of which stability is tested
+BISECTIONS = 16  # of the step in which a loop becomes unstable
 
 
 class WorstPoint(NamedTuple):
@@ -42,7 +44,10 @@ class Instability(NamedTuple):
 
 
 def start_points(sides: int) -> np.ndarray:
-    """The centre, corners and random points of the box [-1, 1]^sides, shape (n, sides)."""
+    """The points of the box [-1, 1]^sides at which a search begins: centre, corners, random points; shape (n, sides).
+
+    With few sides all corners are among them, else random ones.
+    """
     rng = np.random.default_rng(0)
     corners = rng.choice([-1.0, 1.0], (RANDOM_POINTS, sides))
     if sides <= MOST_CORNERS:
@@ -50,44 +55,53 @@ def start_points(sides: int) -> np.ndarray:
     return np.concatenate([np.zeros((1, sides)), corners, rng.uniform(-1.0, 1.0, (RANDOM_POINTS, sides))])
 
 
-def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
-    """Spectral radius of A in each [[A, B], [C, 0]], shape (n,); infinite where there is no equilibrium.
+def unit_moves(sides: int) -> np.ndarray:
+    """Moves by 1 and by -1 along each coordinate, shape (2 sides, sides)."""
+    return np.concatenate([np.eye(sides), -np.eye(sides)])
+
+
+def spectral_radii(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
+    """Largest modulus of a pole of each loop, shape (n,); below 1 the loop is stable, infinite without an equilibrium.
 
     Args:
-        matrices: Shape (n, states + channels, states + channels).
+        matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels); NaN without an equilibrium.
         channels: Columns of B.
     """
-    finite = np.all(np.isfinite(matrices), axis=(1, 2))
+    is_finite = np.all(np.isfinite(matrices), axis=(1, 2))
     radii = np.full(len(matrices), np.inf)
-    if finite.any():
-        radii[finite] = np.abs(np.linalg.eigvals(matrices[finite][:, :-channels, :-channels])).max(axis=1)
+    if is_finite.any():
+        poles = np.linalg.eigvals(matrices[is_finite][:, :-channels, :-channels])
+        radii[is_finite] = np.abs(poles).max(axis=1)
     return radii
 
 
 def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: float) -> np.ndarray:
-    """The :data:`MARGINS` of n loops, shape (n, margins); an unstable loop has the worst values.
+    """The :data:`MARGINS` of n loops, shape (n, margins); those of an unstable loop are the worst possible values.
 
     Args:
         matrices: [[A, b], [c, 0]], shape (n, states + 1, states + 1).
         common_angles: omega T_s at which every loop is evaluated, besides angles near its poles.
         sample_time: T_s [s].
     """
-    result = np.tile([UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS], (len(matrices), 1))
-    stable = radii_of(matrices) < 1.0
-    if stable.any():
-        a = matrices[stable, :-1, :-1]
-        b = matrices[stable, :-1, -1]
-        c = matrices[stable, -1, :-1]
+    of_unstable_loop = [UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS]
+    result = np.tile(of_unstable_loop, (len(matrices), 1))
+    is_stable = spectral_radii(matrices) < 1.0
+    if is_stable.any():
+        a = matrices[is_stable, :-1, :-1]
+        b = matrices[is_stable, :-1, -1]
+        c = matrices[is_stable, -1, :-1]
+        closed_loop_poles = np.linalg.eigvals(a)
         open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-        angles = grid_with_poles(common_angles, np.concatenate([np.linalg.eigvals(a), open_loop_poles], axis=1))
+        angles = grid_with_poles(common_angles, np.concatenate([closed_loop_poles, open_loop_poles], axis=1))
         margins: ClassicalMargins = classical_margins(response_of(a, b, c), angles, sample_time)
-        result[stable] = np.stack([getattr(margins, name) for name in MARGINS], axis=1)
+        result[is_stable] = np.stack([getattr(margins, name) for name in MARGINS], axis=1)
     return result
 
 
 def badness(margins: np.ndarray) -> np.ndarray:
-    """The :data:`MARGINS`, shape (..., margins), signed so that larger values are worse."""
-    return margins * np.array([-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS])
+    """The :data:`MARGINS`, shape (..., margins), with the sign that makes larger values worse."""
+    signs = [-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS]
+    return margins * np.array(signs)
 
 
 def worst_margins(
@@ -107,10 +121,11 @@ def worst_margins(
         remaining_points: Number of points that may still be evaluated.
     """
 
-    def margins(points: np.ndarray) -> np.ndarray:
+    def margins_at_points(points: np.ndarray) -> np.ndarray:
+        """The :data:`MARGINS` of the loops at some points, shape (n, margins)."""
         return margins_at(evaluate(points), common_angles, sample_time)
 
-    return worst_values(margins, badness, sides, remaining_points)
+    return worst_values(margins_at_points, badness, sides, remaining_points)
 
 
 def worst_values(
@@ -121,6 +136,9 @@ def worst_values(
 ) -> list[WorstPoint]:
     """Search the box for the worst value of each quantity: the worst of many points, improved by coordinate steps.
 
+    The step is halved when it improves no quantity. The search ends with the smallest step, or without points, or at
+    an infinitely bad value.
+
     Args:
         values_at: (points, shape (n, sides)) -> values, shape (n, quantities).
         badness: Values, shape (..., quantities) -> numbers of the same shape that are larger where they are worse.
@@ -129,26 +147,27 @@ def worst_values(
     """
     points = start_points(sides)[: max(1, remaining_points())]
     values = values_at(points)
-    best = np.argmax(badness(values), axis=0)
-    worst_points = points[best]
     quantities = values.shape[1]
+    best = np.argmax(badness(values), axis=0)
+    worst_points = points[best]  # one for each quantity
     worst = values[best, range(quantities)]
     step = FIRST_STEP
-    moves = np.concatenate([np.eye(sides), -np.eye(sides)])
+    moves = unit_moves(sides)
     while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
-        trials = np.clip(worst_points[:, None] + step * moves, -1.0, 1.0)
         if remaining_points() < len(moves) * quantities:
             break
+        trials = np.clip(worst_points[:, None] + step * moves, -1.0, 1.0)
         trial_values = values_at(trials.reshape(-1, sides)).reshape(*trials.shape[:2], quantities)
-        scores = badness(trial_values)
+        trial_badness = badness(trial_values)
         has_improved = False
         for index in range(quantities):
-            k = int(np.argmax(scores[index, :, index]))
-            if scores[index, k, index] > badness(worst)[index] + 1e-12:
+            k = int(np.argmax(trial_badness[index, :, index]))  # the best of this quantity's own trials
+            if trial_badness[index, k, index] > badness(worst)[index] + LEAST_GAIN:
                 worst[index] = trial_values[index, k, index]
                 worst_points[index] = trials[index, k]
                 has_improved = True
-        step = step if has_improved else 0.5 * step
+        if not has_improved:
+            step *= 0.5
     return [WorstPoint(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
@@ -163,43 +182,58 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float, remaining_p
         most: Largest growth to try.
         remaining_points: Number of points that may still be evaluated.
     """
-    points_per_direction = RADII + 1 + BISECTIONS
-
-    def growths(directions: np.ndarray) -> np.ndarray:
-        """The growth at which the loop becomes unstable along each direction; infinite if it does not."""
-        grid = np.linspace(0.0, most, RADII + 1)
-        points = (grid[:, None, None] * directions).reshape(-1, sides)
-        unstable = radii_of(evaluate(points)).reshape(RADII + 1, -1) >= 1.0
-        first = np.argmax(unstable, axis=0)
-        low = grid[np.maximum(first - 1, 0)]
-        high = np.where(unstable.any(axis=0), grid[first], np.inf)
-        unstable_directions = np.flatnonzero(np.isfinite(high) & (high > 0.0))
-        for _ in range(BISECTIONS if unstable_directions.size else 0):
-            middle = 0.5 * (low[unstable_directions] + high[unstable_directions])
-            beyond = radii_of(evaluate(middle[:, None] * directions[unstable_directions])) >= 1.0
-            high[unstable_directions] = np.where(beyond, middle, high[unstable_directions])
-            low[unstable_directions] = np.where(beyond, low[unstable_directions], middle)
-        return high
-
-    directions = start_points(sides)[1:][: max(1, remaining_points() // points_per_direction)]
-    directions /= np.abs(directions).max(axis=1, keepdims=True)
-    trial_growths = growths(directions)
-    best = int(np.argmin(trial_growths))
-    growth = trial_growths[best]
+    points_per_direction = GROWTH_STEPS + 1 + BISECTIONS
+    without_centre = start_points(sides)[1:]
+    directions = to_faces(without_centre[: max(1, remaining_points() // points_per_direction)])
+    growths = growths_to_instability(evaluate, directions, most)
+    best = int(np.argmin(growths))
+    growth = growths[best]
     direction = directions[best]
     step = FIRST_STEP
-    moves = np.concatenate([np.eye(sides), -np.eye(sides)])
     while np.isfinite(growth) and growth > 0.0 and step >= SMALLEST_STEP:
-        trials = np.clip(direction + step * moves, -1.0, 1.0)
-        trials = trials[np.abs(trials).max(axis=1) > 0.0]
-        trials /= np.abs(trials).max(axis=1, keepdims=True)
+        trials = np.clip(direction + step * unit_moves(sides), -1.0, 1.0)
+        trials = to_faces(trials[np.any(trials != 0.0, axis=1)])  # the middle has no direction
         if remaining_points() < len(trials) * points_per_direction:
             break
-        trial_growths = growths(trials)
-        best = int(np.argmin(trial_growths))
-        if trial_growths[best] < growth * (1.0 - 1e-4):
-            growth = trial_growths[best]
+        growths = growths_to_instability(evaluate, trials, most)
+        best = int(np.argmin(growths))
+        if growths[best] < growth * (1.0 - LEAST_SHRINKAGE):
+            growth = growths[best]
             direction = trials[best]
         else:
             step *= 0.5
     return Instability(float(growth), growth * direction if np.isfinite(growth) else np.full(sides, np.nan))
+
+
+def to_faces(directions: np.ndarray) -> np.ndarray:
+    """Directions of shape (n, sides), scaled so that each ends on a face of the box [-1, 1]^sides."""
+    return directions / np.abs(directions).max(axis=1, keepdims=True)
+
+
+def growths_to_instability(evaluate: Evaluate, directions: np.ndarray, most: float) -> np.ndarray:
+    """The growth of the box at which the loop becomes unstable along each direction, shape (n,).
+
+    Infinite where no tested loop is unstable, 0 where the loop in the middle of the box is. Stability is tested on a
+    grid of growths, and the step in which it is lost is bisected.
+
+    Args:
+        evaluate: The loop at points of the grown box.
+        directions: Points on the faces of the box, shape (n, sides).
+        most: Largest growth to try.
+    """
+    sides = directions.shape[1]
+    grid = np.linspace(0.0, most, GROWTH_STEPS + 1)
+    points = (grid[:, None, None] * directions).reshape(-1, sides)
+    is_unstable = spectral_radii(evaluate(points)).reshape(GROWTH_STEPS + 1, -1) >= 1.0
+    first = np.argmax(is_unstable, axis=0)
+    low = grid[np.maximum(first - 1, 0)]
+    high = np.where(is_unstable.any(axis=0), grid[first], np.inf)
+    bisected = np.flatnonzero(np.isfinite(high) & (high > 0.0))
+    if not bisected.size:
+        return high
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low[bisected] + high[bisected])
+        is_beyond = spectral_radii(evaluate(middle[:, None] * directions[bisected])) >= 1.0
+        high[bisected] = np.where(is_beyond, middle, high[bisected])
+        low[bisected] = np.where(is_beyond, low[bisected], middle)
+    return high

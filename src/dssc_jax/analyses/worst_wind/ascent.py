@@ -1,7 +1,9 @@
 """The search for the worst wind of each signal: candidates, then steps towards the extreme wind of the gradient.
 
-The method is that of Frank and Wolfe: a step goes from the present wind towards the one that maximises the linearised
-signal over all winds within the bounds. For a loop that is nearly linear the whole step is the best one, and the result
+The height of a signal is its value with the sign that makes a larger height worse. A climb raises the height.
+
+The method is due to Frank and Wolfe: a step goes from the present wind towards the extreme wind, which maximises the
+linearised signal over all winds within the bounds. For a nearly linear loop the whole step is the best, and the result
 switches where the gradient changes its sign, as Pontryagin's principle says of the worst disturbance.
 
 Reference:
@@ -32,7 +34,7 @@ LEAST_GAIN = 3e-4
 
 
 class Points(NamedTuple):
-    """Points of the search: n winds, each with values of the uncertain numbers.
+    """Points of the search, each of which defines a flight: n winds, each with values of the uncertain numbers.
 
     Args:
         winds: The winds [m/s], shape (n, size, 3).
@@ -43,7 +45,7 @@ class Points(NamedTuple):
     numbers: Arrays
 
     def select(self, places: np.ndarray) -> "Points":
-        """The points with some indices."""
+        """The points at some indices."""
         return Points(self.winds[places], {name: column[places] for name, column in self.numbers.items()})
 
     def replace(self, places: np.ndarray, replacements: "Points") -> "Points":
@@ -64,14 +66,13 @@ def join_points(parts: list[Points]) -> Points:
 
 
 def number_ranges(laws: dict[str, Law], names: list[str]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each uncertain number that the search can move: not of a choice.
+    """Lowest and highest value of each uncertain number that the search can move, by name.
+
+    A choice between a few values cannot be moved. A law without ends is cut at its levels 1e-6 and 1 - 1e-6.
 
     Args:
         laws: The laws of a study, by name.
         names: Names of the uncertain numbers.
-
-    Returns:
-        The support of each law; one without ends is cut at its levels 1e-6 and 1 - 1e-6.
     """
     ranges = {}
     for name in names:
@@ -86,7 +87,7 @@ def number_ranges(laws: dict[str, Law], names: list[str]) -> dict[str, tuple[flo
 
 
 class WorstFlight(NamedTuple):
-    """The worst flight found for one signal.
+    """The worst flight found for a signal.
 
     Args:
         value: Worst value of the signal; +-inf if the flight ends early.
@@ -99,6 +100,20 @@ class WorstFlight(NamedTuple):
     point: Points
 
 
+class Climbs(NamedTuple):
+    """Climbs that advance together, each towards the worst value of a signal.
+
+    Args:
+        signals: Name of the signal of each climb, n names.
+        points: The point that each has reached.
+        heights: Height of the signal at each point, shape (n,).
+    """
+
+    signals: list[str]
+    points: Points
+    heights: np.ndarray
+
+
 @dataclass
 class Ascent:
     """The search for the worst wind of each signal; :meth:`run` runs it.
@@ -109,7 +124,7 @@ class Ascent:
         signals: Names of the signals to drive to their worst.
         rounds: Largest number of steps of a climb.
         rng: Random generator of the candidates.
-        progress: Called with the rounds done.
+        progress: Called with the rounds done and their largest number.
         flown: Number of flights so far.
         differentiated: Number of flights with the derivative by one number so far.
     """
@@ -124,48 +139,57 @@ class Ascent:
     differentiated: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
+        """Find the ranges in which the search can move uncertain numbers."""
         self.ranges = number_ranges(self.flights.flying.laws, self.flights.numbers)
 
     def run(self) -> dict[str, WorstFlight]:
-        """Search for the worst flight of each signal, by name."""
-        kinds = [self.candidates(winds) for winds in self.first_winds()]
-        names: list[str] = []
-        starts: list[Points] = []
-        columns: list[np.ndarray] = []
-        for kind in kinds:
-            heights = self.heights(kind)
-            for name in self.signals:
-                worst = np.argsort(-heights[name], kind="stable")[:STARTS]
-                names += [name] * len(worst)
-                starts.append(kind.select(worst))
-                columns.append(heights[name][worst])
-        points = join_points(starts)
-        best = np.concatenate(columns)
-        first = np.array(best)
-        points, best = self.climb(names, points, best)
+        """Search for the worst flight of each signal, by name of the signal."""
+        first = self.first_climbs()
+        last = self.climb(first)
         worst_flights = {}
         for name in self.signals:
-            places = np.array([place for place, signal in enumerate(names) if signal == name])
-            top = places[np.argmax(best[places])]
+            places = np.array([place for place, signal in enumerate(first.signals) if signal == name])
+            top = places[np.argmax(last.heights[places])]
             sign = self.flights.signals[name].sign
-            candidate = float(first[places].max())
-            worst_flights[name] = WorstFlight(sign * float(best[top]), sign * candidate, points.select(np.array([top])))
+            worst_flights[name] = WorstFlight(
+                value=sign * float(last.heights[top]),
+                candidate=sign * float(first.heights[places].max()),
+                point=last.points.select(np.array([top])),
+            )
         return worst_flights
 
+    def first_climbs(self) -> Climbs:
+        """The starts of the climbs: for each signal, the worst candidates with resonant and with random winds."""
+        candidate_sets = [self.candidates(winds) for winds in self.first_winds()]
+        signals: list[str] = []
+        starts: list[Points] = []
+        start_heights: list[np.ndarray] = []
+        for candidates in candidate_sets:
+            heights = self.heights(candidates)
+            for name in self.signals:
+                worst = np.argsort(-heights[name], kind="stable")[:STARTS]
+                signals += [name] * len(worst)
+                starts.append(candidates.select(worst))
+                start_heights.append(heights[name][worst])
+        return Climbs(signals, join_points(starts), np.concatenate(start_heights))
+
+    def first_winds(self) -> list[np.ndarray]:
+        """The winds of the candidates [m/s], by kind: resonant winds, then random winds, shape (n, size, 3) each."""
+        return [self.winds.resonant_winds(), self.winds.random_winds(RANDOM, self.rng)]
+
     def report(self, rounds: int) -> None:
-        """Report the rounds done, of which the candidates are the first; an early end leaves the last one open."""
+        """Report the rounds done, the candidates' round included, and their largest number."""
         if self.progress:
             self.progress(rounds, self.rounds + 1)
 
-    def first_winds(self) -> list[np.ndarray]:
-        """The winds of the candidates, by kind: resonant ones and random ones, shape (n, size, 3) each."""
-        return [self.winds.resonant_winds(), self.winds.random_winds(RANDOM, self.rng)]
-
     def candidates(self, winds: np.ndarray) -> Points:
-        """Winds, shape (n, size, 3), as points: with the median vehicle, then with random ends of the numbers' ranges.
+        """Points with some winds: first with the median vehicle, then with random ends of the numbers' ranges.
 
         Numbers that the search cannot move have random values instead of ends. Without uncertain numbers there is only
         the median vehicle.
+
+        Args:
+            winds: The winds [m/s], shape (n, size, 3).
         """
         count = len(winds)
         laws = self.flights.flying.laws
@@ -180,50 +204,59 @@ class Ascent:
         return join_points([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
-        """Fly at some points: each signal by name, signed so that a larger value is worse, shape (n,) each."""
+        """Fly at some points, and return the height of each signal by name, shape (n,) each."""
         self.flown += len(points.winds)
         results = self.flights(points.winds, points.numbers)
         return {name: self.flights.signals[name].sign * results[name] for name in self.signals}
 
-    def climb(self, names: list[str], points: Points, best: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Improve n points at once, each for one signal, by steps towards the extreme wind of its gradient.
+    def climb(self, climbs: Climbs) -> Climbs:
+        """The ends of climbs, which step in rounds towards the extreme wind of their signal's gradient.
 
-        Args:
-            names: The signal of each point, n names.
-            points: The points at which the climbs start.
-            best: Height of the signal at each of them, shape (n,).
-
-        Returns:
-            The points reached, and the height at each, shape (n,).
+        A climb ends when a round improves its height by too little, or when its flight ends early, which is the worst
+        that can happen.
         """
+        points = climbs.points
+        best = np.array(climbs.heights)
         active = np.flatnonzero(np.isfinite(best))
         for finished_rounds in range(self.rounds):
             self.report(finished_rounds + 1)
             if not active.size:
                 break
-            signals = [names[place] for place in active]
-            trials = self.trials(signals, points.select(active))
-            heights = self.heights(join_points(trials))
-            rows = np.array([heights[signal].reshape(len(trials), -1)[:, i] for i, signal in enumerate(signals)])
-            best_trials = np.argmax(rows, axis=1)
-            trial_heights = rows[np.arange(len(active)), best_trials]
+            trials, trial_heights = self.best_trials([climbs.signals[place] for place in active], points.select(active))
             better = trial_heights > best[active]
-            improved_points = active[better]
-            places = np.flatnonzero(better)
-            for step, place in zip(best_trials[better], places, strict=True):
-                points = points.replace(active[[place]], trials[step].select(np.array([place])))
+            points = points.replace(active[better], trials.select(np.flatnonzero(better)))
             gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
-            best = np.array(best)
-            best[improved_points] = trial_heights[better]
+            best[active[better]] = trial_heights[better]
             active = active[(gains > LEAST_GAIN) & np.isfinite(best[active])]
-        self.report(self.rounds + 1 if active.size else self.rounds)
-        return points, best
+        self.report(self.rounds + 1 if active.size else self.rounds)  # an early end of all climbs leaves one round open
+        return Climbs(climbs.signals, points, best)
+
+    def best_trials(self, signals: list[str], points: Points) -> tuple[Points, np.ndarray]:
+        """Fly the trial points of a step from n points, and choose the highest for each.
+
+        Args:
+            signals: The signal of each point, n names.
+            points: The n points.
+
+        Returns:
+            The n best trial points, and the height of the signal at each, shape (n,).
+        """
+        count = len(signals)
+        trials = self.trials(signals, points)
+        all_trials = join_points(trials)
+        heights = self.heights(all_trials)
+        by_trial = np.empty((len(trials), count))
+        for i, signal in enumerate(signals):
+            by_trial[:, i] = heights[signal].reshape(len(trials), count)[:, i]
+        highest = np.argmax(by_trial, axis=0)
+        rows = np.arange(count)  # of a set of trials, which lie one set after the other
+        return all_trials.select(highest * count + rows), by_trial[highest, rows]
 
     def trials(self, signals: list[str], points: Points) -> list[Points]:
         """Trial points of a step: for each point, several that lie towards the extreme of its signal's gradient.
 
         The worst moment of a flight may come before its end. The last trial delays the extreme wind, so that this
-        moment becomes the last one and more wind can precede it.
+        moment comes last and more wind can precede it.
 
         Args:
             signals: The signal of each point, n names.
@@ -234,28 +267,33 @@ class Ascent:
             and the delayed extreme wind.
         """
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
-        self.differentiated += len(signals) * (3 * self.winds.grid.size + len(self.flights.numbers))
+        self.differentiated += len(signals) * (len(self.flights.grid.names) + len(self.flights.numbers))
         signs = np.array([self.flights.signals[name].sign for name in signals])
         wind_slopes = signs[:, None, None] * slopes.wind
         number_slopes = {name: signs * column for name, column in slopes.numbers.items()}
         extreme_winds = self.winds.extreme_winds(wind_slopes, points.winds)
         extreme = Points(extreme_winds, self.extreme_numbers(number_slopes, points.numbers))
-        trials = [interpolate(points, extreme, share) for share in SHARES]
-        trials.append(Points(extreme.winds, points.numbers))
-        trials.append(Points(self.winds.follow(postpone(extreme.winds, wind_slopes)), extreme.numbers))
-        return trials
+        delayed_winds = self.winds.follow(postpone(extreme.winds, wind_slopes))
+        return [
+            *(interpolate(points, extreme, share) for share in SHARES),
+            Points(extreme.winds, points.numbers),
+            Points(delayed_winds, extreme.numbers),
+        ]
 
     def extreme_numbers(self, slopes: Arrays, numbers: Arrays) -> Arrays:
         """Each uncertain number at the end of its range towards which the signal gets worse, shape (n,) each.
 
+        A number without an effect stays, and so does a number that the search cannot move.
+
         Args:
-            slopes: Derivatives of the signed signal by each number, shape (n,) each; where one is 0, the number stays.
+            slopes: Derivatives of the height by each number, shape (n,) each.
             numbers: The present values, shape (n,) each.
         """
         extreme = dict(numbers)
         for name, (low, high) in self.ranges.items():
-            slope = slopes[name]
-            extreme[name] = np.where(slope > 0.0, high, np.where(slope < 0.0, low, numbers[name]))
+            has_effect = slopes[name] != 0.0
+            worse_end = np.where(slopes[name] > 0.0, high, low)
+            extreme[name] = np.where(has_effect, worse_end, numbers[name])
         return extreme
 
 
@@ -269,17 +307,19 @@ def interpolate(points: Points, extreme: Points, share: float) -> Points:
 
 
 def postpone(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Delay winds so that the last vector with an effect becomes the last vector of the wind, shape (n, size, 3).
+    """Winds that are delayed until the last vector with an effect comes last in the flight, shape (n, size, 3).
 
-    The vectors behind it, which have no effect, move to the beginning.
+    The vectors after it, which have no effect, move to the beginning.
 
     Args:
         winds: Shape (n, size, 3).
         slopes: Derivatives of a signal by the winds, shape (n, size, 3); 0 for a vector without an effect.
     """
     delayed_winds = np.array(winds)
-    for row, (wind, slope) in enumerate(zip(winds, slopes, strict=True)):
+    size = winds.shape[1]
+    for index, slope in enumerate(slopes):
         effective = np.flatnonzero(np.any(slope != 0.0, axis=1))
         if effective.size:
-            delayed_winds[row] = np.roll(wind, len(wind) - 1 - effective[-1], axis=0)
+            delay = size - 1 - effective[-1]
+            delayed_winds[index] = np.roll(winds[index], delay, axis=0)
     return delayed_winds

@@ -31,16 +31,16 @@ SMALLEST = ("rotor_thrust_min",)
 REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
 """Tables of a study that do not matter for a flight in a given wind."""
 BEYOND = 3
-"""Knots of a spline besides one for each segment: before the flight, at its end and after it."""
+"""Knots of a spline besides a knot for each segment: before the flight, at its end and after it."""
 
 
 class WindGrid(NamedTuple):
-    """The times at which a wind has a vector.
+    """The times at which a wind has a vector: the start of each segment of a flight, or the knots of a spline.
 
     Args:
         interval: Time between two vectors [s].
         size: Number of vectors.
-        smooth: Whether the vectors are knots of a spline; otherwise each one holds for the interval.
+        smooth: Whether the vectors are knots of a spline; otherwise each vector holds for the interval.
     """
 
     interval: float
@@ -50,31 +50,41 @@ class WindGrid(NamedTuple):
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
         """The grid that divides a study's flight into at most ``segments`` segments of whole samples."""
-        samples = math.ceil(study.loop.steps / segments)
+        samples = math.ceil(study.loop.steps / segments)  # in a segment
         count = math.ceil(study.loop.steps / samples)
-        return cls(samples * study.loop.sample_time, count + BEYOND * smooth, smooth)
+        size = count + BEYOND if smooth else count
+        return cls(samples * study.loop.sample_time, size, smooth)
 
     @property
     def times(self) -> np.ndarray:
         """Times of the vectors [s], shape (size,); the first knot of a spline lies before the flight."""
-        return (np.arange(self.size) - (1.0 if self.smooth else 0.0)) * self.interval
+        first = -1.0 if self.smooth else 0.0  # in intervals
+        return (np.arange(self.size) + first) * self.interval
 
     @property
     def names(self) -> list[str]:
-        """Dotted names of the numbers of a wind, one component after the other: ``wind.x.0``, ``wind.x.1``."""
+        """Dotted names of the numbers of a wind, component by component: ``wind.x.0``, ``wind.x.1``, ..."""
         return [f"wind.{axis}.{place}" for axis in AXES for place in range(self.size)]
 
     def table(self, columns: Sequence[Sequence[object]]) -> TomlTable:
-        """The table ``[wind]`` of a study, from ``size`` values of each of the three components."""
+        """The table ``[wind]`` of a study that flies in a wind of this grid.
+
+        Args:
+            columns: Values or laws of w_x, w_y and w_z at the times, ``size`` of each.
+        """
         components = {axis: list(column) for axis, column in zip(AXES, columns, strict=True)}
         if self.smooth:
             return {"kind": "spline", "interval": self.interval, "at": float(self.times[0]), **components}
         return {"kind": "piecewise", "times": self.times.tolist(), **components}
 
     def values(self, winds: np.ndarray) -> Arrays:
-        """The numbers of n winds by their dotted names, shape (n,) each, from winds of shape (n, size, 3)."""
-        columns = np.moveaxis(winds, 2, 1).reshape(len(winds), -1)
-        return dict(zip(self.names, columns.T, strict=True))
+        """The numbers of n winds by their dotted names, shape (n,) each.
+
+        Args:
+            winds: The winds [m/s], shape (n, size, 3).
+        """
+        rows = np.moveaxis(winds, 2, 1).reshape(len(winds), -1)  # in the order of the names
+        return dict(zip(self.names, rows.T, strict=True))
 
 
 class Signal(NamedTuple):
@@ -90,15 +100,15 @@ class Signal(NamedTuple):
 
     @classmethod
     def of(cls, measure: Measure) -> "Signal":
-        """The signal of a metric."""
-        return cls(measure, -1.0 if measure.kind in SMALLEST else 1.0)
+        """The signal of a metric, whose worst value is the largest or the smallest, depending on its kind."""
+        return cls(measure, sign=-1.0 if measure.kind in SMALLEST else 1.0)
 
 
 @dataclass
 class WindFlights:
-    """A study that is compiled once, and flies in any winds and with any values of its uncertain numbers.
+    """A study that is compiled once, and then flies in any winds and with any values of its uncertain numbers.
 
-    The study's own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of draw 0.
+    The study's own wind, sweep, metrics and requirements are replaced. All flights have the in-loop noise of draw 0.
 
     Args:
         study: The study.
@@ -116,6 +126,7 @@ class WindFlights:
     flying: Study = field(init=False)
 
     def __post_init__(self) -> None:
+        """Compile the flights without and with derivatives by every number of the wind and of the vehicle."""
         self.flying = flying_study(self.study, self.grid)
         self.signals = {measure.name: Signal.of(measure) for measure in self.flying.measures}
         self.numbers = [name for name in self.flying.laws if not name.startswith("wind.")]
@@ -132,38 +143,40 @@ class WindFlights:
         Returns:
             Each signal's value, and ``outcome``, shape (n,) each. A flight that ends early has the worst value, +-inf.
         """
-        results = self._plain(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
-        return self._worst(results)
+        draws = np.zeros(len(winds), int)  # the noise of draw 0
+        results = self._plain(draws, self.grid.values(winds) | dict(numbers))
+        ended_early = results["outcome"] != Outcome.OK
+        values = {"outcome": results["outcome"]}
+        for name, signal in self.signals.items():
+            values[name] = np.where(ended_early, signal.sign * np.inf, results[name])
+        return values
 
     def with_slopes(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray], names: Sequence[str]) -> "Slopes":
-        """Fly once in each wind, and differentiate one signal of each flight.
+        """Fly once in each wind, and differentiate a signal of each flight by the wind and the numbers.
 
         Args:
             winds: The winds [m/s], shape (n, size, 3).
             numbers: Value of each uncertain number, shape (n,) each.
             names: The signal of each flight, n names.
+
+        Returns:
+            The derivatives; 0 in place of NaN.
         """
-        results = self._with_gradients(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
+        draws = np.zeros(len(winds), int)  # the noise of draw 0
+        results = self._with_gradients(draws, self.grid.values(winds) | dict(numbers))
 
-        def slope(number: str) -> np.ndarray:
-            return np.array([results[Derivative(name, number)][flight] for flight, name in enumerate(names)])
+        def slopes_by(number: str) -> np.ndarray:
+            """Derivative of each flight's signal by a number, shape (n,)."""
+            slopes = [results[Derivative(name, number)][flight] for flight, name in enumerate(names)]
+            return np.nan_to_num(np.array(slopes))
 
-        columns = np.stack([slope(name) for name in self.grid.names], axis=1)
-        by_wind = np.moveaxis(columns.reshape(len(winds), 3, self.grid.size), 1, 2)
-        by_numbers = {name: slope(name) for name in self.numbers}
-        return Slopes(np.nan_to_num(by_wind), {name: np.nan_to_num(column) for name, column in by_numbers.items()})
-
-    def _worst(self, results: Arrays) -> Arrays:
-        """The value of each signal, shape (n,) each; the worst one, +-inf, where a flight ended early."""
-        ended = results["outcome"] != Outcome.OK
-        values = {}
-        for name, signal in self.signals.items():
-            values[name] = np.where(ended, signal.sign * np.inf, results[name])
-        return values | {"outcome": results["outcome"]}
+        columns = np.stack([slopes_by(name) for name in self.grid.names], axis=1)
+        by_wind = np.moveaxis(columns.reshape(len(winds), len(AXES), self.grid.size), 1, 2)
+        return Slopes(by_wind, {name: slopes_by(name) for name in self.numbers})
 
 
 class Slopes(NamedTuple):
-    """Derivatives of one signal of each flight.
+    """Derivatives of a signal of each flight, which may be another signal for each.
 
     Args:
         wind: Derivatives by the vectors of the wind, shape (n, size, 3).
@@ -175,7 +188,7 @@ class Slopes(NamedTuple):
 
 
 def require_certain_wind(study: Study) -> None:
-    """Require a wind without uncertain numbers, since a search varies the wind itself.
+    """Refuse a wind with uncertain numbers, since a search varies the wind itself.
 
     Raises:
         ConfigError: A number of the wind has a law.
@@ -193,8 +206,9 @@ def flying_study(study: Study, grid: WindGrid) -> Study:
     """
     require_certain_wind(study)
     table = {name: value for name, value in study.table.items() if name not in REPLACED}
-    free = [{"uniform": [-1.0, 1.0]}] * grid.size
-    loop = {name: value for name, value in dict(study.table["loop"]).items() if name != "settled"}
+    free = [{"uniform": [-1.0, 1.0]}] * grid.size  # a law makes a number free; its range does not matter
+    loop = dict(study.table["loop"])
+    loop.pop("settled", None)
     changes = {"loop": loop, "wind": grid.table((free, free, free)), "metrics": {"names": list(KINDS)}}
     return Study.from_table(table | changes, study.source)
 
@@ -209,14 +223,14 @@ def fly_winds(
     """Fly once in each of many given winds, in batches of one compiled program.
 
     Args:
-        study: The study; its own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of
-            draw 0.
+        study: The study; its own wind, sweep, metrics and requirements are replaced. All flights have the in-loop noise
+            of draw 0.
         winds: The winds [m/s], shape (flights, vectors, 3). The vectors divide the flight into equal parts, of whole
-            samples; each one holds over its part. Fewer than the flight has samples.
+            samples; each vector holds over its part. There are fewer vectors than samples.
         numbers: Values of uncertain numbers of the study by dotted name, shape (flights,) each; the others have their
             medians.
-        smooth: Whether the vectors are the knots of a cubic spline instead: the first one a part before the start, the
-            second one at the start, and the last two at the end and a part after it.
+        smooth: Whether the vectors are the knots of a cubic spline instead: the first knot a part before the start, the
+            second at the start, and the last two at the end and a part after it.
 
     Returns:
         Along ``flight``: for each channel the largest |e|, |e'| and |sigma| as ``error_max_x``, ``error_rate_max_x``,
@@ -235,19 +249,22 @@ def fly_winds(
         >>> dj.fly_winds(study, winds)["error_max_x"].values.round(3).tolist()
         [0.0, 0.317]
     """
+    given = dict(numbers or {})
     shape = np.shape(winds)
-    if len(shape) != 3 or shape[2] != 3 or shape[1] <= BEYOND * smooth:
+    more_knots = BEYOND if smooth else 0
+    if len(shape) != 3 or shape[2] != len(AXES) or shape[1] <= more_knots:
         raise ConfigError("winds", f"must have the shape (flights, vectors, 3), got {shape}")
-    grid = WindGrid.of(study, shape[1] - BEYOND * smooth, smooth)
-    if grid.size != shape[1]:
+    count, vectors, _ = shape
+    grid = WindGrid.of(study, vectors - more_knots, smooth)
+    if grid.size != vectors:
         rule = f"must divide the {study.loop.steps} samples of the flight into parts of whole samples"
-        raise ConfigError("winds", f"{rule}; got {shape[1]} vectors, of which {grid.size} would do")
-    flights = WindFlights(study, grid, min(BLOCK, shape[0]))
-    values = medians(flights.flying) | dict(numbers or {})
-    for name in numbers or {}:
+        raise ConfigError("winds", f"{rule}; got {vectors} vectors, of which {grid.size} would do")
+    flights = WindFlights(study, grid, min(BLOCK, count))
+    for name in given:
         if name not in flights.numbers:
             raise ConfigError(name, f"is no uncertain number of this study; {nearest(name, flights.numbers)}")
-    columns = {name: np.broadcast_to(values[name], shape[:1]) for name in flights.numbers}
+    values = medians(flights.flying) | given
+    columns = {name: np.broadcast_to(values[name], (count,)) for name in flights.numbers}
     results = flights(np.asarray(winds, float), columns)
     variables = {}
     for name, signal in flights.signals.items():

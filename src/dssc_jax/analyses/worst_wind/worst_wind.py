@@ -27,13 +27,13 @@ from dssc_jax.study.known_draws import study_of_draw
 ON_REQUEST = ("error_rate_max",)
 """Metrics of a flight that are signals only on request."""
 OF_ALL_DRAWS = ("sampling", "replicates", "correlation", "sweep", "draws")
-"""Settings of a study for all its draws together."""
+"""Settings that concern all draws of a study together, which the study of a single flight does not have."""
 UNIT_OF_SIGNAL = "that of the signal"
 
 
 @dataclass(frozen=True)
 class SignalAnswer:
-    """The worst value found of one signal."""
+    """The worst value found of a signal, and the uncertain numbers of that flight."""
 
     signal: Annotated[str, Quantity("", "the signal, by the name of its metric")]
     meaning: Annotated[str, Quantity("", "what it is")]
@@ -45,7 +45,7 @@ class SignalAnswer:
 
 @dataclass(frozen=True)
 class WorstWindAnswer:
-    """The bounds, and the worst value found of each signal."""
+    """The answer of a search for the worst wind: its bounds, the worst value found of each signal, and its cost."""
 
     speed: Annotated[float, Quantity("m/s", "bound of the horizontal wind's norm")]
     vertical: Annotated[float, Quantity("m/s", "bound of the vertical wind")]
@@ -62,10 +62,10 @@ class WorstWindAnswer:
 class WorstWind(Analysis):
     """The worst wind found for each signal of a flight.
 
-    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and
-    the value of each uncertain number. Along ``signal`` and ``time`` it has the wind as ``wind_x``, ``wind_y`` and
-    ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot of a cubic spline.
-    :meth:`flight` is the study that flies it.
+    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, the worst value among the first
+    candidates; and the value of each uncertain number. Along ``signal`` and ``time`` it has the wind as ``wind_x``,
+    ``wind_y`` and ``wind_z``. A vector of the wind holds until the next time; where the rate is bounded, it is the knot
+    of a cubic spline. :meth:`flight` is the study that flies in the wind.
 
     Args:
         units: Unit of each signal.
@@ -91,13 +91,13 @@ class WorstWind(Analysis):
 
     @property
     def signals(self) -> list[str]:
-        """Names of the signals."""
+        """Names of the signals, in the order in which they were asked for."""
         return self.dataset["signal"].values.tolist()
 
     @property
     def grid(self) -> WindGrid:
         """The times at which the winds have vectors."""
-        return WindGrid(self.interval, self.dataset.sizes["time"], self.limits.rate is not None)
+        return WindGrid(self.interval, self.dataset.sizes["time"], smooth=self.limits.rate is not None)
 
     def wind(self, signal: str) -> np.ndarray:
         """The worst wind of a signal [m/s], shape (vectors, 3); see :func:`dssc_jax.fly_winds`."""
@@ -110,17 +110,17 @@ class WorstWind(Analysis):
         return {name: float(row[name]) for name in self.study.laws}
 
     def flight(self, signal: str) -> Study:
-        """The study of the worst flight of a signal, as draw 0: wind and numbers replace bounds and laws.
+        """The study whose only draw is the worst flight of a signal: wind and numbers replace bounds and laws.
 
         Example:
             ``dj.simulate(worst.flight("error_max_x"))``
         """
         table = {name: value for name, value in self.study.table.items() if name not in OF_ALL_DRAWS}
-        wind = self.grid.table(self.wind(signal).T.tolist())
-        return study_of_draw(Study.from_table(table | {"wind": wind}, self.study.source), self.numbers(signal))
+        table["wind"] = self.grid.table(self.wind(signal).T.tolist())
+        return study_of_draw(Study.from_table(table, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """The row of the dataset for one signal.
+        """The part of the dataset for a signal.
 
         Raises:
             ConfigError: The signal was not searched for.
@@ -133,9 +133,10 @@ class WorstWind(Analysis):
     def headline(self) -> str:
         """The effect of the worst wind on the first signal, in one line."""
         first = self.answer.signals[0]
-        effect = "ends the flight early"
-        if first.worst is not None:
-            effect = f"drives {first.signal} to {first.worst:.4g} {first.unit}".removesuffix(" 1")
+        if first.worst is None:
+            effect = "ends the flight early"
+        else:
+            effect = f"drives {first.signal} to {first.worst:.4g} {first.unit}".removesuffix(" 1")  # no unit
         return f"the worst wind found of at most {self.limits.speed:g} m/s {effect}"
 
     def figure(self) -> Figure:
@@ -158,7 +159,7 @@ class WorstWind(Analysis):
         )
 
     def signal_answer(self, signal: str) -> SignalAnswer:
-        """The worst value found of one signal, read from the dataset."""
+        """The worst value found of a signal with its meaning and unit, read from the dataset."""
         row = self._row(signal)
         place = self.signals.index(signal)
         return SignalAnswer(
@@ -172,7 +173,7 @@ class WorstWind(Analysis):
 
 
 def finite_or_none(value: float) -> float | None:
-    """The value, or None in place of an infinite one, which JSON does not have."""
+    """The value, or None in place of infinity, which JSON does not have."""
     return value if np.isfinite(value) else None
 
 
@@ -193,8 +194,8 @@ def worst_wind(
     value.
 
     Args:
-        study: The study. Its wind declares its bounds; those of ``kind = "bounded"`` are its parameters. Its own sweep
-            is ignored, and noise within the loop is that of draw 0.
+        study: The study. Its wind declares its bounds; with ``kind = "bounded"`` they are its parameters. Its own sweep
+            is ignored, and all flights have the in-loop noise of draw 0.
         signals: Metrics of a flight, see :func:`dssc_jax.fly_winds`: the largest |e|, |e'| and |sigma| of each channel,
             the largest tilt, the largest and the smallest thrust of a rotor. None: all but |e'|.
         segments: Parts of the flight, of whole samples; a wind may change between two.
@@ -203,8 +204,8 @@ def worst_wind(
         progress: Called with the rounds done.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows; a signal is unknown; ``segments``
-            or ``rounds`` is out of range.
+        ConfigError: The bounds of the wind are unknown or uncertain, or it never blows; a signal is unknown;
+            ``segments`` or ``rounds`` is out of range.
 
     Example:
         >>> import dssc_jax as dj
@@ -215,18 +216,19 @@ def worst_wind(
     """
     began = time.perf_counter()
     study = study.without_sweep()
+    chosen = signals or []
     if not LEAST_SEGMENTS <= segments <= MOST_SEGMENTS:
         raise ConfigError("segments", f"must be in {LEAST_SEGMENTS} .. {MOST_SEGMENTS}, got {segments}")
     if not 0 <= rounds <= MOST_CLIMBS:
         raise ConfigError("rounds", f"must be in 0 .. {MOST_CLIMBS}, got {rounds}")
-    limits = limits_of(study)
-    grid = WindGrid.of(study, segments, limits.rate is not None)
+    limits = wind_limits(study)
+    grid = WindGrid.of(study, segments, smooth=limits.rate is not None)
     flights = WindFlights(study, grid, BLOCK)
-    for name in signals or ():
+    for name in chosen:
         if name not in flights.signals:
             raise ConfigError("signals", f"unknown signal '{name}'; {nearest(name, flights.signals)}")
     default_names = [name for name, signal in flights.signals.items() if signal.measure.kind not in ON_REQUEST]
-    names = list(dict.fromkeys(signals or default_names))
+    names = list(dict.fromkeys(chosen or default_names))  # each name once
     ascent = Ascent(
         flights=flights,
         winds=WindSet(limits, grid),
@@ -253,7 +255,7 @@ def worst_wind(
 def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed: int = 0) -> np.ndarray:
     """Random winds within the bounds of a study's wind, for :func:`dssc_jax.fly_winds`.
 
-    Each one switches at random times to random extremes. The mean time between two switches is random, too, from one
+    Each wind switches at random times to random extremes. The mean time between two switches is random, too, from one
     part of the flight to all of it.
 
     Args:
@@ -267,7 +269,7 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
         ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
 
     Raises:
-        ConfigError: The wind has no known bounds or uncertain ones, or never blows; or a number is too small.
+        ConfigError: The bounds of the wind are unknown or uncertain, or it never blows; or a number is too small.
 
     Example:
         >>> import dssc_jax as dj
@@ -276,13 +278,13 @@ def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed:
     """
     if count < 0 or segments < 1:
         raise ConfigError("winds", f"need a count >= 0 and segments >= 1, got {count} and {segments}")
-    limits = limits_of(study)
-    grid = WindGrid.of(study, segments, limits.rate is not None)
+    limits = wind_limits(study)
+    grid = WindGrid.of(study, segments, smooth=limits.rate is not None)
     return WindSet(limits, grid).random_winds(count, np.random.default_rng(seed))
 
 
-def limits_of(study: Study) -> Limits:
-    """The bounds of a study's wind in plain numbers.
+def wind_limits(study: Study) -> Limits:
+    """The bounds of a study's wind, which must be certain numbers.
 
     Raises:
         ConfigError: The bounds are not known, or uncertain, or the wind never blows.
@@ -298,27 +300,24 @@ def limits_of(study: Study) -> Limits:
 
 
 def worst_wind_dataset(flights: WindFlights, worst_flights: dict[str, WorstFlight]) -> xr.Dataset:
-    """The dataset of :class:`WorstWind`.
+    """The dataset of :class:`WorstWind`: values, uncertain numbers and wind of the worst flight, by signal.
 
     Args:
         flights: The compiled study.
         worst_flights: The worst flight of each signal, by name.
     """
-    worst_values = [worst.value for worst in worst_flights.values()]
-    candidates = [worst.candidate for worst in worst_flights.values()]
-    columns = {
-        "worst": (worst_values, UNIT_OF_SIGNAL, "worst value found"),
-        "candidate": (candidates, UNIT_OF_SIGNAL, "worst value of the candidates"),
+    worst_values = np.array([worst.value for worst in worst_flights.values()])
+    candidates = np.array([worst.candidate for worst in worst_flights.values()])
+    variables: dict[str, tuple[object, np.ndarray, dict[str, str]]] = {
+        "worst": ("signal", worst_values, unit_and_meaning(UNIT_OF_SIGNAL, "worst value found")),
+        "candidate": ("signal", candidates, unit_and_meaning(UNIT_OF_SIGNAL, "worst value of the candidates")),
     }
     for name in flights.numbers:
         quantity = flights.study.quantities[name]
-        values = [float(worst.point.numbers[name][0]) for worst in worst_flights.values()]
-        columns[name] = (values, quantity.unit, quantity.meaning)
-    variables = {}
-    for name, (values, unit, meaning) in columns.items():
-        variables[name] = ("signal", np.asarray(values), unit_and_meaning(unit, meaning))
+        values = np.array([float(worst.point.numbers[name][0]) for worst in worst_flights.values()])
+        variables[name] = ("signal", values, unit_and_meaning(quantity.unit, quantity.meaning))
     for index, axis in enumerate(AXES):
-        winds = np.stack([worst.point.winds[0, :, index] for worst in worst_flights.values()])
+        winds = np.stack([worst.point.winds[0, :, index] for worst in worst_flights.values()])  # 0: the only point
         attributes = unit_and_meaning("m/s", f"worst wind along {axis}")
         variables[f"wind_{axis}"] = (("signal", "time"), winds, attributes)
     coords = {

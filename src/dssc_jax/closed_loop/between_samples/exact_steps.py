@@ -27,16 +27,30 @@ from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Variation
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import as_arrays, dot, is_zero
-from dssc_jax.core.sampled_linear import Forcing, HeldSystem, LinearSystem, Rows, hold, scale_column
+from dssc_jax.core.sampled_linear import (
+    Column,
+    Forcing,
+    HeldSystem,
+    LinearSystem,
+    Rows,
+    hold,
+    one_entry,
+    scale_column,
+)
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
-VARYING = 3  # terms of an input that varies within a step: it is interpolated at start, middle and end
+CONSTANT = 1  # terms of an input that is constant over a step
+VARYING = 3  # terms of an input that varies within a step: a parabola through its values at start, middle and end
+
+SignalsAt = Callable[[Sequence[Scalar], float], list[Scalar]]
+"""``(state of the linear system, fraction of the step) -> signals that vary within the step``, at that stage."""
 
 
 def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
-    """The function that advances a plant with a linear part over a sample.
+    """Return the function that advances a plant with a linear part over one sample.
 
-    The linear part has an exact solution; ETDRK4-B adds disturbances and a remainder that vary within the sample.
+    The linear part moves by its exact solution. Where disturbances or a nonlinear remainder vary within the sample,
+    ETDRK4-B adds their effect, in ``parts.substeps`` steps.
 
     Args:
         parts: The models and the clock.
@@ -45,40 +59,41 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
         unmodelled: Parameters of the unmodelled dynamics of each channel.
     """
     assembly = assemble(parts, dynamics, unmodelled)
-    rows = remainder_rows(parts.plant, params, len(parts.unmodelled))
-    forcings = list(assembly.inputs)
-    for row in rows:
-        column = [0.0] * len(assembly.a)
-        column[row] = 1.0
-        forcings.append(Forcing(tuple(column), VARYING))
-    is_constant = all(forcing.terms == 1 for forcing in forcings)
-    count = 1 if is_constant else parts.substeps
+    remainder_rows = find_remainder_rows(parts.plant, params, len(parts.unmodelled))
+    size = len(assembly.a)
+    forcings = [*assembly.inputs, *(Forcing(one_entry(1.0, row, size), VARYING) for row in remainder_rows)]
+    is_constant = all(forcing.terms == CONSTANT for forcing in forcings)
+    count = 1 if is_constant else parts.substeps  # with constant inputs one step over the sample is exact
     h = parts.sample_time / count
     held_system = hold(assembly.a, forcings, h)
     movers = movers_of(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
+
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
+            """Both states after the substep with this index."""
             plant, states = carry
             states, lines = apply_movers(movers, states, commands)
 
-            def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
-                """Disturbances, inputs and the remainder's rates of change, at a fraction of the substep."""
+            def varying_signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
+                """Disturbances, named inputs and the remainder's rates of change, at a fraction of the substep."""
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
                 drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
                 remainder_rates = []
                 if parts.plant.remainder is not None:
                     rates = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
-                    remainder_rates = [rates[row] for row in rows]
+                    remainder_rates = [rates[row] for row in remainder_rows]
                 return [*drive.disturbance, *drive.inputs, *remainder_rates]
 
             inputs = [polynomial_terms(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)
             if is_constant or parts.integrator == Integrator.EULER:
-                x = held_system.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
+                held_signals = [(signal,) for signal in varying_signals(x, 0.0)]  # as at the start of the step
+                x = held_system.full.apply(x, [*inputs, *held_signals])
             else:
-                x = etd_step(held_system, parts, x, inputs, forcings, signals)
+                x = etd_step(held_system, parts, x, inputs, forcings, varying_signals)
             plant, states = scatter_state(assembly, x, plant, states)
             return parts.plant.project(params, plant), states
 
@@ -88,12 +103,14 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
 
 
 class Assembly(NamedTuple):
-    """The plant's linear part in series with the linear unmodelled dynamics of each channel, as one linear system.
+    """A plant's linear part in series with the linear unmodelled dynamics of each channel, as one linear system.
+
+    Its state x lists the plant's states, then the states of the linear unmodelled dynamics, channel by channel.
 
     Args:
         a: State matrix, shape (n, n).
         inputs: The command of each channel, in the order of the channels, then each disturbance.
-        offsets: Index of the first state of each channel's unmodelled dynamics; None where they are not linear.
+        offsets: Index in x of the first state of each channel's unmodelled dynamics; None where they are not linear.
         systems: Unmodelled dynamics of each channel; None where they are not linear.
     """
 
@@ -104,7 +121,16 @@ class Assembly(NamedTuple):
 
 
 def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
-    """The :class:`Assembly` of a plant's linear part, with the parameters of its unmodelled dynamics."""
+    """Put a plant's linear part and the linear unmodelled dynamics before it together as one linear system.
+
+    A channel's system z' = A z + b u, y = c z + d u drives the plant by its output: the plant's column g of the command
+    becomes the block g c of the state matrix, and the command itself enters through g d and b.
+
+    Args:
+        parts: The models and the clock.
+        dynamics: The plant's linear part.
+        unmodelled: Parameters of the unmodelled dynamics of each channel.
+    """
     order = len(dynamics.a)
     systems: list[LinearSystem | None] = []
     offsets: list[int | None] = []
@@ -117,36 +143,62 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
     matrix: list[list[Scalar]] = [[0.0] * size for _ in range(size)]
     for row, entries in enumerate(dynamics.a):
         matrix[row][:order] = entries
+    no_effect = (0.0,) * (size - order)  # on the states behind the plant's
     inputs = []
-    for column, system, offset, model in zip(dynamics.command, systems, offsets, parts.unmodelled, strict=True):
-        reaching = [*column, *(0.0,) * (size - order)]
-        if system is None or offset is None:
-            inputs.append(Forcing(tuple(reaching), term_count(model)))
-            continue
-        for state, weight in enumerate(system.c):
-            for row, entry in enumerate(scale_column(column, weight)):
-                matrix[row][offset + state] = entry
-        for row, entries in enumerate(system.a):
-            matrix[offset + row][offset : offset + len(system.a)] = entries
-        reaching[:order] = scale_column(column, system.d)
-        reaching[offset : offset + len(system.a)] = system.b
-        inputs.append(Forcing(tuple(reaching), term_count(model)))
-    for column, variation in zip((*dynamics.disturbance, *dynamics.inputs), parts.variations, strict=True):
-        terms = 1 if variation == Variation.HELD else VARYING
-        inputs.append(Forcing((*column, *(0.0,) * (size - order)), terms))
+    for plant_column, system, offset, model in zip(dynamics.command, systems, offsets, parts.unmodelled, strict=True):
+        command_column = [*plant_column, *no_effect]
+        if system is not None and offset is not None:
+            insert_system(matrix, command_column, plant_column, system, offset)
+        inputs.append(Forcing(tuple(command_column), term_count(model)))
+    disturbance_columns = (*dynamics.disturbance, *dynamics.inputs)
+    for column, variation in zip(disturbance_columns, parts.variations, strict=True):
+        terms = CONSTANT if variation == Variation.HELD else VARYING
+        inputs.append(Forcing((*column, *no_effect), terms))
     return Assembly(tuple(map(tuple, matrix)), tuple(inputs), tuple(offsets), tuple(systems))
 
 
-def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
-    """Indices of the states whose derivatives have a nonlinear remainder; entries that are plain zeros have none."""
+def insert_system(
+    matrix: list[list[Scalar]],
+    command_column: list[Scalar],
+    plant_column: Column,
+    system: LinearSystem,
+    offset: int,
+) -> None:
+    """Put the unmodelled dynamics of one channel between its command and the plant, in place.
+
+    Args:
+        matrix: State matrix of the assembly, shape (n, n); gets the blocks A and g c.
+        command_column: Column of the channel's command, shape (n,), that still drives the plant directly; becomes g d
+            in the plant's rows, and b in the rows of the unmodelled dynamics.
+        plant_column: The plant's column g of the command, shape (states of the plant,).
+        system: The unmodelled dynamics, with A, b, c and d.
+        offset: Index of their first state.
+    """
+    end = offset + len(system.a)
+    for state, weight in enumerate(system.c):
+        for row, entry in enumerate(scale_column(plant_column, weight)):
+            matrix[row][offset + state] = entry
+    for row, entries in enumerate(system.a):
+        matrix[offset + row][offset:end] = entries
+    command_column[: len(plant_column)] = scale_column(plant_column, system.d)
+    command_column[offset:end] = system.b
+
+
+def find_remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
+    """Indices of the plant's states whose derivatives have a nonlinear remainder; empty for a linear plant.
+
+    A trace of the remainder tells them: its entries for all other states are plain zeros.
+    """
     if plant.remainder is None:
         return ()
     remainder = plant.remainder
-    zeros = (0.0,) * channels
+    zeros: Signals = (0.0,) * channels
     is_zero_entry: list[bool] = []
 
     def record_zeros(state: State) -> State:
-        slope = remainder(params, state, PlantInput(zeros, zeros, None, quiet_inputs(plant, params)), 0.0)
+        """The remainder in a state; while it is traced, ``is_zero_entry`` gets a flag for each entry."""
+        drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind=None, inputs=quiet_inputs(plant, params))
+        slope = remainder(params, state, drive, 0.0)
         is_zero_entry.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
         return slope
 
@@ -155,22 +207,33 @@ def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels
 
 
 def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
-    """The state of the linear system: the leaves of the plant's state, then those of linear unmodelled dynamics."""
+    """The state x of the assembled linear system, length n, from the states of plant and unmodelled dynamics.
+
+    It lists the numbers of the plant's state, then the numbers of each linear unmodelled dynamics.
+    """
     x = jax.tree.leaves(plant)
     for offset, state in zip(assembly.offsets, states, strict=True):
-        if offset is not None:
+        if offset is not None:  # linear: a part of x
             x.extend(jax.tree.leaves(state))
     return x
 
 
 def scatter_state(assembly: Assembly, x: Sequence[Scalar], plant: State, states: States) -> tuple[State, States]:
-    """The inverse of :func:`gather_state`; states of other unmodelled dynamics are those of ``states``."""
+    """The states of plant and unmodelled dynamics with the numbers of x, the inverse of :func:`gather_state`.
+
+    Args:
+        assembly: The linear system.
+        x: Its state, length n.
+        plant: A state of the plant, which gives the structure.
+        states: States of the unmodelled dynamics. Linear ones give their structure; all others are returned as they
+            are, because x does not contain them.
+    """
     leaves, structure = jax.tree.flatten(plant)
     scattered = []
     for offset, state in zip(assembly.offsets, states, strict=True):
         if offset is not None:
-            state_leaves, kind = jax.tree.flatten(state)
-            state = kind.unflatten(x[offset : offset + len(state_leaves)])
+            state_leaves, state_structure = jax.tree.flatten(state)
+            state = state_structure.unflatten(x[offset : offset + len(state_leaves)])
         scattered.append(state)
     return structure.unflatten(x[: len(leaves)]), tuple(scattered)
 
@@ -181,52 +244,58 @@ def etd_step(
     x: Sequence[Scalar],
     inputs: Sequence[Sequence[Scalar]],
     forcings: Sequence[Forcing],
-    signals: Callable[[Sequence[Scalar], float], list[Scalar]],
+    varying_signals: SignalsAt,
 ) -> tuple[Scalar, ...]:
-    """The state of the linear system after one step of ETDRK4-B, shape (n,).
+    """The state of the linear system after one step of ETDRK4-B, length n.
+
+    Four stages evaluate the varying signals: at the start, twice in the middle, and at the end of the step. Each stage
+    moves the state by the exact solution for a polynomial through the values so far.
 
     Args:
         held_system: The exact solution over the step and over half of it.
         parts: The models.
-        x: State of the linear system, shape (n,).
+        x: State of the linear system, length n.
         inputs: For each channel the terms of its command, a polynomial in time over the step.
         forcings: All inputs of the linear system: commands, then disturbances and remainder.
-        signals: ``(state, share of the step) -> disturbances and remainder`` at a stage.
+        varying_signals: Returns disturbances and remainder at a stage.
     """
 
-    def forced(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
+    def all_inputs(polynomials: Sequence[Sequence[Scalar]]) -> list[Sequence[Scalar]]:
+        """The commands and these polynomials of the varying signals, each with as many terms as its forcing has."""
         varying = zip(polynomials, forcings[len(inputs) :], strict=True)
         return [*inputs, *(terms[: forcing.terms] for terms, forcing in varying)]
 
     depends_on_time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
-    start = signals(x, 0.0)
-    middle = signals(held_system.half.apply(x, forced([(a,) for a in start])), 0.5)
+    start = varying_signals(x, 0.0)
+    middle = varying_signals(held_system.half.apply(x, all_inputs([(a,) for a in start])), 0.5)
     corrected_middle = middle
     if not depends_on_time_alone:
-        pairs = zip(start, middle, strict=True)
-        corrected_middle = signals(held_system.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
-    pairs = zip(start, corrected_middle, strict=True)
-    end = signals(held_system.full.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
-    polynomials = []
+        # a line from the start whose mean over the half step is the value in the middle
+        lines = [(a, 4.0 * (b - a)) for a, b in zip(start, middle, strict=True)]
+        corrected_middle = varying_signals(held_system.half.apply(x, all_inputs(lines)), 0.5)
+    # a line from the start through the value in the middle
+    lines = [(a, 2.0 * (b - a)) for a, b in zip(start, corrected_middle, strict=True)]
+    end = varying_signals(held_system.full.apply(x, all_inputs(lines)), 1.0)
+    parabolas = []  # through the start a, the mean of both middle values b and c, and the end d
     for a, b, c, d in zip(start, middle, corrected_middle, end, strict=True):
         double_sum = 2.0 * (b + c)
-        polynomials.append((a, double_sum - 3.0 * a - d, 4.0 * (a + d) - 2.0 * double_sum))
-    return held_system.full.apply(x, forced(polynomials))
+        parabolas.append((a, double_sum - 3.0 * a - d, 4.0 * (a + d) - 2.0 * double_sum))
+    return held_system.full.apply(x, all_inputs(parabolas))
 
 
 def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...], fraction: float) -> Signals:
-    """The commands that reach the plant at a fraction of a step.
+    """The command of each channel that reaches the plant at a fraction of a step.
 
     Args:
         assembly: The linear system.
         states: States of the unmodelled dynamics at that stage.
-        lines: Mean and rise over the step of the output of each channel's nonlinear unmodelled dynamics.
+        lines: For each channel mean and rise, over the step, of the signal before its linear unmodelled dynamics.
         fraction: Fraction of the step, 0 to 1.
     """
     reaching = []
     for system, state, line in zip(assembly.systems, states, lines, strict=True):
         value = line.mean if is_zero(line.rise) else line.mean + (fraction - 0.5) * line.rise
-        if system is not None:
+        if system is not None:  # y = c z + d u
             value = dot((*system.c, system.d), (*jax.tree.leaves(state), value))
         reaching.append(value)
     return tuple(reaching)

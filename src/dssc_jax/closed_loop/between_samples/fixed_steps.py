@@ -24,11 +24,20 @@ from dssc_jax.core.sampled_linear import Forcing, HeldSystem, LinearSystem, hold
 from dssc_jax.core.signals import Params, PlantInput, Scalar, Signals, State
 
 Observer = Callable[[State, PlantInput[Signals], State], None]
-"""``(plant's state before a tick of software on board, input of the sample, state after it)``, called while tracing."""
+"""``(plant's state before a tick of software on board, input of the sample, state after the tick)``.
+
+It is called while the loop is traced, to record what the software reads and computes.
+"""
+
+SubstepAt = Callable[[DriveAt, Signals, Scalar], Substep]
+"""``(drive, commands, time of the sample [s]) -> function of one substep``."""
 
 
 def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
-    """The function that advances a plant over a sample by its own steps or the loop's fixed-step method.
+    """Return the function that advances a plant over one sample in fixed steps.
+
+    A plant with a solver of its own makes them itself; any other plant is integrated by the loop's method. Software on
+    board, where there is any, runs between the steps.
 
     Args:
         parts: The models and the clock.
@@ -43,6 +52,7 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
     substep_for = fixed_substeps(parts, params, unmodelled)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
         return repeat_substeps(substep_for(drive_at, commands, t), (plant, states), parts.substeps)
 
     return advance
@@ -51,53 +61,59 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
 def advance_with_software(
     parts: HeldParts, params: Params, unmodelled: States, software: Onboard, period: float, observe: Observer | None
 ) -> Advance:
-    """The function that advances a plant over a sample, with ticks of its software on board between the substeps.
+    """Return the function that advances a plant over one sample, with ticks of its software on board between the steps.
+
+    At the start of the sample the software receives the plant's input. Each tick then holds its results over an equal
+    share of the substeps.
 
     Args:
         parts: The models and the clock.
         params: The plant's parameters.
         unmodelled: Parameters of the unmodelled dynamics of each channel.
-        software: The software, which receives the plant's input once a sample.
+        software: The software on board.
         period: Time between two of its ticks [s].
-        observe: Called at each tick, which is then traced one by one; None: all ticks are traced once.
+        observe: Called at each tick; each is then traced for itself. None: no call, and one trace serves all ticks.
     """
     substep_for = fixed_substeps(parts, params, unmodelled)
     ticks = ticks_in_sample(period, parts.sample_time, parts.substeps)
     steps_per_tick = parts.substeps // ticks
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
+        """The states of plant and unmodelled dynamics after the sample that begins at t [s]."""
         substep = substep_for(drive_at, commands, t)
         outputs = []
         for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
             outputs.append(model.output(p, state, command))
         drive = drive_at(plant, tuple(outputs), t)
 
-        def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
+        def tick_and_move(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
+            """Both states just before the next tick: the software runs, then the plant moves until then."""
             previous_plant, states = at
             ticked = software.tick(params, previous_plant, period)
             if observe is not None:
                 observe(previous_plant, drive, ticked)
-            first = tick * steps_per_tick
-            plant, states = repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
+            first_substep = tick * steps_per_tick
+            plant, states = repeat_substeps(
+                lambda i, at: substep(first_substep + i, at), (ticked, states), steps_per_tick
+            )
             # the integrator adds 0 to the software's state, which would turn -0 into 0
             return software.holding(plant, software.held(ticked)), states
 
         carry = (software.sample(params, plant, drive, parts.sample_time), states)
         if observe is None:
-            return repeat_substeps(between_ticks, carry, ticks)
+            return repeat_substeps(tick_and_move, carry, ticks)
         for tick in range(ticks):
-            carry = between_ticks(tick, carry)
+            carry = tick_and_move(tick, carry)
         return carry
 
     return advance
 
 
-def fixed_substeps(
-    parts: HeldParts, params: Params, unmodelled: States
-) -> Callable[[DriveAt, Signals, Scalar], Substep]:
-    """The substep of a plant without an exact solution: ``(drive, commands, time of the sample) -> substep``.
+def fixed_substeps(parts: HeldParts, params: Params, unmodelled: States) -> SubstepAt:
+    """Return the function that makes, for each sample, the function of one substep of a plant without exact solution.
 
-    Linear unmodelled dynamics are advanced exactly; the mean of their output and its rise reach the plant.
+    In a substep, linear unmodelled dynamics move by their exact solution. Their output reaches the plant as the
+    straight line with the same mean and rise (:class:`~dssc_jax.core.sampled_linear.Moments`).
 
     Args:
         parts: The models and the clock.
@@ -112,11 +128,15 @@ def fixed_substeps(
     movers = movers_of(parts, unmodelled, h)
 
     def substep_for(drive_at: DriveAt, commands: Signals, t: Scalar) -> Substep:
+        """The function of one substep in the sample that begins at t [s]."""
+
         @jax.jit  # traced once for all stages of the integrator
         def rate(plant: State, time: Scalar, actuation: Signals) -> State:
+            """The derivative of the plant's state, with the commands that reach the plant."""
             return parts.plant.derivative(params, plant, drive_at(plant, actuation, time), time)
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
+            """Both states after the substep with this index."""
             plant, states = carry
             states, input_lines = apply_movers(movers, states, commands)
             next_states = list(states)
@@ -126,8 +146,12 @@ def fixed_substeps(
                     next_states[i], lines[i] = system.step(states[i], polynomial_terms(model, lines[i]))
 
             def derivative(plant: State, half_steps: int) -> State:
+                """The derivative of the plant's state at a stage of the integrator, so many half steps after the start.
+
+                Euler's method, which has one stage, gets the mean of the line; any other gets its value at the stage.
+                """
                 fraction = 0.5 * half_steps
-                share = 0.0 if parts.integrator == Integrator.EULER else fraction - 0.5
+                share = 0.0 if parts.integrator == Integrator.EULER else fraction - 0.5  # of the rise
                 actuation = tuple(line.mean + share * line.rise for line in lines)
                 return rate(plant, t + (index + fraction) * h, actuation)
 
@@ -144,37 +168,41 @@ def fixed_substeps(
 
 
 class AveragedSystem(NamedTuple):
-    """A linear system with the integrals of its output over a step; see :func:`averaged_system`.
+    """The exact step of a linear system, which also gives mean and rise of its output over the step.
 
     Args:
-        solution: Its exact solution over the step, whose last two states are the mean q and the double integral r.
+        solution: The exact solution of the system with two further states: at the end of a step from 0, q is the mean
+            of the output, and r is the mean of q over the step. See :func:`averaged_system`.
     """
 
     solution: HeldSystem
 
     def step(self, state: State, terms: tuple[Scalar, ...]) -> tuple[State, Moments]:
-        """The state after a step, and the mean and rise of the output over it.
+        """The state after a step, and mean and rise of the output over the step.
+
+        The output counts as the straight line with the same q and r. A line with mean q and rise b has r = q/2 - b/12,
+        hence the rise b = 6 q - 12 r.
 
         Args:
             state: The state before the step.
             terms: Terms of the input, a polynomial in time over the step.
         """
         leaves, structure = jax.tree.flatten(state)
-        *next_leaves, mean, double = self.solution.full.apply((*leaves, 0.0, 0.0), (terms,))
-        return structure.unflatten(next_leaves), Moments(mean, 6.0 * mean - 12.0 * double)
+        *next_leaves, q, r = self.solution.full.apply((*leaves, 0.0, 0.0), (terms,))  # q and r start at 0
+        return structure.unflatten(next_leaves), Moments(mean=q, rise=6.0 * q - 12.0 * r)
 
 
 def averaged_system(system: LinearSystem, terms: int, h: float) -> AveragedSystem:
-    """A linear system with two further states: q' = y/h, after a step the mean of its output y, and r' = q/h.
+    """Add two states to a linear system that integrate its output y over a step: q' = y/h and r' = q/h.
 
     Args:
-        system: The linear system.
-        terms: Number of terms of its input, a polynomial in time over a step.
+        system: The linear system x' = A x + b u, y = c x + d u.
+        terms: Number of terms of its input u, a polynomial in time over a step.
         h: Length of the step [s].
     """
     rate = 1.0 / h
-    rows = [(*row, 0.0, 0.0) for row in system.a]
-    rows.append((*scale_column(system.c, rate), 0.0, 0.0))
-    rows.append((*(0.0,) * len(system.a), rate, 0.0))
+    rows = [(*row, 0.0, 0.0) for row in system.a]  # the columns of q and r are the last two
+    rows.append((*scale_column(system.c, rate), 0.0, 0.0))  # q' = (c x + d u)/h
+    rows.append((*(0.0,) * len(system.a), rate, 0.0))  # r' = q/h
     column = (*system.b, *scale_column((system.d,), rate), 0.0)
     return AveragedSystem(hold(tuple(rows), (Forcing(column, terms),), h))

@@ -14,12 +14,14 @@ from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
-UNROLLED = 2  # most substeps that are traced one by one
+UNROLLED = 2  # most substeps that are traced one by one; more are a loop
 
 DriveAt = Callable[[State, Signals, Scalar], PlantInput[Signals]]
 """``(plant's state, commands that reach it, t) -> its input``, with disturbances and wind, at an integrator's stage."""
 
 States = tuple[State, ...]
+"""State, or parameters, of the unmodelled dynamics of each channel."""
+
 Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, States]]
 """``(drive, plant's state, states of the unmodelled dynamics, commands, t)`` -> both states after the sample."""
 
@@ -48,52 +50,71 @@ class HeldParts(NamedTuple):
 
 
 def term_count(model: Unmodelled) -> int:
-    """Number of terms, in time over a step, of the signal behind unmodelled dynamics: 1 if it is constant, else 2.
+    """Number of terms, in time over a step, of the signal that :func:`mover` gives: 1 if it is constant, 2 if a line.
 
     The signal enters the linear part of the unmodelled dynamics, or the plant if they have no linear part.
     """
-    return 1 if model.held or (model.linear is not None and model.advance is None) else 2
+    gets_held_command = model.linear is not None and model.advance is None  # nothing stands before the linear part
+    return 1 if model.held or gets_held_command else 2
 
 
 def polynomial_terms(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
-    """The terms that :func:`term_count` counts: value at the start of the step, and rise unless it is constant."""
+    """The terms of the signal that :func:`mover` gives, as a polynomial in time over a step.
+
+    Args:
+        model: The unmodelled dynamics.
+        line: Mean and rise of the signal over the step.
+
+    Returns:
+        The value at the start of the step and the rise; for a signal that is constant, its value alone.
+    """
     if term_count(model) == 1:
         return (line.mean,)
     return line.mean - 0.5 * line.rise, line.rise
 
 
 def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
-    """The :func:`mover` of each channel, for steps of length h [s]."""
+    """The :func:`mover` of each channel's unmodelled dynamics for steps of length h [s]; ``unmodelled``: parameters."""
     return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
 
 
 def mover(model: Unmodelled, params: Params, h: float) -> Mover:
-    """The function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
+    """Return the function that advances unmodelled dynamics, apart from their linear part, over a step of length h [s].
 
-    It returns the state and the mean and rise of the output, which is the input of the linear part. Where the model
-    does not state these moments, Simpson's rule estimates them.
+    That function takes state and command. It returns the next state, and mean and rise over the step of the signal that
+    enters the linear part, or the plant if there is none. A model that does not state mean and rise has its output
+    evaluated at three times, for Simpson's rule.
     """
     if model.advance is not None:
         return model.advance(params, h)
 
     def move(state: State, command: Scalar) -> tuple[State, Moments]:
-        if model.linear is not None:
-            return state, Moments(command, 0.0)
+        """The state after the step, and mean and rise of the output over it."""
+        if model.linear is not None:  # the held command enters the linear part
+            return state, Moments(command, rise=0.0)
         next_state = model.step(params, state, command, h)
         if model.held:
-            return next_state, Moments(model.output(params, state, command), 0.0)
+            return next_state, Moments(model.output(params, state, command), rise=0.0)
         if model.moments is not None:
             return next_state, model.moments(params, state, command, h)
-        middle = model.step(params, state, command, 0.5 * h)
-        end = model.step(params, middle, command, 0.5 * h)
-        start, half, final = (model.output(params, z, command) for z in (state, middle, end))
-        return next_state, Moments((start + 4.0 * half + final) / 6.0, final - start)
+        middle_state = model.step(params, state, command, 0.5 * h)
+        end_state = model.step(params, middle_state, command, 0.5 * h)
+        start = model.output(params, state, command)
+        middle = model.output(params, middle_state, command)
+        end = model.output(params, end_state, command)
+        return next_state, Moments(mean=(start + 4.0 * middle + end) / 6.0, rise=end - start)
 
     return move
 
 
 def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> tuple[States, tuple[Moments, ...]]:
-    """The next state of each channel's unmodelled dynamics, and the mean and rise of their output over the step."""
+    """The next state of each channel's unmodelled dynamics, and mean and rise of their output over the step.
+
+    Args:
+        movers: The :func:`mover` of each channel.
+        states: States of the unmodelled dynamics before the step.
+        commands: The command of each channel, held over the step.
+    """
     next_states = []
     lines = []
     for move, state, command in zip(movers, states, commands, strict=True):
@@ -104,7 +125,10 @@ def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> 
 
 
 def repeat_substeps(substep: Substep, begin: tuple[State, States], count: int) -> tuple[State, States]:
-    """The states after ``count`` substeps; more than :data:`UNROLLED` are traced once, to keep compilation short."""
+    """The states of plant and unmodelled dynamics after ``count`` substeps.
+
+    More than :data:`UNROLLED` substeps become a loop whose body is traced once, to keep compilation short.
+    """
     if count > UNROLLED:
         return jax.lax.fori_loop(0, count, lambda i, carry: as_arrays(substep(i, carry)), as_arrays(begin))
     for index in range(count):

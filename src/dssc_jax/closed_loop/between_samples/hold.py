@@ -13,7 +13,7 @@ from dssc_jax.core.signals import Params
 
 
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
-    """The function that advances plant and unmodelled dynamics of one draw by a sample.
+    """Return the function that advances plant and unmodelled dynamics of one draw by one sample.
 
     Call it before the time loop, so that matrices which depend on the parameters alone are computed once for a draw.
 
@@ -28,17 +28,25 @@ def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, .
 
 
 def is_exact(parts: HeldParts) -> bool:
-    """Whether the loop has an exact solution between the samples, so that the number of substeps does not matter."""
-    if any(variation != Variation.HELD for variation in parts.variations):
+    """Whether the loop has an exact solution between the samples, so that the number of substeps does not matter.
+
+    It has if every signal that enters the plant's linear part is constant over a sample, and nothing nonlinear is left.
+    """
+    disturbances_vary = any(variation != Variation.HELD for variation in parts.variations)
+    if disturbances_vary:
         return False
-    if parts.plant.advance is not None:  # an error of its steps belongs to the plant
+    if parts.plant.advance is not None:  # the plant's own solver, whose error counts as a part of the plant
         return all(model.held and model.linear is None for model in parts.unmodelled)
-    linear = parts.plant.linear is not None and parts.plant.remainder is None
-    return linear and all(term_count(model) == 1 for model in parts.unmodelled)
+    is_linear = parts.plant.linear is not None and parts.plant.remainder is None
+    return is_linear and all(term_count(model) == 1 for model in parts.unmodelled)
 
 
 def order_between_samples(parts: HeldParts) -> int:
-    """Order of the error of integration in the length of a substep, for a loop without an exact solution."""
-    # a plant with its own steps receives a constant input, as by Euler's method
+    """Order p of the integration error, which falls as h^p with the substep h; for a loop without an exact solution.
+
+    It is the smallest order among the loop's method and the unmodelled dynamics that state an order.
+    """
+    # a plant with a solver of its own receives a constant input, as by Euler's method
     integrator = Integrator.EULER if parts.plant.advance is not None else parts.integrator
-    return min([ORDERS[integrator], *(model.order for model in parts.unmodelled if model.order is not None)])
+    stated_orders = [model.order for model in parts.unmodelled if model.order is not None]
+    return min([ORDERS[integrator], *stated_orders])

@@ -10,7 +10,10 @@ from dssc_jax.core.signals import Scalar
 
 @dataclass(frozen=True)
 class Comparison:
-    """A comparison of signals, by its margin: positive where it holds, as a function of the signals at a sample."""
+    """A comparison of signals such as ``e < 0.1``, by the function that gives its margin at a sample.
+
+    The margin is positive where the comparison holds: here 0.1 - e.
+    """
 
     margin: Callable[[Instant], Scalar]
 
@@ -69,7 +72,7 @@ Timed: TypeAlias = Always | Eventually | Until
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """The operands of a formula."""
+    """The formulas that a formula is made of: none for a comparison, ``before`` and ``goal`` for ``until``."""
     match formula:
         case Comparison():
             return ()
@@ -82,6 +85,6 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def horizon(formula: Formula) -> int:
-    """Number of samples after an instant on which the value of a formula at that instant depends."""
+    """Number of samples after an instant that must have passed before the formula's value at that instant is known."""
     horizon_of_parts = max((horizon(part) for part in parts_of(formula)), default=0)
     return horizon_of_parts + formula.end if isinstance(formula, Timed) else horizon_of_parts

@@ -9,7 +9,7 @@ from dssc_jax.core.signals import Scalar
 
 
 def decibel(value: float) -> float:
-    """The factor that corresponds to a value in decibels."""
+    """The ratio 10^(value/20) that a value in decibels stands for."""
     return float(10.0 ** (value / 20.0))
 
 
@@ -18,16 +18,16 @@ def identity(value: float) -> float:
     return value
 
 
+# The units in which a bound may be written, each with the function that converts a value to the first of them.
 RATIO = MappingProxyType({"1": identity, "dB": decibel})
 ANGLE = MappingProxyType({"rad": identity, "deg": math.radians})
 TIME = MappingProxyType({"s": identity, "ms": lambda value: 1e-3 * value, "us": lambda value: 1e-6 * value})
 FREQUENCY = MappingProxyType({"rad/s": identity, "Hz": lambda value: 2.0 * math.pi * value})
-"""Units in which a bound may be written, each with its conversion to the first one."""
 
 
 @dataclass(frozen=True)
 class MarginKind:
-    """A margin of the linearised loop.
+    """A kind of margin of the linearised loop, such as the phase margin.
 
     Args:
         field: Name of the margin in :class:`dssc_jax.engine.linearisation.response.ClassicalMargins`.
@@ -35,7 +35,7 @@ class MarginKind:
         meaning: Meaning in words.
         units: Units of a bound, each with its conversion to the first one, which is the unit of the margin.
         good: ``large`` or ``small``: which values are good.
-        neutral: The value at the limit of stability, and of unstable loops; NaN: there is none.
+        neutral: The value at the limit of stability, and of unstable loops; NaN: no value tells that limit.
         most: The largest possible value.
     """
 
@@ -49,13 +49,14 @@ class MarginKind:
 
     @property
     def worst(self) -> float:
-        """The value that replaces NaN: the one at the limit of stability, else the infinity on the bad side."""
-        if math.isnan(self.neutral):
-            return -math.inf if self.good == "large" else math.inf
-        return self.neutral
+        """The value that replaces NaN: the limit of stability, or an infinite value if that limit has none."""
+        has_limit = not math.isnan(self.neutral)
+        if has_limit:
+            return self.neutral
+        return -math.inf if self.good == "large" else math.inf
 
     def in_unit(self, value: float, unit: str) -> float:
-        """Convert a value of the margin to one of its units."""
+        """Convert a value in the margin's unit to another of its units, such as rad to deg."""
         if self.units[unit] is decibel:
             return 20.0 * math.log10(value) if value > 0.0 else -math.inf
         return value / self.units[unit](1.0)

@@ -13,17 +13,22 @@ from dssc_jax.core.signals import Scalar
 
 
 def keep_value(acc: Accumulator, sample: MetricInput, window: Window) -> Accumulator:
-    """The accumulator, which no sample changes."""
+    """The margin itself: no sample of the flight changes it."""
     return acc
 
 
 def decision_sample(acc: Accumulator) -> Scalar:
-    """The number of samples after which the verdict on a margin is certain: 1, since the flight cannot change it."""
+    """Number of samples after which the verdict on a margin is certain: 1, since the flight cannot change it."""
     return 1.0
 
 
 def margin_measure(margin: LoopMargin, usual_place: str) -> Measure:
-    """The measure of a margin; its name contains the break point unless that is ``usual_place``."""
+    """The measure of a margin at one break point.
+
+    Args:
+        margin: The margin.
+        usual_place: Name of the break point that the measure's name leaves out.
+    """
     kind = margin.kind
     place = "" if margin.place == usual_place else margin.place.replace(" ", "_")
     metric = Metric(
@@ -34,7 +39,14 @@ def margin_measure(margin: LoopMargin, usual_place: str) -> Measure:
         certain_after=decision_sample,
         margin=margin,
     )
-    return Measure(suffixed(kind.name, place), kind.name, WHOLE_RUN, None, metric, channel_name=place)
+    return Measure(
+        name=suffixed(kind.name, place),
+        kind=kind.name,
+        window=WHOLE_RUN,
+        channel=None,  # of the loop, not of one channel
+        custom=metric,
+        channel_name=place,
+    )
 
 
 def margins_of(measures: Sequence[Measure]) -> dict[str, LoopMargin]:

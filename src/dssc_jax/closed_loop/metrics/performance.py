@@ -17,7 +17,7 @@ from dssc_jax.closed_loop.metrics.streaming import (
     Window,
     final_value,
     largest_absolute,
-    total,
+    sum_update,
 )
 from dssc_jax.core.numerics import at_least, root_abs, sign
 from dssc_jax.core.signals import Scalar
@@ -26,7 +26,7 @@ SHARE_OF_SAMPLING = 0.05  # chattering frequency over the sampling frequency, a 
 
 
 def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Integral of a signal, from the sum of its samples."""
+    """Integral of a signal over the window, the sum of its samples times T_s."""
     return acc * span.sample_time
 
 
@@ -41,27 +41,37 @@ def update_timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
 
 
 class ErrorBeyondZero(NamedTuple):
-    """Sign of the window's first error other than zero, and the largest error of the opposite sign."""
+    """The overshoot of the error over zero.
+
+    Args:
+        side: Sign of the window's first error other than 0; 0: there was none yet.
+        largest: Size of the largest error of the opposite sign.
+    """
 
     side: Scalar = 0.0
     largest: Scalar = 0.0
 
 
 def update_overshoot(acc: ErrorBeyondZero, sample: Sample, window: Window) -> ErrorBeyondZero:
-    """Note the sign of the first error, and an error of the opposite sign that is larger than all before."""
+    """Note the sign of the first error, and the size of the largest error of the opposite sign."""
     side = jnp.where(acc.side == 0.0, sign(sample.e), acc.side)
     return ErrorBeyondZero(side, jnp.maximum(acc.largest, -side * sample.e))
 
 
+def largest_error_beyond_zero(acc: ErrorBeyondZero, window: Window, span: Span) -> Scalar:
+    """Size of the largest error on the other side of zero."""
+    return acc.largest
+
+
 class CommandBands(NamedTuple):
-    """The robust command split by a low-pass filter into a slow and a fast part.
+    """Energies of the robust command below and above the chattering frequency; a low-pass filter splits the command.
 
     Args:
         samples: Number of samples so far.
-        slow: Slow part of the last command.
-        total: Sum of the slow part.
+        slow: Slow part of the last command, the filter's output.
+        total: Sum of the slow part over the samples.
         squares: Sum of squares of the slow part.
-        fast: Sum of squares of the fast part.
+        fast: Sum of squares of the fast part, command minus slow part.
     """
 
     samples: Scalar = 0.0
@@ -72,42 +82,62 @@ class CommandBands(NamedTuple):
 
 
 def update_bands(acc: CommandBands, sample: Sample, window: Window) -> CommandBands:
-    """Split the sample's command by a first-order low-pass filter that starts at the window's first command."""
-    frequency = window.chattering or SHARE_OF_SAMPLING / sample.dt
-    share = -jnp.expm1(-2.0 * math.pi * frequency * sample.dt)
+    """Split the sample's command by a first-order low-pass filter, and add the energies of both parts.
+
+    The filter starts at the window's first command.
+    """
+    frequency = window.chattering or SHARE_OF_SAMPLING / sample.dt  # [Hz]; 0 in the window: its default
+    share = -jnp.expm1(-2.0 * math.pi * frequency * sample.dt)  # of the way to the command in one sample
     slow = jnp.where(acc.samples == 0.0, sample.u, acc.slow + share * (sample.u - acc.slow))
     fast = sample.u - slow
     return CommandBands(acc.samples + 1.0, slow, acc.total + slow, acc.squares + slow * slow, acc.fast + fast * fast)
 
 
 def fast_share(acc: CommandBands, window: Window, span: Span) -> Scalar:
-    """Energy of the fast part over that of both parts, the slow one about its mean; 0 for a constant command."""
-    about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.sample_count, 0.0)
-    energy = acc.fast + about_mean
+    """Share of the command's energy that lies above the chattering frequency; 0 for a constant command.
+
+    The energy of the slow part is counted about its mean, so that a constant command has none.
+    """
+    slow_energy = jnp.maximum(acc.squares - acc.total * acc.total / span.sample_count, 0.0)
+    energy = acc.fast + slow_energy
     return jnp.where(energy > 0.0, acc.fast / jnp.where(energy > 0.0, energy, 1.0), 0.0)
 
 
 class CommandAndNoise(NamedTuple):
-    """The command's two parts, and the sum of squares of the measurement error of sigma [(m/s)^2]."""
+    """Energies of the robust command and of the measurement noise.
+
+    Args:
+        command: Energies of the command below and above the chattering frequency.
+        noise: Sum of squares of the measurement error of sigma [(m/s)^2].
+    """
 
     command: CommandBands = CommandBands()
     noise: Scalar = 0.0
 
 
 def update_amplification(acc: CommandAndNoise, sample: Sample, window: Window) -> CommandAndNoise:
-    """Add the command and the measurement error of sigma."""
+    """Add the energies of a sample's command and of its measurement error of sigma."""
     command = update_bands(acc.command, sample, window)
     return CommandAndNoise(command, acc.noise + jnp.square(sample.sigma_measured - sample.sigma))
 
 
 def amplification(acc: CommandAndNoise, window: Window, span: Span) -> Scalar:
-    """rms of the command's fast part over rms of the measurement error; 0 for an exact measurement."""
-    noisy = acc.noise > 0.0
-    return root_abs(jnp.where(noisy, acc.command.fast / jnp.where(noisy, acc.noise, 1.0), 0.0))
+    """rms of the command above the chattering frequency over the rms of the measurement error of sigma.
+
+    It is 0 for an exact measurement.
+    """
+    is_noisy = acc.noise > 0.0
+    return root_abs(jnp.where(is_noisy, acc.command.fast / jnp.where(is_noisy, acc.noise, 1.0), 0.0))
 
 
 class DriftSum(NamedTuple):
-    """Number of samples, the last measurement error of sigma [m/s], and the sum of the gain times its changes [m/s]."""
+    """The drift of the command of the implicit form of DSSC by measurement noise.
+
+    Args:
+        samples: Number of samples so far.
+        previous: Measurement error of sigma at the last sample [m/s].
+        total: Sum of the gain times each change of that error.
+    """
 
     samples: Scalar = 0.0
     previous: Scalar = 0.0
@@ -115,22 +145,28 @@ class DriftSum(NamedTuple):
 
 
 def update_drift(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
-    """Add g(sigma_k) (n_k - n_(k-1)) for the measurement error n of sigma; the first sample has none.
+    """Add g(sigma_k) (n_k - n_(k-1)), which moves the command, for the measurement error n of sigma.
 
-    The gain is g = 1/(k_o tau_av) at the measured sigma, that is, the info's ``integral_gain`` times ``tau_m``.
+    g = 1/(k_o tau_av) is the controller's gain at the measured sigma. The first sample has no change, and adds nothing.
     """
-    noise = sample.sigma_measured - sample.sigma
-    step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m
+    noise = sample.sigma_measured - sample.sigma  # n_k
+    step = (noise - acc.previous) * sample.info.integral_gain * sample.info.tau_m  # their product is g
     return DriftSum(acc.samples + 1.0, noise, acc.total + jnp.where(acc.samples == 0.0, 0.0, step))
 
 
 def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
-    """Absolute value of the sum over the length of the window [s]."""
+    """Mean rate at which measurement noise drives the command: |sum of its moves| over the window's duration."""
     return jnp.abs(acc.total) / (span.sample_count * span.sample_time)
 
 
 class CommandPath(NamedTuple):
-    """Number of samples, the last total command u + u_n, and its total variation so far."""
+    """The total variation of the command u + u_n.
+
+    Args:
+        samples: Number of samples so far.
+        previous: Command at the last sample.
+        length: Sum of the sizes of its changes.
+    """
 
     samples: Scalar = 0.0
     previous: Scalar = 0.0
@@ -138,45 +174,55 @@ class CommandPath(NamedTuple):
 
 
 def update_path(acc: CommandPath, sample: Sample, window: Window) -> CommandPath:
-    """Add the size of the change to this sample's u + u_n; the window's first sample has none."""
+    """Add the size of the command's change to this sample; the window's first sample adds nothing."""
     step = jnp.where(acc.samples == 0.0, 0.0, jnp.abs(sample.u_total - acc.previous))
     return CommandPath(acc.samples + 1.0, sample.u_total, acc.length + step)
 
 
+def path_length(acc: CommandPath, window: Window, span: Span) -> Scalar:
+    """The total variation of the command u + u_n over the window."""
+    return acc.length
+
+
 class LogTrend(NamedTuple):
-    """Sums of ln |sigma| and of k ln |sigma| over samples k."""
+    """Sums over samples k, from which the slope of a line through ln |sigma| follows.
+
+    Args:
+        total: Sum of ln |sigma|.
+        moment: Sum of k ln |sigma|.
+    """
 
     total: Scalar = 0.0
     moment: Scalar = 0.0
 
 
 def update_trend(acc: LogTrend, sample: Sample, window: Window) -> LogTrend:
-    """Add ln |sigma|, where sigma is at least the smallest normal number."""
+    """Add a sample's ln |sigma|; a sigma of 0 counts as the smallest normal number, to keep the logarithm finite."""
     level = jnp.log(jnp.maximum(jnp.abs(sample.sigma), jnp.finfo(jnp.result_type(float)).tiny))
     return LogTrend(acc.total + level, acc.moment + sample.k * level)
 
 
 def growth_rate(acc: LogTrend, window: Window, span: Span) -> Scalar:
-    """Least-squares slope of ln |sigma| over time [1/s]."""
-    n = 1.0 * span.sample_count  # a count of samples that the draw decides may be traced
-    centre = span.steps - n + 0.5 * (n - 1.0)
-    spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)
+    """Least-squares slope of ln |sigma| over time [1/s]: positive if the oscillation grows."""
+    n = 1.0 * span.sample_count  # a real number, also if the draw decides the count and it is traced
+    centre = span.steps - n + 0.5 * (n - 1.0)  # mean of the indices k
+    spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)  # sum of (k - centre)^2; 1 for a single sample
     return (acc.moment - centre * acc.total) / (spread * span.sample_time)
 
 
 def update_largest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The larger of the accumulator and the thrusts of all rotors [N]."""
+    """The largest thrust of any rotor up to this sample [N]."""
     return reduce(jnp.maximum, instant.plant.rotor, acc)
 
 
 def update_smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
-    """The smaller of the accumulator and the thrusts of all rotors [N]."""
+    """The smallest thrust of any rotor up to this sample [N]."""
     return reduce(jnp.minimum, instant.plant.rotor, acc)
 
 
 PERFORMANCE: dict[str, Metric] = {
     "error_rate_max": largest_absolute("y/s", "largest |e'|", lambda s: s.e_dot),
-    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES, least=0.0),
+    "iae": Metric("y s", "integral of |e|", sum_update(lambda s: jnp.abs(s.e)), integral, course=RISES, least=0.0),
     "itae": Metric(
         "y s^2",
         "integral of time, from the window's start, times |e|",
@@ -189,17 +235,17 @@ PERFORMANCE: dict[str, Metric] = {
         "y",
         "largest error on the other side of zero",
         update_overshoot,
-        lambda acc, *_: acc.largest,
+        largest_error_beyond_zero,
         start=ErrorBeyondZero(),
         course=RISES,
     ),
     "steady_state_error": Metric(
-        "y", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean, least=0.0
+        "y", "|mean of e| over the window", sum_update(lambda s: s.e), magnitude_of_mean, least=0.0
     ),
     "command_energy": Metric(
         "u^2 s",
         "integral of the robust command's square",
-        total(lambda s: s.u * s.u),
+        sum_update(lambda s: s.u * s.u),
         integral,
         course=RISES,
         least=0.0,
@@ -232,7 +278,7 @@ PERFORMANCE: dict[str, Metric] = {
         "u",
         "total variation of u + u_n",
         update_path,
-        lambda acc, *_: acc.length,
+        path_length,
         start=CommandPath(),
         course=RISES,
         least=0.0,

@@ -23,7 +23,8 @@ class Requirement:
         measure: The measure.
         maximum: Upper bound in the metric's unit.
         minimum: Lower bound in the metric's unit; 0 for the robustness of a formula.
-        typical_slack: Typical distance from the bound in the metric's unit, a scale if the bound is 0; None: unknown.
+        typical_slack: Typical distance of draws from the bound in the metric's unit, a scale if the bound is 0; None:
+            unknown.
         formula: Text of the formula; empty for other requirements.
         written: The bound as the study file states it, with a unit; empty if the study states a plain number.
     """
@@ -37,44 +38,55 @@ class Requirement:
 
     @property
     def label(self) -> str:
-        """Name among the study's requirements: that of the measure, with ``_min`` for a lower bound on a metric."""
-        has_plain_name = self.maximum is not None or self.formula
-        return self.measure.name if has_plain_name else f"{self.measure.name}_min"
+        """Name among the study's requirements: the measure's name, with ``_min`` for a lower bound on a metric.
+
+        So a metric may have both an upper and a lower bound. A formula has one bound only, and keeps its name.
+        """
+        is_lower_bound = self.maximum is None and not self.formula
+        return f"{self.measure.name}_min" if is_lower_bound else self.measure.name
 
     @property
     def name(self) -> str:
-        """Name of the slack in results."""
+        """Name of the slack in results, such as ``slack_error_max``."""
         return f"slack_{self.label}"
 
     @property
     def violation_name(self) -> str:
-        """Name of the time of the first violation in results."""
+        """Name, in results, of the time at which a violation became certain, such as ``violated_at_error_max``."""
         return f"{VIOLATED_AT}{self.label}"
 
     @property
     def is_watched(self) -> bool:
-        """Whether a violation before the end is final: the metric cannot return to the other side of the bound."""
-        return self.measure.metric.course == (Course.RISES if self.maximum is not None else Course.FALLS)
+        """Whether a violation before the end is final, so that each sample is watched for the first one.
+
+        It is for a metric that can only rise and has an upper bound, or can only fall and has a lower bound.
+        """
+        towards_bound = Course.RISES if self.maximum is not None else Course.FALLS
+        return self.measure.metric.course == towards_bound
 
     @property
     def bound(self) -> float:
-        """The upper or lower bound."""
+        """The bound in the metric's unit, whether it is an upper or a lower one."""
         return self.maximum if self.maximum is not None else self.minimum  # type: ignore[return-value]
 
     @property
     def scale(self) -> float:
-        """Scale on which slacks of different requirements compare: |bound|, or if that is 0 the typical slack or 1."""
+        """Size by which a slack is divided, so that the slacks of different requirements compare: usually |bound|.
+
+        A bound of 0 has no size; the typical slack then takes its place, or 1 if there is none.
+        """
         return abs(self.bound) or self.typical_slack or 1.0
 
     @property
     def text(self) -> str:
-        """The requirement in words, with the full text of a formula."""
+        """The requirement in words, such as ``error_max_x after 2 s <= 0.1 m``, or the full text of a formula."""
         if self.formula:
             return f"{self.label}: {self.formula}"
+        sign = "<=" if self.maximum is not None else ">="
         if self.written:
-            return f"{self.measure.label} {'<=' if self.maximum is not None else '>='} {self.written}"
-        side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
-        return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
+            return f"{self.measure.label} {sign} {self.written}"
+        bound_text = f"{self.bound:g} {self.measure.unit}".removesuffix(" 1")  # the unit of a pure number
+        return f"{self.measure.label}{self.measure.window_text} {sign} {bound_text}"
 
     @property
     def short(self) -> str:
@@ -82,7 +94,7 @@ class Requirement:
         return self.label if self.formula else self.text
 
     def shown(self, value: float) -> tuple[float, str]:
-        """A value of the metric in the unit in which the study states the bound, and that unit."""
+        """Convert a value of the metric to the unit in which the study states the bound; returns value and unit."""
         margin = self.measure.metric.margin
         written_unit = self.written.split(" ")[-1]
         if margin is not None and written_unit in margin.kind.units:
@@ -92,7 +104,7 @@ class Requirement:
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance of a value from the bound, in the metric's unit: negative if the requirement is violated.
 
-        The margins of a loop without an operating point are NaN, and count as those at the limit of stability.
+        The margin of a loop without an operating point is NaN. It counts as the margin at the limit of stability.
         """
         margin = self.measure.metric.margin
         if margin is not None:
@@ -105,32 +117,33 @@ class Requirement:
 def with_typical_slacks(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[Requirement, ...]:
-    """The requirements with typical slacks: the median of |slack| over some draws, or None if no slack is finite.
+    """The requirements with their typical slacks, each the median of |slack| over some draws.
 
     Args:
         requirements: The requirements.
-        results: Slacks of the draws by name, shape (draws,) each.
+        results: Slacks of the draws by name, shape (draws,) each. Without a finite slack, the typical slack is None.
     """
-    result = []
+    completed = []
     for requirement in requirements:
         slacks = np.abs(results[requirement.name])
-        finite = slacks[np.isfinite(slacks)]
-        result.append(replace(requirement, typical_slack=float(np.median(finite)) if finite.size else None))
-    return tuple(result)
+        finite_slacks = slacks[np.isfinite(slacks)]
+        typical_slack = float(np.median(finite_slacks)) if finite_slacks.size else None
+        completed.append(replace(requirement, typical_slack=typical_slack))
+    return tuple(completed)
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
-    """Indices of the requirements with a label; of all requirements if the label is empty."""
+    """Indices of the requirements that count as failures: those with a label, or all if the label is empty."""
     return [index for index, requirement in enumerate(requirements) if label in ("", requirement.label)]
 
 
 def violated(slack: Any) -> Any:
-    """Whether a requirement is violated according to its slack, a traced number or array; NaN counts as violated."""
-    return ~(slack >= 0.0)
+    """Whether a requirement with this slack, a traced number or an array, is violated; NaN counts as violated."""
+    return ~(slack >= 0.0)  # not slack < 0, which is False for NaN
 
 
 def ended_early(outcome: Any) -> Any:
-    """Whether a draw ended early, and so violates every requirement, from its outcome code; arrays of any shape."""
+    """Whether a draw with this outcome code ended early, and so violates every requirement; arrays of any shape."""
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
 
 
@@ -143,26 +156,30 @@ def watch(
     steps: int,
     sample_time: float,
 ) -> tuple[Scalar, ...]:
-    """The number of samples after which each watched requirement was first violated, after one more sample; 0: not yet.
+    """Note, after a sample, which watched requirements are violated for the first time.
 
     Args:
         requirements: The requirements.
         measures: All measures.
         accumulators: Their accumulators after the sample.
-        violations: The result before the sample, a number for each requirement that is watched.
+        violations: The result after the previous sample; 0 for each watched requirement at first.
         samples: Number of samples so far.
         steps: Number of samples of the run.
         sample_time: T_s [s].
+
+    Returns:
+        For each watched requirement, the number of samples after which it was first violated; 0: not yet.
     """
-    states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
-    updates = []
-    watched_requirements = (requirement for requirement in requirements if requirement.is_watched)
-    for requirement, times in zip(watched_requirements, violations, strict=True):
+    accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
+    updated_violations = []
+    watched_requirements = [requirement for requirement in requirements if requirement.is_watched]
+    for requirement, violated_after in zip(watched_requirements, violations, strict=True):
         measure = requirement.measure
-        value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
-        is_first = (times == 0.0) & (requirement.slack(value) < 0.0)
-        updates.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
-    return tuple(updates)
+        span = span_of(measure.window, steps, sample_time)
+        value = measure.metric.value(accumulator_of[measure.name], measure.window, span)
+        is_first = (violated_after == 0.0) & (requirement.slack(value) < 0.0)
+        updated_violations.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), violated_after))
+    return tuple(updated_violations)
 
 
 def certain_violations(
@@ -173,10 +190,10 @@ def certain_violations(
     steps: Scalar,
     sample_time: float,
 ) -> dict[str, Scalar]:
-    """By label of a requirement, the number of samples after which its violation was certain, if it is violated.
+    """Number of samples after which the violation of each requirement was certain, by label, if it is violated.
 
-    A violation by a metric that can only rise towards its bound is certain at once, and a formula tells the sample
-    itself. For any other requirement it is certain at the end of its window.
+    A watched requirement is lost at its first violation. A formula tells the sample itself. The violation of any other
+    requirement is certain at the end of its window.
 
     Args:
         requirements: The requirements.
@@ -186,16 +203,16 @@ def certain_violations(
         steps: Number of samples of the draw.
         sample_time: T_s [s].
     """
-    states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
-    remaining = iter(violations)
+    accumulator_of = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
+    watched_violations = iter(violations)
     samples = {}
     for requirement in requirements:
         measure = requirement.measure
         if requirement.is_watched:
-            times = next(remaining)
-            samples[requirement.label] = jnp.where(times > 0.0, times, steps)
+            violated_after = next(watched_violations)
+            samples[requirement.label] = jnp.where(violated_after > 0.0, violated_after, steps)
         elif measure.metric.certain_after is not None:
-            samples[requirement.label] = measure.metric.certain_after(states[measure.name])
+            samples[requirement.label] = measure.metric.certain_after(accumulator_of[measure.name])
         else:
             samples[requirement.label] = samples_before_end(measure.window, sample_time, steps)
     return samples
@@ -204,17 +221,20 @@ def certain_violations(
 def judge(
     requirements: tuple[Requirement, ...], values: dict[str, Scalar], ended: Scalar
 ) -> tuple[Scalar, dict[str, Scalar]]:
-    """Outcome code of a draw (int32), and the slack of each requirement by name, -inf if the draw ended early.
+    """Judge a draw by its requirements.
 
     Args:
-        requirements: The requirements; the first one that is violated gives the code.
+        requirements: The requirements; the first violated requirement gives the code.
         values: Value of every measure by name.
         ended: Code of the flight: OK, or the reason of its early end.
+
+    Returns:
+        The outcome code (int32), and the slack of each requirement by name, -inf if the draw ended early.
     """
     is_complete = ended == Outcome.OK
     outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
     slacks: dict[str, Scalar] = {}
-    for index, requirement in reversed(list(enumerate(requirements))):
+    for index, requirement in reversed(list(enumerate(requirements))):  # the first one writes its code last
         slack = requirement.slack(values[requirement.measure.name])
         outcome = jnp.where(violated(slack), Outcome.REQUIREMENT + index, outcome)
         slacks[requirement.name] = jnp.where(is_complete, slack, -jnp.inf)
@@ -222,7 +242,14 @@ def judge(
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Index of each draw's requirement with the smallest slack relative to its scale; NaN counts as smallest."""
+    """Index of the requirement that each draw meets by the least or misses by the most, relative to its scale.
+
+    A slack of NaN counts as the smallest of all.
+
+    Args:
+        requirements: The requirements.
+        results: Slacks by name, all of one shape, which the result has, too.
+    """
     slacks = np.array([results[requirement.name] / requirement.scale for requirement in requirements])
     return np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
 
@@ -230,10 +257,10 @@ def binding_requirement(requirements: Sequence[Requirement], results: Mapping[st
 def first_violation(
     requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The requirement that each draw violates first, and the time; violations by an early end do not count.
+    """The requirement that each draw violates first, and when; violations by an early end do not count.
 
     Args:
-        requirements: The requirements; of two that are violated at the same sample, the earlier one counts.
+        requirements: The requirements; of two that are violated at the same sample, the first in the list counts.
         results: Times of violation by name, and ``failed_at``, all of one shape.
 
     Returns:

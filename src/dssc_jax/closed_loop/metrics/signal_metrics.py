@@ -16,10 +16,10 @@ from dssc_jax.closed_loop.metrics.streaming import (
     Span,
     final_value,
     mean,
-    peak,
+    peak_update,
     root_mean,
     suffixed,
-    total,
+    sum_update,
 )
 from dssc_jax.closed_loop.metrics.window import Window
 from dssc_jax.core.errors import ConfigError
@@ -31,12 +31,12 @@ from dssc_jax.core.units import ChannelUnits
 
 
 class SampledSignal(NamedTuple):
-    """A signal of the loop that metrics and formulas can name.
+    """A signal of the loop that metrics and formulas can name, such as ``x_e``.
 
     Args:
         unit: Unit.
         meaning: Meaning in words.
-        value: Its value at a sample.
+        value: Reads its value from the signals at a sample.
         periodic: Whether the signal is an angle that jumps by a turn where it leaves (-pi, pi].
     """
 
@@ -47,45 +47,51 @@ class SampledSignal(NamedTuple):
 
 
 class Variation(NamedTuple):
-    """The last value of a signal, the sum of the sizes of its changes, and 1 if there was a sample, else 0."""
+    """The total variation of a signal during a flight.
+
+    Args:
+        last: Value at the last sample.
+        sum: Sum of the sizes of all changes from sample to sample.
+        samples: 1 if there was a sample, else 0: the first one is no change.
+    """
 
     last: Scalar = 0.0
     sum: Scalar = 0.0
     samples: Scalar = 0.0
 
 
-def of_channel(index: int, field: str) -> Callable[[Instant], Scalar]:
-    """A field of a channel's sample."""
+def channel_field_reader(index: int, field: str) -> Callable[[Instant], Scalar]:
+    """Return the function that reads a field of a channel's sample, such as ``e``."""
     return lambda instant: getattr(instant.channels[index], field)
 
 
-def of_output(index: int) -> Callable[[Instant], Scalar]:
-    """A channel's output y = e + y_m."""
+def output_reader(index: int) -> Callable[[Instant], Scalar]:
+    """Return the function that reads a channel's output y = e + y_m."""
     return lambda instant: instant.channels[index].e + instant.channels[index].reference.y
 
 
-def of_output_rate(index: int) -> Callable[[Instant], Scalar]:
-    """The derivative of a channel's output, y' = e' + y_m'."""
+def output_rate_reader(index: int) -> Callable[[Instant], Scalar]:
+    """Return the function that reads the derivative of a channel's output, y' = e' + y_m'."""
     return lambda instant: instant.channels[index].e_dot + instant.channels[index].reference.y_dot
 
 
-def of_desired_output(index: int) -> Callable[[Instant], Scalar]:
-    """A channel's desired output y_m."""
+def desired_output_reader(index: int) -> Callable[[Instant], Scalar]:
+    """Return the function that reads a channel's desired output y_m."""
     return lambda instant: instant.channels[index].reference.y
 
 
-def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
-    """A signal in the info of a channel's controller."""
+def controller_signal_reader(index: int, field: str) -> Callable[[Instant], Scalar]:
+    """Return the function that reads a signal that a channel's controller reports."""
     return lambda instant: signals_in(instant.channels[index].info)[field]
 
 
-def of_plant(field: str) -> Callable[[Instant], Scalar]:
-    """A signal in the info of the plant."""
+def plant_signal_reader(field: str) -> Callable[[Instant], Scalar]:
+    """Return the function that reads a signal that the plant reports."""
     return lambda instant: signals_in(instant.plant)[field]
 
 
-def of_reading(index: int) -> Callable[[Instant], Scalar]:
-    """The reading of a measured signal."""
+def measured_signal_reader(index: int) -> Callable[[Instant], Scalar]:
+    """Return the function that reads the sensor's reading of a measured signal, by the signal's index."""
     return lambda instant: instant.measured[index]
 
 
@@ -115,7 +121,7 @@ def sampled_signals(
     measured: Sequence[NamedSignal],
     angles: Collection[str],
 ) -> dict[str, SampledSignal]:
-    """Every signal of a loop, by the name of its column in a trajectory.
+    """Every signal of a loop that metrics and formulas can name, by the name of its column in a trajectory.
 
     Args:
         controller_fields: Names of the signals in each controller's info, by channel.
@@ -137,19 +143,21 @@ def sampled_signals(
     for index, measure in enumerate(measured):
         meaning = f"measured {measure.quantity.meaning}"
         signals[f"measured_{measure.name}"] = SampledSignal(
-            measure.unit or "1", meaning, of_reading(index), measure.periodic
+            measure.unit or "1", meaning, measured_signal_reader(index), measure.periodic
         )
     for name in plant_fields:
         require_free("plant", name, {TIME, *signals})
         quantity = quantity_of(name, outputs) or Quantity("1", name)
-        signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name), quantity.periodic)
+        signals[name] = SampledSignal(
+            quantity.unit or "1", quantity.meaning, plant_signal_reader(name), quantity.periodic
+        )
     return signals
 
 
 def channel_signals(
     index: int, fields: Sequence[str], units: ChannelUnits, reports: Mapping[str, Quantity]
 ) -> dict[str, SampledSignal]:
-    """Every signal of one channel, by its name without the channel's prefix.
+    """Every signal of one channel, by its name without the channel's name, such as ``e``.
 
     Args:
         index: Index of the channel.
@@ -161,15 +169,15 @@ def channel_signals(
         ConfigError: The controller reports a signal under the name of another one.
     """
     quantities = {
-        "y": (Quantity("y", "output y"), of_output(index)),
-        "y_dot": (Quantity("y/s", "derivative y' of the output"), of_output_rate(index)),
-        "y_ref": (Quantity("y", "desired output y_m"), of_desired_output(index)),
+        "y": (Quantity("y", "output y"), output_reader(index)),
+        "y_dot": (Quantity("y/s", "derivative y' of the output"), output_rate_reader(index)),
+        "y_ref": (Quantity("y", "desired output y_m"), desired_output_reader(index)),
     }
     for name, quantity in CHANNEL_SIGNALS.items():
-        quantities[name] = quantity, of_channel(index, name)
+        quantities[name] = quantity, channel_field_reader(index, name)
     for name in fields:
         require_free("controller", name, {TIME, *quantities})
-        quantities[name] = reports.get(name, Quantity("1", name)), of_controller(index, name)
+        quantities[name] = reports.get(name, Quantity("1", name)), controller_signal_reader(index, name)
     signals = {}
     for name, (quantity, value) in quantities.items():
         signals[name] = SampledSignal(units.of(quantity.unit), units.named(quantity.meaning), value)
@@ -177,17 +185,32 @@ def channel_signals(
 
 
 def require_free(part: str, name: str, names: Collection[str]) -> None:
-    """Require that the name of a signal that a part reports is not among ``names``; else raise ConfigError."""
+    """Require that a signal that a part reports does not have the name of another signal of the loop.
+
+    Args:
+        part: The part, ``controller`` or ``plant``, for the message.
+        name: Name of its signal.
+        names: Names of the other signals.
+
+    Raises:
+        ConfigError: The name is among them.
+    """
     if name in names:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
-def variation(
+def variation_update(
     signal: Callable[[Instant], Scalar], periodic: bool = False
 ) -> Callable[[Variation, Instant, Window], Variation]:
-    """The update of a signal's total variation over the window; a periodic angle changes by the shorter way."""
+    """Return the ``update`` of a metric that adds up a signal's total variation.
+
+    Args:
+        signal: Reads the signal.
+        periodic: Whether it is an angle that jumps by a turn where it leaves (-pi, pi]; its change is the shorter way.
+    """
 
     def update(acc: Variation, instant: Instant, window: Window) -> Variation:
+        """The variation after one more sample."""
         value = signal(instant)
         change = wrap_angle(value - acc.last) if periodic else value - acc.last
         size = jnp.where(acc.samples > 0.0, jnp.abs(change), 0.0)
@@ -196,16 +219,21 @@ def variation(
     return update
 
 
-def variation_sum(acc: Variation, window: Window, span: Span) -> Scalar:
-    """The total variation."""
+def total_variation(acc: Variation, window: Window, span: Span) -> Scalar:
+    """The sum of the sizes of all changes of a signal."""
     return acc.sum
 
 
-def running(
-    extreme: Callable[[Scalar, Scalar], Scalar],
-) -> Callable[[Callable[[Instant], Scalar]], Callable[[Scalar, Instant, Window], Scalar]]:
-    """For a minimum or maximum of two numbers: ``signal -> update`` of that signal's running extreme."""
-    return lambda signal: lambda acc, instant, window: extreme(acc, signal(instant))
+def extreme_update(
+    extreme: Callable[[Scalar, Scalar], Scalar], signal: Callable[[Instant], Scalar]
+) -> Callable[[Scalar, Instant, Window], Scalar]:
+    """Return the ``update`` of a metric that keeps a signal's smallest or largest value.
+
+    Args:
+        extreme: Minimum or maximum of two numbers.
+        signal: Reads the signal.
+    """
+    return lambda acc, instant, window: extreme(acc, signal(instant))
 
 
 class SignalMetric(NamedTuple):
@@ -213,12 +241,13 @@ class SignalMetric(NamedTuple):
 
     Args:
         meaning: Words before the meaning of the signal.
-        update: ``signal -> update`` of a :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`.
-        value: Field of that metric, as are ``start``, ``course`` and ``least``.
-        start: See ``value``.
-        course: See ``value``.
-        least: See ``value``.
-        periodic_update: ``update`` for a periodic angle; None: ``update``.
+        update: ``signal -> update``, which makes that field of a
+            :class:`~dssc_jax.closed_loop.metrics.streaming.Metric`.
+        value: The metric's field of this name.
+        start: The metric's field of this name.
+        course: The metric's field of this name.
+        least: The metric's field of this name.
+        periodic_update: As ``update``, for an angle that jumps by a turn; None: ``update`` serves for it, too.
     """
 
     meaning: str
@@ -231,34 +260,35 @@ class SignalMetric(NamedTuple):
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
-    "rms": SignalMetric("rms of the", lambda signal: total(lambda i: jnp.square(signal(i))), root_mean, least=0.0),
-    "max_abs": SignalMetric("largest size of the", peak, course=Course.RISES, least=0.0),
-    "highest": SignalMetric("highest", running(jnp.maximum), start=-jnp.inf, course=Course.RISES),
-    "lowest": SignalMetric("lowest", running(jnp.minimum), start=jnp.inf, course=Course.FALLS),
-    "mean": SignalMetric("mean", total, mean),
+    "rms": SignalMetric("rms of the", lambda signal: sum_update(lambda i: jnp.square(signal(i))), root_mean, least=0.0),
+    "max_abs": SignalMetric("largest size of the", peak_update, course=Course.RISES, least=0.0),
+    "highest": SignalMetric("highest", partial(extreme_update, jnp.maximum), start=-jnp.inf, course=Course.RISES),
+    "lowest": SignalMetric("lowest", partial(extreme_update, jnp.minimum), start=jnp.inf, course=Course.FALLS),
+    "mean": SignalMetric("mean", sum_update, mean),
     "final": SignalMetric("last", lambda signal: lambda acc, i, window: signal(i)),
     "variation": SignalMetric(
         meaning="total variation of the",
-        update=variation,
-        value=variation_sum,
+        update=variation_update,
+        value=total_variation,
         start=Variation(),
         course=Course.RISES,
         least=0.0,
-        periodic_update=partial(variation, periodic=True),
+        periodic_update=partial(variation_update, periodic=True),
     ),
 }
 """The kinds of metric that apply to any signal, by their names in a study."""
 
 
 def signal_metric(kind: str, signal: SampledSignal) -> Metric:
-    """The metric of one kind, a key of :data:`SIGNAL_METRICS`, of a signal."""
+    """The metric of one kind, a key of :data:`SIGNAL_METRICS` such as ``rms``, of a signal."""
     form = SIGNAL_METRICS[kind]
-    meaning = f"{form.meaning} {signal.meaning}"
-    update_of = form.periodic_update if signal.periodic and form.periodic_update is not None else form.update
+    make_update = form.update
+    if signal.periodic and form.periodic_update is not None:
+        make_update = form.periodic_update
     return Metric(
         signal.unit,
-        meaning,
-        update_of(signal.value),
+        f"{form.meaning} {signal.meaning}",
+        make_update(signal.value),
         form.value,
         scope=Scope.VEHICLE,
         start=form.start,
@@ -268,10 +298,16 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
 
 
 def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
-    """The metrics of signals among some names, such as ``rms_tyre_force``: kind and signal."""
+    """The metrics of signals that a study names, by their names.
+
+    Args:
+        names: Names of metrics; a metric of a signal has a name of kind and signal, such as ``rms_tyre_force``.
+        signals: The signals of the loop by name.
+    """
     metrics = {}
     for kind in SIGNAL_METRICS:
-        for name, signal in signals.items():
-            if suffixed(kind, name) in names:
-                metrics[suffixed(kind, name)] = signal_metric(kind, signal)
+        for column, signal in signals.items():
+            metric_name = suffixed(kind, column)
+            if metric_name in names:
+                metrics[metric_name] = signal_metric(kind, signal)
     return metrics

@@ -9,10 +9,12 @@ References:
 """
 
 import math
+import operator
 from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.metrics.instants import Sample
@@ -22,21 +24,24 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.lanes.functions.approximations import atan2
 
 LOW = 0.1  # progress at which the rise time starts
-HIGH = 0.9  # progress at which it ends
+HIGH = 0.9  # progress at which the rise time ends
 STILL = 1e-6  # share of a step: a desired output that moves by less counts as constant
 BEGINS_WITH_STEP = "the window must begin with a step of the reference, which then stays; set `after` to its time"
 MOVES = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]
-"""Times [s] and values of a bound that is straight between them, by rising time; two points at one time are a jump."""
+"""A bound over time, by points (t [s], value) in the order of time.
+
+The bound is straight between two points, and jumps where two points have the same time.
+"""
 
 
 class StepSize(NamedTuple):
-    """The step that a window begins with.
+    """The step of the reference with which a window begins.
 
     Args:
         samples: Number of samples so far.
-        start: Output at the first sample.
-        goal: Desired output at the first sample.
+        start: Output y_0 at the first sample.
+        goal: Desired output r_0 at the first sample.
         moved: Largest distance of the desired output from the goal so far.
     """
 
@@ -46,23 +51,27 @@ class StepSize(NamedTuple):
     moved: Scalar = 0.0
 
     def next(self, sample: Sample) -> "StepSize":
-        """The step after one more sample; the first one defines it."""
-        first = self.samples == 0.0
+        """The step after one more sample; the first sample defines its start and goal."""
+        is_first = self.samples == 0.0
         desired = sample.reference.y
-        goal = jnp.where(first, desired, self.goal)
-        start = jnp.where(first, sample.e + desired, self.start)
+        goal = jnp.where(is_first, desired, self.goal)
+        start = jnp.where(is_first, sample.e + desired, self.start)
         return StepSize(self.samples + 1.0, start, goal, jnp.maximum(self.moved, jnp.abs(desired - goal)))
 
     def progress(self, sample: Sample) -> Scalar:
-        """The progress p of the output at a sample; 0 if there is no step."""
+        """The progress p of the output from start (0) to goal (1) at a sample; 0 if there is no step."""
         size = self.goal - self.start
         travelled = sample.e + sample.reference.y - self.start
         return jnp.where(size == 0.0, 0.0, travelled / jnp.where(size == 0.0, 1.0, size))
 
     def result(self, value: Scalar) -> Scalar:
-        """The value of a metric of this step; NaN if there is no step, or if the goal moves."""
+        """The value of a metric of this step; NaN if there was no step, or if the desired output moved after it."""
         size = jnp.abs(self.goal - self.start)
-        return jnp.where((size > 0.0) & (self.moved <= STILL * size), value, jnp.nan)
+        is_step = (size > 0.0) & (self.moved <= STILL * size)
+        return jnp.where(is_step, value, jnp.nan)
+
+
+NOT_YET = -1.0  # time of an event that has not happened
 
 
 class Rise(NamedTuple):
@@ -71,14 +80,14 @@ class Rise(NamedTuple):
     Args:
         step: The step.
         previous: Progress at the last sample.
-        low: Time at which the progress first passed 10 %, in samples; -1: not yet.
-        high: Time at which it first passed 90 %, in samples; -1: not yet.
+        low: Time at which the progress first passed 10 %, in samples, or :data:`NOT_YET`.
+        high: Time at which it first passed 90 %, in samples, or :data:`NOT_YET`.
     """
 
     step: StepSize = StepSize()
     previous: Scalar = 0.0
-    low: Scalar = -1.0
-    high: Scalar = -1.0
+    low: Scalar = NOT_YET
+    high: Scalar = NOT_YET
 
 
 def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
@@ -88,6 +97,7 @@ def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
     gain = p - acc.previous
 
     def passing_time(passed_at: Scalar, level: float) -> Scalar:
+        """Time at which the progress first passed a level, in samples; ``passed_at`` if it had passed before."""
         passes = (passed_at < 0.0) & (p >= level)
         share = (level - acc.previous) / jnp.where(gain > 0.0, gain, 1.0)
         return jnp.where(passes, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), passed_at)
@@ -97,49 +107,71 @@ def update_rise(acc: Rise, sample: Sample, window: Window) -> Rise:
 
 def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
     """Time from 10 % to 90 % of the step [s]; infinite if the output does not reach 90 %."""
-    return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, (acc.high - acc.low) * span.sample_time))
+    time = (acc.high - acc.low) * span.sample_time
+    return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, time))
 
 
 class StepPeak(NamedTuple):
-    """A step, and the largest progress so far."""
+    """The peak of a step response.
+
+    Args:
+        step: The step.
+        largest: Largest progress so far.
+    """
 
     step: StepSize = StepSize()
     largest: Scalar = 0.0
 
 
 def update_peak(acc: StepPeak, sample: Sample, window: Window) -> StepPeak:
-    """Note the progress at a sample if it is the largest so far."""
+    """Keep the larger of the largest progress so far and the progress at this sample."""
     step = acc.step.next(sample)
     return StepPeak(step, jnp.maximum(acc.largest, step.progress(sample)))
 
 
 def overshoot(acc: StepPeak, window: Window, span: Span) -> Scalar:
-    """Excess of the largest progress over 1 [%]."""
+    """Overshoot of the step response, relative to the step [%]: the excess of the largest progress over 1."""
     return acc.step.result(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
 
 
 class StepSettling(NamedTuple):
-    """A step, and the number of samples up to the last one outside the band around the goal."""
+    """The settling of a step response.
+
+    Args:
+        step: The step.
+        last_sample: Number of samples up to and with the last one outside the band around the goal.
+    """
 
     step: StepSize = StepSize()
     last_sample: Scalar = 0.0
 
 
 def update_settling(acc: StepSettling, sample: Sample, window: Window) -> StepSettling:
-    """Note a sample that is outside the band around the goal."""
+    """Note a sample whose progress differs from 1 by more than the window's percentage."""
     step = acc.step.next(sample)
-    is_outside = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
+    band = 0.01 * window.percent  # share of the step
+    is_outside = jnp.abs(step.progress(sample) - 1.0) > band
     return StepSettling(step, jnp.where(is_outside, step.samples, acc.last_sample))
 
 
 def step_settling_time(acc: StepSettling, window: Window, span: Span) -> Scalar:
-    """Time from the window's start until all samples lie in the band [s]; infinite if the last one does not."""
+    """Time from the window's start after which all samples lie in the band [s]; infinite if the last one does not."""
     time = acc.last_sample * span.sample_time
     return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
 
 class Following(NamedTuple):
-    """Sums over the samples of output y and reference r: of y, r, r' and the products r r, r' r', y r and y r'."""
+    """Sums over the samples, from which the regression of the output y on the reference r follows.
+
+    Args:
+        y: Sum of y.
+        r: Sum of r.
+        r_dot: Sum of r'.
+        rr: Sum of r^2.
+        dd: Sum of r'^2.
+        yr: Sum of y r.
+        yd: Sum of y r'.
+    """
 
     y: Scalar = 0.0
     r: Scalar = 0.0
@@ -153,21 +185,21 @@ class Following(NamedTuple):
 def update_following(acc: Following, sample: Sample, window: Window) -> Following:
     """Add a sample to every sum."""
     r = sample.reference.y
-    d = sample.reference.y_dot
+    d = sample.reference.y_dot  # r'
     y = sample.e + r
-    moments = Following(y=y, r=r, r_dot=d, rr=r * r, dd=d * d, yr=y * r, yd=y * d)
-    return Following(*(total + value for total, value in zip(acc, moments, strict=True)))
+    terms = Following(y=y, r=r, r_dot=d, rr=r * r, dd=d * d, yr=y * r, yd=y * d)
+    return jax.tree.map(operator.add, acc, terms)
 
 
 def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
-    """Amplitudes of the parts of y in phase with a sine r and 90 degrees ahead of it, relative to that of r.
+    """Amplitudes of two parts of the output y, relative to the amplitude of a sine reference r.
 
-    They are the regression coefficients of y on r and on r'/omega, which is 90 degrees ahead of r, with the angular
-    frequency omega^2 = var r'/var r. Both are NaN if r does not move.
+    The first part is in phase with r, the second is 90 degrees ahead. They are the regression coefficients of y on r
+    and on r'/omega, where the angular frequency follows from omega^2 = var r'/var r. Both are NaN if r does not move.
     """
     n = span.sample_count
-    rr = acc.rr - acc.r * acc.r / n
-    dd = acc.dd - acc.r_dot * acc.r_dot / n
+    rr = acc.rr - acc.r * acc.r / n  # n var r
+    dd = acc.dd - acc.r_dot * acc.r_dot / n  # n var r'
     is_moving = (rr > 0.0) & (dd > 0.0)
     quadrature_gain = (acc.yd - acc.y * acc.r_dot / n) / jnp.sqrt(jnp.where(is_moving, rr * dd, 1.0))
     in_phase_gain = (acc.yr - acc.y * acc.r / n) / jnp.where(is_moving, rr, 1.0)
@@ -175,13 +207,13 @@ def phase_components(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
 
 
 def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
-    """Amplitude of y over that of r."""
+    """Amplitude of the output over the amplitude of a sine reference."""
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return root_abs(in_phase_gain * in_phase_gain + quadrature_gain * quadrature_gain)
 
 
 def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
-    """Phase of r minus that of y, in (-pi, pi] [rad]."""
+    """Phase by which the output lags a sine reference, in (-pi, pi] [rad]."""
     in_phase_gain, quadrature_gain = phase_components(acc, span)
     return atan2(-quadrature_gain, in_phase_gain)
 
@@ -212,20 +244,24 @@ STEP_RESPONSE: dict[str, Metric] = {
 
 
 def line_at(points: Points, t: Scalar, default: float) -> Scalar:
-    """The value of a bound at t [s]: straight between its points, and ``default`` outside of them."""
-    early = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
+    """The value of a bound at t [s]: straight between its points, and ``default`` before the first and after the last.
+
+    Where the bound jumps, the later value counts. A time within the rounding of k T_s of a point counts as that point.
+    """
+    rounding = 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
     value: Scalar = default
-    for (begin, low), (end, high) in pairwise(points):
+    for (begin, begin_value), (end, end_value) in pairwise(points):
         if end > begin:
             share = (t - begin) / (end - begin)
-            value = jnp.where((t >= begin - early) & (t <= end + early), low + share * (high - low), value)
+            is_between = (t >= begin - rounding) & (t <= end + rounding)
+            value = jnp.where(is_between, begin_value + share * (end_value - begin_value), value)
     return value
 
 
 def envelope_metric(
     signal: Callable[[Sample], Scalar], unit: str, meaning: str, lower: Points, upper: Points
 ) -> Metric:
-    """The metric of the smallest distance of a signal from its bounds over time, negative if it crosses one.
+    """The metric that is a signal's smallest distance from bounds that change over time, negative if it crosses one.
 
     Args:
         signal: Value of the signal at a sample.
@@ -236,6 +272,7 @@ def envelope_metric(
     """
 
     def update(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+        """The smallest distance up to this sample."""
         t = sample.k * sample.dt
         value = signal(sample)
         above_lower = value - line_at(lower, t, -math.inf) if lower else math.inf
@@ -247,9 +284,10 @@ def envelope_metric(
 
 
 def crossing(lower: Points, upper: Points) -> float | None:
-    """The first time among the points at which the lower bound exceeds the upper one [s]; None if it never does."""
+    """The first time among the points at which a lower bound exceeds the upper bound [s]; None if it never does."""
+    times = {t for t, _ in (*lower, *upper)}
     with arithmetic():
-        for t in sorted({point[0] for point in (*lower, *upper)}):
+        for t in sorted(times):
             if line_at(lower, t, -math.inf) > line_at(upper, t, math.inf):
                 return t
     return None

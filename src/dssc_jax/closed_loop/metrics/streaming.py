@@ -5,26 +5,23 @@ computes the metric from the accumulator at the end.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
-import jax
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.metrics.instants import Instant, Sample
-from dssc_jax.closed_loop.metrics.margin_kinds import NO_MARGINS, LoopMargin
-from dssc_jax.closed_loop.metrics.stretches import Stretch, longest, stretch
-from dssc_jax.closed_loop.metrics.window import WHOLE_RUN, Span, Window, first_sample, in_window, span_of
-from dssc_jax.core.errors import errors_in_code
+from dssc_jax.closed_loop.metrics.margin_kinds import LoopMargin
+from dssc_jax.closed_loop.metrics.stretches import Stretch, longest_duration, stretch_update
+from dssc_jax.closed_loop.metrics.window import WHOLE_RUN, Span, Window, first_sample
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 
 Accumulator: TypeAlias = Any
-"""A number, or a NamedTuple of numbers."""
+"""What a metric remembers of the samples so far: a number, or a NamedTuple of numbers."""
 
 MetricInput: TypeAlias = Any
 """The :class:`Sample` of a channel for a metric of channels, or the :class:`Instant` for a metric of the vehicle."""
@@ -38,18 +35,22 @@ class Scope(StrEnum):
 
 
 class Course(StrEnum):
-    """How the value of a metric changes as samples are added: a rising value that exceeds a bound never returns."""
+    """The direction in which the value of a metric can change as samples are added.
 
-    RISES = "rises"
-    FALLS = "falls"
-    OPEN = "open"
+    A value that can only rise never returns once it has exceeded a bound, so the violation is certain at once.
+    """
+
+    RISES = "rises"  # it never falls
+    FALLS = "falls"  # it never rises
+    OPEN = "open"  # it may do both
 
 
 class Metric(NamedTuple):
     """A number that is computed from a flight sample by sample.
 
     Args:
-        unit: Unit, with the symbols ``y`` and ``u`` of :mod:`dssc_jax.core.units` for those of the channel.
+        unit: Unit, in which the symbols ``y`` and ``u`` stand for the units of the channel's output and command
+            (:mod:`dssc_jax.core.units`).
         meaning: Meaning in words.
         update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
@@ -57,13 +58,13 @@ class Metric(NamedTuple):
         scope: One channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
         counted: Whether the value counts samples, as a time or a share; rounding then changes it by whole samples.
-        course: How the value changes as samples are added.
+        course: Whether the value can only rise, only fall, or do both as samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
         margin: The margin of the linearised loop whose value is the accumulator; None: a metric of the flight.
         least: The least value that is possible, such as 0 for a size.
         defined_if: Condition for a value other than NaN, in words; empty: none.
-        settled_within: ``window -> bound`` on |e| at the end of a settled draw. Within it, the value at the draw's end
-            is that of the whole run. NaN: the bound differs between draws. None: no bound is needed.
+        settled_within: ``window -> bound`` on |e| below which a draw must have settled, so that its value at its early
+            end is also the value of the whole run. NaN: the bound differs between draws. None: no bound is needed.
     """
 
     unit: str
@@ -83,54 +84,74 @@ class Metric(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side."""
+        """The value that replaces NaN: the limit of stability for a margin, else the infinity on the bad side.
+
+        Large values are good for the robustness of a formula, and for a metric that can only fall, such as a smallest
+        distance. For all others small values are good.
+        """
         if self.margin is not None:
             return self.margin.kind.worst
-        return -math.inf if self.certain_after is not None or self.course == Course.FALLS else math.inf
+        is_robustness = self.certain_after is not None
+        return -math.inf if is_robustness or self.course == Course.FALLS else math.inf
 
 
 RISES = Course.RISES
 
 
-def peak(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
-    """The update of the running maximum of a signal's size."""
+def peak_update(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+    """Return the ``update`` of a metric that keeps the largest absolute value of a signal."""
     return lambda acc, sample, window: jnp.maximum(acc, jnp.abs(signal(sample)))
 
 
-def total(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
-    """The update of the running sum of a signal."""
+def sum_update(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, MetricInput, Window], Scalar]:
+    """Return the ``update`` of a metric that adds up a signal."""
     return lambda acc, sample, window: acc + signal(sample)
 
 
 def update_variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add the size of the robust command's change to this sample; the window's first sample has none."""
+    """Add |u_k - u_(k-1)|, the size of the robust command's change to this sample.
+
+    The window's first sample adds nothing. At sample 0 the change is 0 already, so a window from there needs no test.
+    """
     first = first_sample(window.after, sample.dt)
     change = jnp.abs(sample.u - sample.u_previous)
     return acc + (change if first == 0 else jnp.where(sample.k == first, 0.0, change))
 
 
 def final_value(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """The accumulator itself, as the value of a running maximum or total."""
+    """The accumulator itself, the value of a metric that keeps a maximum or a sum."""
     return acc
 
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Mean over the window, of an accumulated sum."""
+    """The mean over the window's samples, from their accumulated sum."""
     return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Root of the mean over the window, of an accumulated sum of squares."""
+    """The rms over the window's samples, from their accumulated sum of squares."""
     return root_abs(acc / span.sample_count)
 
 
 def last_outside(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Number of samples up to the last one with |e| > band, a float that is exact in float32 up to 16 million."""
-    return jnp.where(jnp.abs(sample.e) > window.band, jnp.asarray(sample.k + 1, jnp.result_type(float)), acc)
+    """Number of samples up to and with the last one whose error is outside the band, |e| > ``window.band``.
+
+    It is a real number, exact in float32 up to 16 million samples.
+    """
+    samples = jnp.asarray(sample.k + 1, jnp.result_type(float))
+    return jnp.where(jnp.abs(sample.e) > window.band, samples, acc)
 
 
 def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
-    """Time from the window's start to the end of the last sample outside the band; infinite if that is the last one."""
+    """Time from the window's start to the end of the last sample outside the band [s].
+
+    It is infinite if the window's last sample is outside, too.
+
+    Args:
+        acc: Result of :func:`last_outside` at the end of the flight.
+        window: The window.
+        span: Its length in samples.
+    """
     time = jnp.maximum(acc * span.sample_time - window.after, 0.0)
     return jnp.where(acc >= span.steps, jnp.inf, time)
 
@@ -138,21 +159,22 @@ def settling_time(acc: Scalar, window: Window, span: Span) -> Scalar:
 def sampling_ratio(sample: Sample) -> Scalar:
     """Gain of the sampled loop over its stability limit: (k_p T_s/(k_o tau_av)) (1 + T_s/(2 tau_m))/2.
 
-    Above 1 the sampled loop chatters or diverges. The limit is exact for constant functions and sigma' = k_p u;
-    state-dependent functions enter with their values at the sample. The info reports 1/(k_o tau_av) times tau_m.
+    Above 1 the sampled loop chatters or diverges. The limit is exact for the plant sigma' = k_p u if the controller's
+    functions k_o, tau_av and tau_m are constant; otherwise they enter with their values at the sample.
     """
-    info = sample.info
+    info = sample.info  # integral_gain: 1/(k_o tau_av tau_m)
     dt = sample.dt
     return 0.5 * sample.k_p * dt * info.integral_gain * (info.tau_m + 0.5 * dt)
 
 
 def position_error(instant: Instant) -> Scalar:
-    """Distance from the desired position [m]; the first three channels are x, y, z."""
-    return root_abs(sum(jnp.square(sample.e) for sample in instant.channels[:3]))
+    """Distance of a vehicle from its desired position [m]."""
+    axes = instant.channels[:3]  # x, y, z
+    return root_abs(sum(jnp.square(axis.e) for axis in axes))
 
 
 def as_float(flag: Scalar, like: Scalar) -> Scalar:
-    """1 if the flag holds, else 0, in the type of another number."""
+    """1 if the flag holds, else 0, in the type of the number ``like``."""
     return jnp.where(flag, jnp.ones_like(like), jnp.zeros_like(like))
 
 
@@ -163,13 +185,22 @@ def rms(
     needs: tuple[str, ...] = (),
     scope: Scope = Scope.CHANNEL,
 ) -> Metric:
-    """The metric of a signal's rms over the window; other arguments as of :class:`Metric`."""
+    """The metric that is a signal's rms over the window.
+
+    Args:
+        unit: Unit of the signal.
+        meaning: Meaning of the metric in words.
+        signal: Reads the signal at a sample.
+        needs: As in :class:`Metric`.
+        scope: As in :class:`Metric`.
+    """
 
     def square(sample: MetricInput) -> Scalar:
+        """The square of the signal."""
         value = signal(sample)
         return value * value
 
-    return Metric(unit, meaning, total(square), root_mean, needs, scope, least=0.0)
+    return Metric(unit, meaning, sum_update(square), root_mean, needs, scope, least=0.0)
 
 
 def largest_absolute(
@@ -179,20 +210,35 @@ def largest_absolute(
     needs: tuple[str, ...] = (),
     scope: Scope = Scope.CHANNEL,
 ) -> Metric:
-    """The metric of a signal's largest absolute value; other arguments as of :class:`Metric`."""
-    return Metric(unit, meaning, peak(signal), final_value, needs, scope, course=Course.RISES, least=0.0)
+    """The metric that is a signal's largest absolute value over the window.
+
+    Args:
+        unit: Unit of the signal.
+        meaning: Meaning of the metric in words.
+        signal: Reads the signal at a sample.
+        needs: As in :class:`Metric`.
+        scope: As in :class:`Metric`.
+    """
+    return Metric(unit, meaning, peak_update(signal), final_value, needs, scope, course=Course.RISES, least=0.0)
 
 
 def share_of_time(
     meaning: str, indicator: Callable[[MetricInput], Scalar], needs: tuple[str, ...], scope: Scope = Scope.CHANNEL
 ) -> Metric:
-    """The metric of the share of time for which an indicator is 1 and not 0; other arguments as of :class:`Metric`."""
-    update = total(indicator)
+    """The metric that is the share of the window's samples at which an indicator is 1 and not 0.
+
+    Args:
+        meaning: Words after "share of time".
+        indicator: Reads the indicator at a sample.
+        needs: As in :class:`Metric`.
+        scope: As in :class:`Metric`.
+    """
+    update = sum_update(indicator)
     return Metric("1", f"share of time {meaning}", update, mean, needs, scope, counted=True, least=0.0)
 
 
 def outside_sliding(sample: Sample) -> Scalar:
-    """1 if the predictor is outside sliding, else 0."""
+    """1 if the predictor does not slide, so that its output sigma_hat does not follow sigma exactly; else 0."""
     return as_float(sample.info.sliding_margin < 0.0, sample.e)
 
 
@@ -211,6 +257,7 @@ def lift_bounded(instant: Instant) -> Scalar:
     return as_float(instant.plant.lift_bounded, instant.plant.tilt)
 
 
+# fields that the info of controller or plant must have for a metric: of a predictor, of DSSC, of a vehicle
 SLIDING = ("sliding_margin",)
 SAMPLING = ("integral_gain", "tau_m")
 FLYING = ("tilt",)
@@ -246,8 +293,8 @@ METRICS: dict[str, Metric] = {
     "rotor_limited_longest": Metric(
         "s",
         "longest uninterrupted time with a rotor at its limit",
-        stretch(rotor_limited),
-        longest,
+        stretch_update(rotor_limited),
+        longest_duration,
         FLYING,
         VEHICLE,
         Stretch(),
@@ -287,22 +334,22 @@ class Measure:
 
     @property
     def window_text(self) -> str:
-        """The window in words; empty if no value of it needs mention."""
+        """The window in words, such as `` after 2 s``; empty for the study's default window."""
         return self.window.words(self.default_window)
 
     @property
     def metric(self) -> Metric:
-        """The metric."""
+        """The metric itself: the study's own, or the package's metric of this kind."""
         return self.custom or METRICS[self.kind]
 
     @property
     def label(self) -> str:
-        """Kind and channel, without the window."""
+        """Kind and channel, such as ``error_max_x``, without the window."""
         return suffixed(self.kind, self.channel_name)
 
     @property
     def unit(self) -> str:
-        """Unit of the value."""
+        """Unit of the value, with the channel's own units in place of the symbols ``y`` and ``u``."""
         return self.units.of(self.metric.unit)
 
     @property
@@ -311,71 +358,10 @@ class Measure:
         return self.units.named(self.metric.meaning) if self.custom is None else self.metric.meaning
 
     def of(self, instant: Instant) -> Sample | Instant:
-        """The argument with which the metric is updated."""
+        """The signals with which the metric is updated: of its channel, or of the whole loop for a vehicle's metric."""
         return instant if self.channel is None else instant.channels[self.channel]
 
 
 def suffixed(kind: str, channel: str) -> str:
-    """A metric's name followed by that of its channel, if the channel has one."""
+    """A metric's name with its channel's name, such as ``error_max_x``; without it if that is empty."""
     return f"{kind}_{channel}" if channel else kind
-
-
-def starts(measures: tuple[Measure, ...], margins: Mapping[str, Scalar] = NO_MARGINS) -> tuple[Accumulator, ...]:
-    """Every accumulator before the first sample.
-
-    Args:
-        measures: The measures.
-        margins: Value of each margin of the linearised loop among them, by name; it is the margin's accumulator.
-    """
-    return tuple(m.metric.start if m.metric.margin is None else margins[m.name] for m in measures)
-
-
-def update_all(
-    measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], instant: Instant, k: Scalar, t_s: float
-) -> tuple[Accumulator, ...]:
-    """Every accumulator after sample k; those whose window does not contain the sample are unchanged.
-
-    Args:
-        measures: The measures.
-        accumulators: Their accumulators before the sample.
-        instant: The loop at the sample.
-        k: Index of the sample.
-        t_s: Sample time T_s [s].
-    """
-    updated = []
-    for measure, acc in zip(measures, accumulators, strict=True):
-        with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
-            new_acc = measure.metric.update(acc, measure.of(instant), measure.window)
-            require_like(new_acc, acc)
-        is_inside = in_window(measure.window, k, t_s)
-        updated.append(new_acc if is_inside is None else jax.tree.map(partial(jnp.where, is_inside), new_acc, acc))
-    return tuple(updated)
-
-
-def values(
-    measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], steps: Scalar, t_s: float
-) -> dict[str, Scalar]:
-    """The value of every measure, by name, at the end of a run of ``steps`` samples with sample time T_s [s]."""
-    computed = {}
-    for measure, acc in zip(measures, accumulators, strict=True):
-        span = span_of(measure.window, steps, t_s)
-        with errors_in_code(f"metric '{measure.kind}'", measure.metric.value):
-            value = measure.metric.value(acc, measure.window, span)
-            require_like(value, 0.0)
-        computed[measure.name] = value
-    return computed
-
-
-def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that a result of a metric's code has the structure of a pattern, with arrays of the same shapes.
-
-    Raises:
-        TypeError: It has another structure, or other shapes.
-    """
-    structure = jax.tree.structure(value)
-    expected = jax.tree.structure(pattern)
-    if structure != expected:
-        raise TypeError(f"it must return {expected}, got {structure}")
-    shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
-    if shapes != [jnp.shape(leaf) for leaf in jax.tree.leaves(pattern)]:
-        raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

@@ -13,22 +13,28 @@ S = TypeVar("S")
 
 
 class Stretch(NamedTuple):
-    """Number of samples in the current uninterrupted stretch, and in the longest one so far."""
+    """The samples at which a flag has held without interruption.
+
+    Args:
+        lasting: Number of samples in the present stretch; 0 if the flag does not hold.
+        longest: Number of samples in the longest stretch so far.
+    """
 
     lasting: Scalar = 0.0
     longest: Scalar = 0.0
 
 
-def stretch(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window], Stretch]:
-    """The update of the longest run of consecutive samples at which a flag (1 or 0) holds."""
+def stretch_update(flag: Callable[[S], Scalar]) -> Callable[[Stretch, S, Window], Stretch]:
+    """Return the ``update`` of a metric that finds the longest stretch of samples at which a flag (1 or 0) holds."""
 
     def update(acc: Stretch, sample: S, window: Window) -> Stretch:
+        """The stretches after one more sample."""
         lasting = (acc.lasting + 1.0) * flag(sample)
         return Stretch(lasting, jnp.maximum(acc.longest, lasting))
 
     return update
 
 
-def longest(acc: Stretch, window: Window, span: Span) -> Scalar:
+def longest_duration(acc: Stretch, window: Window, span: Span) -> Scalar:
     """Duration of the longest stretch [s]."""
     return acc.longest * span.sample_time

@@ -15,15 +15,16 @@ from dssc_jax.core.signals import Scalar
 
 
 class WindowEntry(NamedTuple):
-    """How a study file, names and texts express a field of a :class:`Window`.
+    """How a field of a :class:`Window` appears in the study file, in names of results, and in texts.
 
     Args:
-        key: Name in ``[metrics]`` and ``[[requirement]]``.
+        key: Name in the study's tables ``[metrics]`` and ``[[requirement]]``.
         meaning: Meaning in words, with the unit.
         suffix: Format of the value in the name of a measure.
         words: Format of the value in the text of a requirement.
         bounds: Admissible values, with pydantic's names of bounds.
-        relative: Whether texts omit the value of ``[metrics]``; False: they omit the value of :data:`WHOLE_RUN`.
+        relative: Whether texts omit a value that equals the value in ``[metrics]``; False: they omit a value that
+            equals the value of :data:`WHOLE_RUN`.
         absent: Meaning of an absent value in words; empty if the default is a value that a study can contain.
     """
 
@@ -43,10 +44,11 @@ def entry_field(default: float, entry: WindowEntry) -> Any:
 
 @dataclass(frozen=True)
 class Window:
-    """The samples at ``after`` <= t <= ``until`` [s], and thresholds of metrics over them.
+    """The samples that a metric counts, and its thresholds.
 
-    The error counts as settled within ``band`` in the output's unit, or within ``percent`` [%] of a step. The command
-    chatters above the frequency ``chattering`` [Hz]; 0 stands for 1/(20 T_s).
+    They are the samples at ``after`` <= t <= ``until`` [s]. The error counts as settled within ``band`` in the output's
+    unit, or within ``percent`` [%] of a step. The command chatters above the frequency ``chattering`` [Hz]; 0 stands
+    for 1/(20 T_s).
     """
 
     after: float = entry_field(
@@ -113,7 +115,10 @@ class Window:
         return cls(**values)
 
     def entries(self) -> dict[str, float]:
-        """The window as a table of a study, without values that stand for absent ones: the inverse of :meth:`of`."""
+        """The window as a table of a study, the inverse of :meth:`of`.
+
+        A value that a study cannot state, such as an infinite end, is left out.
+        """
         written = {}
         for name, entry in window_entries().items():
             value = getattr(self, name)
@@ -122,7 +127,10 @@ class Window:
         return written
 
     def suffix(self, default_window: "Window") -> str:
-        """The suffix of a measure's name: empty over the study's default window, else the start and what differs."""
+        """The end of a measure's name that tells its window, such as ``_after_2``.
+
+        It is empty for the study's default window. Any other window shows its start and each value that differs.
+        """
         if self == default_window:
             return ""
         parts = []
@@ -133,11 +141,12 @@ class Window:
         return "".join(parts)
 
     def words(self, default_window: "Window") -> str:
-        """The window in the text of a requirement; values that need no mention are omitted."""
+        """The window in the text of a requirement, such as `` after 2 s``; usual values are omitted."""
         parts = []
         for name, entry in window_entries().items():
             value = getattr(self, name)
-            if value != getattr(default_window if entry.relative else WHOLE_RUN, name):
+            usual_window = default_window if entry.relative else WHOLE_RUN
+            if value != getattr(usual_window, name):
                 parts.append(entry.words.format(value))
         return "".join(parts)
 
@@ -152,7 +161,7 @@ def window_entries() -> dict[str, WindowEntry]:
 
 
 def window_defaults() -> dict[str, float]:
-    """The values of a window that a study leaves out, by their names in the study file."""
+    """The values of a window that hold where a study leaves them out, by their names in the study file."""
     return WHOLE_RUN.entries()
 
 
@@ -171,8 +180,11 @@ class Span(NamedTuple):
 
 
 def periods_lasting(duration: float, sample_time: float) -> int:
-    """The least number of sample periods that together last at least a duration [s], robust to rounding of k T_s."""
-    return math.ceil(duration / sample_time - 1e-9)
+    """The least number of sample periods that together last at least a duration [s].
+
+    A duration of k T_s that rounding has made slightly longer still gives k.
+    """
+    return math.ceil(duration / sample_time - ROUNDING)
 
 
 def first_sample(after: float, sample_time: float) -> int:
@@ -181,24 +193,28 @@ def first_sample(after: float, sample_time: float) -> int:
 
 
 MOST_SAMPLES = 2**31 - 1  # of a run
+ROUNDING = 1e-9  # share of a sample within which a time counts as that of the sample
 
 
 def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Scalar:
-    """Number of samples at t <= until in a run of ``steps`` samples, robust to rounding of t = k T_s."""
+    """Number of samples up to the end of a window, at t <= until, in a run of ``steps`` samples.
+
+    A sample at k T_s counts even if rounding has made its time slightly later than the end.
+    """
     if math.isinf(window.until):
         return steps
-    count = min(MOST_SAMPLES, math.floor(window.until / sample_time + 1e-9) + 1)
+    count = min(MOST_SAMPLES, math.floor(window.until / sample_time + ROUNDING) + 1)
     return min(steps, count) if isinstance(steps, int) else jnp.minimum(steps, count)
 
 
 def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
-    """The span of a window in a run of ``steps`` samples."""
+    """The length of a window in samples, in a run of ``steps`` samples."""
     end = samples_before_end(window, sample_time, steps)
     return Span(end, end - first_sample(window.after, sample_time), sample_time)
 
 
 def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
-    """Whether sample k lies in the window; None where all samples do."""
+    """Whether sample k lies in the window; None if all samples do, so that the program needs no test."""
     start = first_sample(window.after, sample_time)
     if math.isinf(window.until):
         return None if start == 0 else k >= start

@@ -29,7 +29,7 @@ def native_content(path: Path) -> bytes:
         ConfigError: It cannot be read, or is too large.
     """
     try:
-        content = files.read_bytes(path, LARGEST_FILE + 1)
+        content = files.read_bytes(path, LARGEST_FILE + 1)  # one byte more tells that the file is too large
     except OSError as error:
         raise ConfigError("file", f"'{path}' cannot be read: {error.strerror or error}") from error
     if len(content) > LARGEST_FILE:
@@ -38,7 +38,7 @@ def native_content(path: Path) -> bytes:
 
 
 def native_digest(path: Path) -> str:
-    """SHA-256 digest of a file of native code; raises ConfigError as :func:`native_content`."""
+    """SHA-256 digest of a file of native code, in hexadecimal; raises ConfigError as :func:`native_content`."""
     return hashlib.sha256(native_content(path)).hexdigest()
 
 
@@ -67,7 +67,17 @@ def allow_native(path: str | Path, sha256: str = "") -> Native:
 
 
 def loaded_file(path: Path, content: bytes, digest: str) -> Native:
-    """Load the content of a file, an FMU or a shared object; arguments and errors as for :func:`loaded_library`."""
+    """Load native code from the content of a file: an FMU or a shared object.
+
+    Args:
+        path: The file, for messages.
+        content: The file's content.
+        digest: SHA-256 digest of the content.
+
+    Raises:
+        ConfigError: The content cannot be loaded, describes no controller or no co-simulation, or keeps numbers outside
+            of the state of a flight.
+    """
     if not is_fmu(content):
         return loaded_library(path, content, digest)
     fmu = loaded_fmu(path, content, digest)
@@ -83,7 +93,7 @@ def loaded_native(table: dict[str, object], requirement: str) -> Native:
         requirement: The kind of file that is needed, such as ``an FMU``, for messages.
 
     Raises:
-        ConfigError: The table names no file, or one that :func:`allow_native` has not loaded.
+        ConfigError: The table names no file, or a file that :func:`allow_native` has not loaded.
     """
     file = table.get("file")
     digest = table.get("sha256", "")

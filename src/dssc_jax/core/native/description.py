@@ -16,18 +16,18 @@ from dssc_jax.core.quantities import Quantity
 SYMBOL = "dssc_jax_controllers"
 """The one symbol that a library must export."""
 
-VERSION = 4
-MOST_CONTROLLERS = 64
-MOST_NUMBERS = 256
-MOST_BYTES = 1 << 16
+VERSION = 4  # of the layout
+MOST_CONTROLLERS = 64  # of a library
+MOST_NUMBERS = 256  # of a table
+MOST_BYTES = 1 << 16  # of the exchange
 TINY = float(np.finfo(np.float32).tiny)
 """A positive lower limit that is not larger than this stands for "above 0"."""
 
 SIGNALS = 5
-"""Signals that every controller gets: measurement and reference."""
+"""Number of signals that every controller gets: y, y', y_m, y_m', y_m''."""
 MEASUREMENT = 2
-"""Signals of these that are measured: y and y'."""
-COMMANDS = 2
+"""Number of these signals that are measured: y and y'."""
+COMMANDS = 2  # u and u_n
 RESERVED = ("kind", "file", "name", "sha256", "flag")
 """Names that no parameter or telemetry value may have: entries of a study's table, and the flag."""
 
@@ -78,7 +78,13 @@ class ControllerRow(ctypes.Structure):
 
 @dataclass(frozen=True)
 class NativeNumber:
-    """A parameter, a measured signal or a telemetry value, and its place in the exchange [bytes]."""
+    """A parameter, a measured signal or a telemetry value of a controller in C.
+
+    Args:
+        name: Its name.
+        quantity: Unit, meaning and range.
+        offset: Its place in the exchange [bytes].
+    """
 
     name: str
     quantity: Quantity
@@ -128,7 +134,7 @@ class NativeController:
 
     @property
     def inputs(self) -> tuple[int, ...]:
-        """Places of all that a step gets: the signals of every controller, then the other measured ones."""
+        """Places of all signals that a step gets: y, y', y_m, y_m', y_m'', then the further measured signals."""
         return (*self.signals, *(number.offset for number in self.measured))
 
 
@@ -145,7 +151,7 @@ def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
         raise ConfigError("", rule) from None
     controllers: list[NativeController] = []
     for row in rows:
-        if not row:
+        if not row:  # NULL ends the list
             break
         controllers.append(described_controller(row.contents))
     names = [controller.name for controller in controllers]
@@ -191,8 +197,12 @@ def described_controller(row: ControllerRow) -> NativeController:
 def require_consistent(controller: NativeController, row: ControllerRow) -> None:
     """Require that the sizes, places and addresses of a description are possible.
 
+    Args:
+        controller: The controller that was read.
+        row: Its description in C.
+
     Raises:
-        ConfigError: One of them is not.
+        ConfigError: One of them is not possible.
     """
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
     rows += row.measured[: row.measured_count]
@@ -219,8 +229,12 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
 def require_measured(controller: NativeController, row: ControllerRow) -> None:
     """Require that the measurement in C has no members beside y, y' and the declared signals: they would stay 0.
 
+    Args:
+        controller: The controller that was read.
+        row: Its description in C.
+
     Raises:
-        ConfigError: The number of members is another one.
+        ConfigError: The measurement has another number of members.
     """
     expected_count = MEASUREMENT + len(controller.measured)
     member_count = row.measurement / controller.real
@@ -237,7 +251,8 @@ def require_measured(controller: NativeController, row: ControllerRow) -> None:
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
     """The numbers in one table of a controller's description: parameters, telemetry, or measured signals.
 
-    In the table, an infinite bound means that there is none, and a bound just above zero that zero is excluded.
+    In the table, an infinite bound means that there is no bound. A lower bound just above zero means that zero is
+    excluded.
 
     Args:
         controller: Name of the controller, for messages.
@@ -250,10 +265,11 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
     if count > MOST_NUMBERS:
         raise ConfigError("", f"has more than {MOST_NUMBERS} numbers in a table of its controller {controller}")
     numbers: dict[str, NativeNumber] = {}
-    for row in rows[:count] if count else ():
+    described_rows = rows[:count] if count else []  # without rows the pointer may be NULL
+    for row in described_rows:
         name = text_of(row.name)
-        public = name.isidentifier() and name.isascii() and not name.startswith("_")
-        if not public or name in RESERVED or name in numbers:
+        is_public = name.isidentifier() and name.isascii() and not name.startswith("_")
+        if not is_public or name in RESERVED or name in numbers:
             raise ConfigError("", f"has a number {name!r} in its controller {controller}; choose another name")
         low = None if row.low == -math.inf else row.low
         high = None if row.high == math.inf else row.high

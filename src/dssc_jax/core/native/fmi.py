@@ -67,17 +67,25 @@ class FmiCalls(ABC):
     "The last message of the FMU."
 
     def note(self, *message: object) -> None:
-        """The FMU's logger: store the text of a message, which is its last argument."""
+        """Keep the text of a message that the FMU logs: the last of the arguments of its call."""
         text = message[-1]
         self.last_message = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
 
     @abstractmethod
     def instantiate(self, name: str) -> int:
-        """The address of a new instance; raises FmiError."""
+        """Make a new instance, and return its address.
+
+        Raises:
+            FmiError: The library makes none.
+        """
 
     @abstractmethod
     def initialise(self, instance: int) -> None:
-        """Start an instance at t = 0, after its parameters were set; raises FmiError."""
+        """Start an instance at t = 0, after its parameters were set.
+
+        Raises:
+            FmiError: A call fails.
+        """
 
     @abstractmethod
     def step(self, instance: int, t: float, h: float) -> bool:
@@ -89,17 +97,31 @@ class FmiCalls(ABC):
 
 
 class FmiError(Exception):
-    """A call of an FMU that has failed."""
+    """A call of an FMU has failed."""
 
 
-def required(function: str, status: int) -> None:
-    """Require that a call of an FMU's function has succeeded, by its status; raises FmiError."""
+def require_success(function: str, status: int) -> None:
+    """Require that a call of an FMU has succeeded.
+
+    Args:
+        function: The function that was called, for the message.
+        status: The status that it returned.
+
+    Raises:
+        FmiError: The status tells a failure.
+    """
     if status > WARNING:
         raise FmiError(f"{function} fails with status {status}")
 
 
 def status_function(library: ctypes.CDLL, name: str, *types: type) -> Status:
-    """A function of an FMU's library that returns a status; ``types`` are those of its arguments."""
+    """A function of an FMU's library that returns a status, as a function of Python.
+
+    Args:
+        library: The library.
+        name: Name of the function.
+        types: Types of its arguments in C.
+    """
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
 
@@ -124,6 +146,7 @@ class Fmi2Calls(FmiCalls):
     """
 
     def __init__(self, folder: Path, description: "ModelDescription") -> None:
+        """Load the library and find its functions; callbacks are kept, because the library holds their addresses."""
         modules = fmpy()
         self._slave = slave_of(modules.fmi2.FMU2Slave, folder, description)
         functions = self._slave.dll
@@ -142,24 +165,32 @@ class Fmi2Calls(FmiCalls):
         self._step = status_function(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
 
     def instantiate(self, name: str) -> int:
-        """A new instance."""
+        """Make a new instance, and return its address."""
         co_simulation = 1
+        visible = 0
+        logging = 0
+        callbacks = ctypes.byref(self._callbacks)
         instance = self._slave.fmi2Instantiate(
-            name.encode(), co_simulation, self._guid, self._resources, ctypes.byref(self._callbacks), 0, 0
+            name.encode(), co_simulation, self._guid, self._resources, callbacks, visible, logging
         )
         if not instance:
             raise FmiError("fmi2Instantiate gives no instance")
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start at t = 0, without an end."""
-        required("fmi2SetupExperiment", self._set_up(instance, 0, 0.0, 0.0, 0, 0.0))
-        required("fmi2EnterInitializationMode", self._enter(instance))
-        required("fmi2ExitInitializationMode", self._exit(instance))
+        """Start an instance at t = 0, without tolerance and end."""
+        # each flag 0 tells that the number behind it is not defined
+        tolerance = 0, 0.0
+        stop = 0, 0.0
+        start_time = 0.0
+        require_success("fmi2SetupExperiment", self._set_up(instance, *tolerance, start_time, *stop))
+        require_success("fmi2EnterInitializationMode", self._enter(instance))
+        require_success("fmi2ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h."""
-        return self._step(instance, t, h, 1) <= WARNING
+        """Make the step from t to t + h [s]; return whether it succeeded."""
+        is_final_at_t = 1  # no earlier state will be asked for
+        return self._step(instance, t, h, is_final_at_t) <= WARNING
 
     def free(self, instance: int) -> None:
         """Free an instance, which may be in any state."""
@@ -175,6 +206,7 @@ class Fmi3Calls(FmiCalls):
     """
 
     def __init__(self, folder: Path, description: "ModelDescription") -> None:
+        """Load the library and find its functions; callbacks are kept, because the library holds their addresses."""
         modules = fmpy()
         self._slave = slave_of(modules.fmi3.FMU3Slave, folder, description)
         functions = self._slave.dll
@@ -190,11 +222,11 @@ class Fmi3Calls(FmiCalls):
         self.get_reals = lambda instance, places, count, values: get_reals(instance, places, count, values, count)
         self._enter = status_function(functions, "fmi3EnterInitializationMode", ADDRESS, TRUTH, REAL, REAL, TRUTH, REAL)
         self._exit = status_function(functions, "fmi3ExitInitializationMode", ADDRESS)
-        outcome_types = [ADDRESS] * 4
+        outcome_types = [ADDRESS] * 4  # event, end, early return, reached time
         self._step = status_function(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *outcome_types)
 
     def instantiate(self, name: str) -> int:
-        """A new instance."""
+        """Make a new instance, and return its address."""
         options = (False, False, False, False)  # visible, logging, event mode, early return
         instance = self._slave.fmi3InstantiateCoSimulation(
             name.encode(),
@@ -202,7 +234,7 @@ class Fmi3Calls(FmiCalls):
             self._resources,
             *options,
             self._none,
-            0,
+            len(self._none),
             self._environment,
             self._logger,
             self._update,
@@ -212,12 +244,16 @@ class Fmi3Calls(FmiCalls):
         return instance
 
     def initialise(self, instance: int) -> None:
-        """Start at t = 0, without an end."""
-        required("fmi3EnterInitializationMode", self._enter(instance, False, 0.0, 0.0, False, 0.0))
-        required("fmi3ExitInitializationMode", self._exit(instance))
+        """Start an instance at t = 0, without tolerance and end."""
+        # each flag False tells that the number behind it is not defined
+        tolerance = False, 0.0
+        stop = False, 0.0
+        start_time = 0.0
+        require_success("fmi3EnterInitializationMode", self._enter(instance, *tolerance, start_time, *stop))
+        require_success("fmi3ExitInitializationMode", self._exit(instance))
 
     def step(self, instance: int, t: float, h: float) -> bool:
-        """Make the step from t to t + h; an instance that asks for the end does not go on."""
+        """Make the step from t to t + h [s]; return whether it succeeded and the instance has not asked for the end."""
         has_event = TRUTH(False)
         is_ended = TRUTH(False)
         is_early = TRUTH(False)
@@ -228,7 +264,9 @@ class Fmi3Calls(FmiCalls):
             ctypes.addressof(is_early),
             ctypes.addressof(reached_time),
         )
-        return self._step(instance, t, h, True, *outcome_addresses) <= WARNING and not is_ended.value
+        is_final_at_t = True  # no earlier state will be asked for
+        status = self._step(instance, t, h, is_final_at_t, *outcome_addresses)
+        return status <= WARNING and not is_ended.value
 
     def free(self, instance: int) -> None:
         """Free an instance, which may be in any state."""

@@ -82,6 +82,7 @@ class NativeFmu:
     calls: FmiCalls = field(compare=False, repr=False)
 
     def __hash__(self) -> int:
+        """The hash of the content's digest, since mappings have none."""
         return hash(self.sha256)
 
     def variable(self, name: object, place: str, causality: str) -> FmuVariable:
@@ -128,36 +129,36 @@ class NativeFmu:
             ConfigError: There is no such variable, or its value cannot be set.
         """
         by_field = {field_name(variable_name): variable_name for variable_name in (*self.variables, *self.unusable)}
-        if name not in by_field:
-            expected_name = field_name(name)
-            if expected_name in by_field:
-                raise ConfigError(
-                    place, f"must be written {expected_name} for the FMU's variable '{by_field[expected_name]}'"
-                )
-            usable_names = [key for key, variable_name in by_field.items() if variable_name in self.variables]
-            valid = [key for key in usable_names if self.variables[by_field[key]].settable]
-            raise ConfigError(place, f"'{self.file}' has no such parameter; {nearest(name, valid)}")
-        variable_name = by_field[name]
+        variable_name = by_field.get(name)
+        if variable_name is None:
+            raise ConfigError(place, self._no_parameter(name, by_field))
+        subject = f"'{variable_name}' of '{self.file}'"
         if variable_name in self.unusable:
-            raise ConfigError(
-                place, f"'{variable_name}' of '{self.file}' is {self.unusable[variable_name]}; must be one real number"
-            )
+            raise ConfigError(place, f"{subject} is {self.unusable[variable_name]}; must be one real number")
         variable = self.variables[variable_name]
         if not variable.settable:
             rule = "must be a parameter, an input or an exact initial value"
-            raise ConfigError(
-                place, f"{rule}; '{variable_name}' of '{self.file}' has the causality {variable.causality}"
-            )
+            raise ConfigError(place, f"{rule}; {subject} has the causality {variable.causality}")
         return variable
+
+    def _no_parameter(self, name: str, by_field: Mapping[str, str]) -> str:
+        """The message about a name in a study that is no variable's; ``by_field``: the variables by such names."""
+        expected_name = field_name(name)
+        if expected_name in by_field:
+            return f"must be written {expected_name} for the FMU's variable '{by_field[expected_name]}'"
+        usable = {key: self.variables[full] for key, full in by_field.items() if full in self.variables}
+        valid_names = [key for key, variable in usable.items() if variable.settable]
+        return f"'{self.file}' has no such parameter; {nearest(name, valid_names)}"
 
 
 def field_name(name: str) -> str:
     """The name in a study of an FMU's variable: ``body.m[1]`` becomes ``body_m_1``."""
-    return re.sub(r"_+", "_", re.sub(r"\W", "_", name, flags=re.ASCII)).strip("_")
+    with_underscores = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return re.sub(r"_+", "_", with_underscores).strip("_")
 
 
 def is_fmu(content: bytes) -> bool:
-    """Whether the content of a file is that of an FMU rather than of a shared object."""
+    """Whether the content of a file is an FMU, and not a shared object."""
     return content.startswith(ZIP)
 
 
@@ -176,7 +177,7 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
         fmu = unpacked_fmu(path, content, digest, place)
-        UNPACKED.push(stack.pop_all())
+        UNPACKED.push(stack.pop_all())  # a folder that failed to load is deleted at once
     return fmu
 
 
@@ -218,7 +219,7 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
 
 
 def unreadable(path: Path, error: Exception) -> ConfigError:
-    """The error of a file that is no FMU, or a damaged one."""
+    """The error for a file that is no FMU, or a damaged FMU, from FMPy's error."""
     return ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}")
 
 
@@ -227,12 +228,12 @@ def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVari
     variables = {}
     unusable = {}
     for variable in description.modelVariables:
-        if variable.type in REAL_TYPES and not variable.dimensions:
+        if variable.dimensions:
+            unusable[variable.name] = f"an array of {variable.type}"
+        elif variable.type in REAL_TYPES:
             variables[variable.name] = described_variable(variable)
         else:
-            unusable[variable.name] = (
-                f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
-            )
+            unusable[variable.name] = f"of type {variable.type}"
     return variables, unusable
 
 
@@ -244,7 +245,7 @@ def required_version(path: Path, text: str) -> str:
         text: Content of the FMU's ``modelDescription.xml``.
 
     Raises:
-        ConfigError: The version is none that this package can run.
+        ConfigError: This package cannot run that version.
     """
     match = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
     stated_version = match[1] if match else "none"
@@ -283,12 +284,14 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
         platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: There is no such library.
     """
     name = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     binaries = unpacked / "binaries"
-    if any((binaries / platform).is_dir() and [*(binaries / platform).glob(f"{name}.*")] for platform in platforms):
-        return
+    for platform in platforms:
+        folder = binaries / platform
+        if folder.is_dir() and any(folder.glob(f"{name}.*")):
+            return
     present = sorted(folder.name for folder in binaries.iterdir()) if binaries.is_dir() else []
     has = f"it has {', '.join(present)}" if present else "it has none"
     hint = "; its sources can be compiled: fmpy compile FILE" if (unpacked / "sources").is_dir() else ""
@@ -296,7 +299,7 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
 
 
 def described_variable(variable: "ModelVariable") -> FmuVariable:
-    """A scalar real variable of an FMU, from FMPy's description of it."""
+    """A scalar real variable of an FMU, from FMPy's description; its declared type may give unit and range."""
     declared_type = variable.declaredType
     unit = readable_unit(variable.unit or getattr(declared_type, "unit", None) or "")
     low = bound(variable.min or getattr(declared_type, "min", None))
@@ -320,7 +323,8 @@ def bound(text: str | None) -> float | None:
 
 def readable_unit(text: str) -> str:
     """A unit in the form of this package: ``N.m/s2`` becomes ``N m/s^2``; empty if it cannot be read."""
-    unit = re.sub(r"([^\W\d_])(-?\d+)", r"\1^\2", text.replace(".", " "))
+    factors = text.replace(".", " ")
+    unit = re.sub(r"([^\W\d_])(-?\d+)", r"\1^\2", factors)  # s^2 for s2
     try:
         parse_unit(unit or "1")
     except ValueError:
@@ -335,6 +339,6 @@ def first_lines(error: BaseException) -> str:
 
 
 def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
-    """The error of an FMU that fails before any draw is flown, with the last message of the FMU."""
+    """The error for an FMU that fails before any draw is flown, with the last message of the FMU."""
     last_message = f": {fmu.calls.last_message}" if fmu.calls.last_message else ""
     return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{last_message}")

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.native.fmi import FmiError, required
+from dssc_jax.core.native.fmi import FmiError, require_success
 from dssc_jax.core.native.fmu import NativeFmu
 from dssc_jax.core.signals import Scalar
 from dssc_jax.lanes import foreign
@@ -40,7 +40,7 @@ NO_INSTANCE = 0
 HEAD = 16
 """Bytes before the numbers of a call: two words, and the length of a step."""
 
-NUMBER = 8
+NUMBER = 8  # bytes of a float64
 WORD = np.dtype(np.uint32)
 REAL = np.dtype(np.float64)
 
@@ -68,13 +68,17 @@ class FmuPorts:
     outputs: tuple[int, ...]
 
     def symbol(self, function: str) -> str:
-        """The symbol of a function in compiled lanes; digests in it bind their code to the FMU's content and ports."""
+        """The name by which compiled lanes call a function of the FMU's instances.
+
+        It contains digests of the FMU's content and of the ports, so that compiled lanes call no other FMU's function.
+        """
         ports = repr((self.parameters, self.inputs, self.outputs)).encode()
-        return f"dssc_jax_fmu_{self.fmu.sha256}_{hashlib.sha256(ports).hexdigest()[:16]}_{function}"
+        ports_digest = hashlib.sha256(ports).hexdigest()[:16]
+        return f"dssc_jax_fmu_{self.fmu.sha256}_{ports_digest}_{function}"
 
 
 class Instance:
-    """A running instance.
+    """A running instance, which counts the steps that it has made.
 
     Args:
         address: Its address in the FMU's library.
@@ -84,41 +88,45 @@ class Instance:
     __slots__ = ("address", "step_count", "steps")
 
     def __init__(self, address: int, steps: int) -> None:
+        """Begin with no step made."""
         self.address = address
         self.step_count = 0
         self.steps = steps
 
 
 class Instances:
-    """The instances of an FMU with the same ports.
+    """The running instances of an FMU with the same ports, and the functions by which lanes start and step them.
 
     Args:
         ports: The FMU and its connected variables.
     """
 
     def __init__(self, ports: FmuPorts) -> None:
+        """Begin without instances; arrays and layouts of the calls are made once."""
         self.ports = ports
         self.calls = ports.fmu.calls
-        self._running: OrderedDict[int, Instance] = OrderedDict()
-        self._finished: list[int] = []
-        self._dropped: set[int] = set()
-        self._last = NO_INSTANCE
+        self._running: OrderedDict[int, Instance] = OrderedDict()  # by handle, the oldest first
+        self._finished: list[int] = []  # handles of instances that have made all their steps
+        self._dropped: set[int] = set()  # handles of instances that were freed because there were too many
+        self._last = NO_INSTANCE  # the handle that was given last
         self._lock = threading.Lock()
         self._parameters = references(ports.parameters)
         self._inputs = references(ports.inputs)
         self._outputs = references(ports.outputs)
-        self._start_head = struct.Struct("=II")
-        self._step_head = struct.Struct(f"=IId{len(ports.inputs)}d")
-        self._none = struct.pack(f"={len(ports.outputs)}d", *[nan] * len(ports.outputs))
+        self._start_head = struct.Struct("=II")  # two words
+        self._step_head = struct.Struct(f"=IId{len(ports.inputs)}d")  # two words, length of the step, inputs
+        self._no_outputs = struct.pack(f"={len(ports.outputs)}d", *[nan] * len(ports.outputs))
         self.functions = {
             "start": ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self.start),
             "step": ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self.step),
         }
 
     def start(self, memory: int) -> None:
-        """Begin a draw: called by lanes with the address of steps and parameters.
+        """Begin a draw; called by compiled lanes.
 
-        There it leaves the handle and the outputs.
+        Args:
+            memory: Address of the call's memory. It holds a word, the number of steps and the parameters; afterwards it
+                holds the handle, a step count of 0 and the outputs.
         """
         _, steps = self._start_head.unpack(ctypes.string_at(memory, self._start_head.size))
         outputs = memory + HEAD + NUMBER * len(self._parameters)
@@ -132,34 +140,45 @@ class Instances:
             except FmiError:
                 self._close(handle)
                 handle = NO_INSTANCE
-                ctypes.memmove(outputs, self._none, len(self._none))
+                ctypes.memmove(outputs, self._no_outputs, len(self._no_outputs))
         ctypes.memmove(memory, self._start_head.pack(handle, 0), self._start_head.size)
 
     def step(self, memory: int) -> None:
-        """Make a step: called by lanes with the address of handle, step count, length of the step and inputs.
+        """Make a step; called by compiled lanes.
 
-        There it leaves the handle, the new step count and the outputs.
+        Args:
+            memory: Address of the call's memory. It holds handle, step count, length of the step and inputs; afterwards
+                it holds the handle, the new step count and the outputs.
         """
         handle, step_count, h, *inputs = self._step_head.unpack(ctypes.string_at(memory, self._step_head.size))
         outputs = memory + HEAD + NUMBER * len(self._inputs)
         if not self._try_step(handle, step_count, h, inputs, memory, outputs):
             handle = NO_INSTANCE
-            ctypes.memmove(outputs, self._none, len(self._none))
+            ctypes.memmove(outputs, self._no_outputs, len(self._no_outputs))
         ctypes.memmove(memory, self._start_head.pack(handle, step_count + 1), self._start_head.size)
 
     def _try_step(
         self, handle: int, step_count: int, h: float, inputs: Sequence[float], memory: int, outputs: int
     ) -> bool:
-        """Make a step and write its outputs; return whether it succeeded. An instance that fails is freed."""
+        """Make a step and write its outputs, or free an instance that fails; return whether it succeeded.
+
+        Args:
+            handle: Handle of the instance.
+            step_count: Number of steps that the lane has made.
+            h: Length of the step [s].
+            inputs: Values of the ports' inputs.
+            memory: Address of the call's memory, which also holds the inputs.
+            outputs: Address to which the outputs are written.
+        """
         instance = self._running.get(handle)
         if instance is None:
             if handle in self._dropped:
-                fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
+                note_fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
             return False
         if step_count != instance.step_count:
             # the last sample of a draw that has ended is computed again, but its results are not read
             if step_count != instance.step_count - 1:
-                fault(
+                note_fault(
                     self.ports,
                     f"was asked for step {step_count} after {instance.step_count}; steps must be made in order",
                 )
@@ -169,7 +188,7 @@ class Instances:
             if not all(map(isfinite, inputs)):
                 raise FmiError("an input is not finite")
             if inputs:
-                required("set", calls.set_reals(instance.address, self._inputs, len(inputs), memory + HEAD))
+                require_success("set", calls.set_reals(instance.address, self._inputs, len(inputs), memory + HEAD))
             if not calls.step(instance.address, step_count * h, h):
                 raise FmiError("the step fails")
             self._read(instance.address, outputs)
@@ -183,12 +202,19 @@ class Instances:
         return True
 
     def _new_address(self, parameters: int) -> int:
-        """The address of a new instance at t = 0, with parameters from memory; raises FmiError."""
+        """Make an instance, set its parameters and start it at t = 0; return its address.
+
+        Args:
+            parameters: Address of the parameters' values in memory.
+
+        Raises:
+            FmiError: A call fails.
+        """
         address = self.calls.instantiate("draw")
         try:
             count = len(self._parameters)
             if count:
-                required("set", self.calls.set_reals(address, self._parameters, count, parameters))
+                require_success("set", self.calls.set_reals(address, self._parameters, count, parameters))
             self.calls.initialise(address)
         except FmiError:
             self.calls.free(address)
@@ -196,8 +222,8 @@ class Instances:
         return address
 
     def _read(self, address: int, outputs: int) -> None:
-        """Write the outputs of an instance to memory at the address ``outputs``; raises FmiError."""
-        required("get", self.calls.get_reals(address, self._outputs, len(self._outputs), outputs))
+        """Write the outputs of the instance at ``address`` to memory at ``outputs``; raises FmiError if that fails."""
+        require_success("get", self.calls.get_reals(address, self._outputs, len(self._outputs), outputs))
 
     def _register(self, instance: Instance) -> int:
         """Store a new instance, and return its handle; beyond :data:`MOST_INSTANCES` the oldest one is freed."""
@@ -224,8 +250,13 @@ class Instances:
             self._close(self._finished.pop())
 
 
-def fault(ports: FmuPorts, rule: str) -> None:
-    """Add a fault of an FMU to :data:`FAULTS`, unless it is there already."""
+def note_fault(ports: FmuPorts, rule: str) -> None:
+    """Add a fault of an FMU to :data:`FAULTS`, unless it is there already.
+
+    Args:
+        ports: The FMU and its connected variables.
+        rule: What is wrong, in words that follow the FMU's name.
+    """
     text = f"the FMU '{ports.fmu.file}' {rule}"
     if text not in FAULTS:
         FAULTS.append(text)
@@ -235,7 +266,7 @@ def require_no_faults() -> None:
     """Require that every FMU has made its steps once and in order; called after a batch of lanes.
 
     Raises:
-        ConfigError: One has not, so the results are not valid.
+        ConfigError: An FMU has not, so the results are not valid.
     """
     if FAULTS:
         text = FAULTS.pop()
@@ -244,7 +275,7 @@ def require_no_faults() -> None:
 
 
 def references(places: Sequence[int]) -> ctypes.Array[ctypes.c_uint]:
-    """Value references as an array of C."""
+    """Value references of an FMU's variables as an array of C."""
     return (ctypes.c_uint * len(places))(*places)
 
 
@@ -256,8 +287,10 @@ class FmuFunctions:
     """
 
     def __init__(self, ports: FmuPorts) -> None:
+        """Register both functions, so that lanes can call them."""
         self.ports = ports
         outputs = len(ports.outputs)
+        # operands before the numbers: two words to start, two words and the length of the step to step
         self._start = foreign_function(ports, "start", 2, len(ports.parameters), outputs)
         self._step = foreign_function(ports, "step", 3, len(ports.inputs), outputs)
 
@@ -306,12 +339,11 @@ def foreign_function(ports: FmuPorts, name: str, head: int, numbers: int, output
     if symbol not in foreign.ADDRESSES:
         foreign.provide(symbol, ctypes.cast(instances_of(ports).functions[name], ctypes.c_void_p).value or 0)
     word_places = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
-    first = (*word_places, MemoryPlace(REAL, 8))[:head]
-    places = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
+    head_places = (*word_places, MemoryPlace(REAL, 8))[:head]
+    number_places = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
     output_places = tuple(MemoryPlace(REAL, HEAD + NUMBER * (numbers + i)) for i in range(outputs))
-    return ForeignFunction(
-        symbol, HEAD + NUMBER * (numbers + outputs), (*first, *places), (*word_places, *output_places)
-    )
+    size = HEAD + NUMBER * (numbers + outputs)
+    return ForeignFunction(symbol, size, (*head_places, *number_places), (*word_places, *output_places))
 
 
 @cache

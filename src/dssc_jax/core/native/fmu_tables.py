@@ -28,7 +28,12 @@ WITHOUT_DERIVATIVE = (
 
 
 class Connection(NamedTuple):
-    """A signal of the loop, by name, and the variable of the FMU to which it is connected."""
+    """A signal of the loop that is connected to a variable of an FMU.
+
+    Args:
+        signal: Name of the signal in the study.
+        variable: The variable.
+    """
 
     signal: str
     variable: FmuVariable
@@ -38,7 +43,7 @@ def fmu_of(table: TomlTable) -> NativeFmu:
     """The FMU that a table names by file and digest.
 
     Raises:
-        ConfigError: It is not loaded, or the file is a shared object.
+        ConfigError: The FMU is not loaded, or the file is a shared object.
     """
     fmu = loaded_native(table, "an FMU")
     if not isinstance(fmu, NativeFmu):
@@ -47,7 +52,7 @@ def fmu_of(table: TomlTable) -> NativeFmu:
 
 
 def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Connection:
-    """The connection of one signal.
+    """The connection of one signal, which a study must state.
 
     Args:
         fmu: The FMU.
@@ -66,16 +71,33 @@ def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Co
 
 
 def connections(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> tuple[Connection, ...]:
-    """The connections in an inner table, whose keys are signals and whose values are variables; raises ConfigError."""
+    """The connections that an inner table states, whose keys are signals and whose values are variables.
+
+    Args:
+        fmu: The FMU.
+        table: The study's table of the FMU.
+        key: Name of the inner table; it may be absent.
+        causality: Causality that the variables must have.
+
+    Raises:
+        ConfigError: It is no table, or names a variable that does not exist or has another causality.
+    """
     names = table.get(key, {})
     if not isinstance(names, Mapping):
         raise ConfigError(key, f"must be a table of variables by name, got {names!r}")
+    connected = []
     with errors_under(key):
-        return tuple(Connection(str(name), fmu.variable(text, str(name), causality)) for name, text in names.items())
+        for signal, variable_name in names.items():
+            connected.append(Connection(str(signal), fmu.variable(variable_name, str(signal), causality)))
+    return tuple(connected)
 
 
 def require_distinct(connected: Iterable[Connection]) -> None:
-    """Require that no variable is set by two signals; raises ConfigError."""
+    """Require that no variable is set by two signals.
+
+    Raises:
+        ConfigError: A variable is connected twice.
+    """
     signals: dict[str, str] = {}
     for signal, variable in connected:
         if variable.name in signals:
@@ -84,13 +106,18 @@ def require_distinct(connected: Iterable[Connection]) -> None:
 
 
 def reported_outputs(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
-    """The additional outputs that a study reports, sorted by name; raises ConfigError."""
+    """The additional outputs of an FMU that a study reports, sorted by name; errors as for :func:`connections`."""
     return tuple(sorted(connections(fmu, table, "outputs", OUTPUT)))
 
 
 def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
     """The connected signals with the units and meanings of their variables."""
     return tuple(NamedSignal.of(signal, variable.quantity) for signal, variable in connected)
+
+
+def value_references(connected: Iterable[Connection]) -> tuple[int, ...]:
+    """The numbers by which the FMU knows the connected variables, in their order."""
+    return tuple(variable.reference for _, variable in connected)
 
 
 def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
@@ -107,13 +134,14 @@ def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[
     values = table.get(PARAMETERS, {})
     if not isinstance(values, Mapping):
         raise ConfigError(PARAMETERS, f"must be a table of numbers by name, got {values!r}")
-    signals = {variable.name: signal for signal, variable in connected}
+    signal_of_variable = {variable.name: signal for signal, variable in connected}
     selected = []
     with errors_under(PARAMETERS):
         for name in values:
             variable = fmu.parameter(str(name), str(name))
-            if variable.name in signals:
-                raise ConfigError(str(name), f"'{variable.name}' is connected to {signals[variable.name]} already")
+            if variable.name in signal_of_variable:
+                signal = signal_of_variable[variable.name]
+                raise ConfigError(str(name), f"'{variable.name}' is connected to {signal} already")
             selected.append(Connection(str(name), variable))
     return tuple(selected)
 

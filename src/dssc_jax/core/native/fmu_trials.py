@@ -11,7 +11,7 @@ from dssc_jax.core.native.fmi import WARNING, FmiError
 from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu, failure
 from dssc_jax.core.native.fmu_instances import references
 
-TRIAL_STEPS = 64
+TRIAL_STEPS = 64  # of a trial flight
 TRIAL_STEP = 0.01
 """Length of the steps of a trial flight if the FMU states none [s]."""
 
@@ -19,7 +19,7 @@ TRIAL_STEP = 0.01
 def require_independent(fmu: NativeFmu) -> None:
     """Require that an FMU starts, and that two instances of it do not disturb each other.
 
-    Two trial flights give the same bits one after the other as in turn, step by step.
+    Two trial flights must give the same bits one after the other as in turn, step by step.
 
     Raises:
         ConfigError: The FMU does not start, or its instances disturb each other.
@@ -62,7 +62,8 @@ def trial_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
         for k, flight in product(range(TRIAL_STEPS), flights):
             if flight in ended_flights:
                 continue
-            signals = np.cos(np.arange(1.0, 1.0 + len(inputs)) * (0.1 * k + flight + 1.0))
+            angles = np.arange(1.0, 1.0 + len(inputs)) * (0.1 * k + flight + 1.0)
+            signals = np.cos(angles)
             values = trial_step(fmu, instances[flight], k * h, h, signals)
             if values is None:
                 ended_flights.add(flight)
@@ -75,7 +76,7 @@ def trial_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
 
 
 def trial_step(fmu: NativeFmu, address: int, t: float, h: float, signals: np.ndarray) -> np.ndarray | None:
-    """Make a step of an instance.
+    """Make a step of an instance in a trial flight: set its inputs, advance, and read its outputs.
 
     Args:
         fmu: The FMU.
@@ -91,10 +92,14 @@ def trial_step(fmu: NativeFmu, address: int, t: float, h: float, signals: np.nda
     inputs = fmu.references_with(INPUT)
     outputs = fmu.references_with(OUTPUT)
     values = np.full(len(outputs), inf)
-    if inputs and calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data) > WARNING:
-        return None
+    if inputs:
+        status = calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data)
+        if status > WARNING:
+            return None
     if not calls.step(address, t, h):
         return None
-    if outputs and calls.get_reals(address, references(outputs), len(outputs), values.ctypes.data) > WARNING:
-        return None
+    if outputs:
+        status = calls.get_reals(address, references(outputs), len(outputs), values.ctypes.data)
+        if status > WARNING:
+            return None
     return values

@@ -71,7 +71,10 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
 
 def symbol_of(library: NativeLibrary, controller: NativeController, function: str) -> str:
-    """The symbol of a controller's function in compiled lanes; its digest binds their code to the library's content."""
+    """The name by which compiled lanes call a function of a controller.
+
+    It contains the digest of the library's content, so that compiled lanes call no other library's function.
+    """
     return f"dssc_jax_{library.sha256}_{controller.name}_{function}"
 
 
@@ -84,7 +87,7 @@ def provide_function(library: NativeLibrary, controller: NativeController, funct
 
 
 def initial_memory(controller: NativeController) -> np.ndarray:
-    """The exchange of a controller after ``init``, an array of bytes."""
+    """The memory of a controller's calls after ``init``, an array of bytes, shape (exchange,)."""
     memory = np.zeros(controller.exchange, np.uint8)
     CALL(controller.init)(memory.ctypes.data)
     return memory
@@ -93,24 +96,27 @@ def initial_memory(controller: NativeController) -> np.ndarray:
 def default_values(controller: NativeController) -> dict[str, float]:
     """The defaults of the parameters, which ``init`` sets, by name."""
     memory = initial_memory(controller)
-    real = np.dtype(f"f{controller.real}")
+    real = np.dtype(f"f{controller.real}")  # f4 or f8
     values: dict[str, float] = {}
     for number in controller.parameters:
-        values[number.name] = float(memory[number.offset : number.offset + controller.real].view(real)[0])
+        content = memory[number.offset : number.offset + controller.real]
+        values[number.name] = float(content.view(real).item())
     return values
 
 
 def require_reentrant(controller: NativeController) -> None:
     """Require that a controller keeps no numbers outside of its structure.
 
-    Two trial flights give the same bits one after the other as in turn, sample by sample.
+    Two trial flights must give the same bits one after the other as in turn, sample by sample.
 
     Raises:
-        ConfigError: They do not.
+        ConfigError: They give other bits.
     """
     first = flown_commands(controller, [0])
     second = flown_commands(controller, [1])
-    if flown_commands(controller, [0, 1]) != first + second or flown_commands(controller, [0]) != first:
+    both = flown_commands(controller, [0, 1])
+    repeated_first = flown_commands(controller, [0])
+    if both != first + second or repeated_first != first:
         rule = (
             "keeps numbers outside of its structure (static or global variables, a random generator, a clock), which "
             "would mix thousands of flights; move them into its state"
@@ -122,10 +128,11 @@ def require_reset(controller: NativeController) -> None:
     """Require that ``reset`` sets the whole state: a trial flight repeated after it gives the same bits.
 
     Raises:
-        ConfigError: It gives others.
+        ConfigError: It gives other bits.
     """
     memory = initial_memory(controller)
-    first, second = (flown_with(controller, {0: memory}) for _ in range(2))
+    first = flown_with(controller, {0: memory})
+    second = flown_with(controller, {0: memory})  # in the memory that the first flight has left
     if first != second:
         rule = (
             "gives other commands when a trial flight is repeated after reset, so that the second flight of this code "
@@ -135,9 +142,9 @@ def require_reset(controller: NativeController) -> None:
 
 
 def moved_values(controller: NativeController) -> dict[str, float]:
-    """An admissible value of each parameter that differs from its default, by name.
+    """A value of each parameter that is admissible and differs from its default, by name.
 
-    A parameter for which none is found is left out.
+    A parameter for which no such value is found is left out.
     """
     values = {}
     defaults = default_values(controller)
@@ -151,7 +158,12 @@ def moved_values(controller: NativeController) -> dict[str, float]:
 
 
 def memory_with(controller: NativeController, values: dict[str, float]) -> np.ndarray:
-    """The exchange of a controller after ``init`` and after setting some parameters, an array of bytes."""
+    """The memory of a controller's calls after ``init``, with other values of some parameters, an array of bytes.
+
+    Args:
+        controller: The controller.
+        values: Values of these parameters by name.
+    """
     memory = initial_memory(controller)
     real = np.dtype(f"f{controller.real}")
     for number in controller.parameters:
@@ -162,10 +174,10 @@ def memory_with(controller: NativeController, values: dict[str, float]) -> np.nd
 
 
 def require_parameters_kept(controller: NativeController) -> None:
-    """Require that neither ``reset`` nor ``step`` changes a parameter: the analysis would not see it.
+    """Require that neither ``reset`` nor ``step`` changes a parameter: the analysis would not see the change.
 
     Raises:
-        ConfigError: A trial flight changes one.
+        ConfigError: A trial flight changes a parameter.
     """
     memory = memory_with(controller, moved_values(controller))
     before = memory.copy()
@@ -185,7 +197,8 @@ def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
     default_commands = flown_commands(controller, [0])
     names = []
     for name, value in moved_values(controller).items():
-        if flown_with(controller, {0: memory_with(controller, {name: value})}) == default_commands:
+        commands = flown_with(controller, {0: memory_with(controller, {name: value})})
+        if commands == default_commands:
             names.append(name)
     return tuple(names)
 
@@ -219,7 +232,8 @@ def flown_with(
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
             angles = np.arange(1.0, 1.0 + len(controller.inputs)) * (0.1 * k + flight + 1.0)
-            signals = (LARGEST_SIGNAL ** (2.0 * k / TRIED_SAMPLES - 1.0) * np.cos(angles)).astype(real)
+            size = LARGEST_SIGNAL ** (2.0 * k / TRIED_SAMPLES - 1.0)
+            signals = (size * np.cos(angles)).astype(real)
             for place, signal in zip(controller.inputs, signals, strict=True):
                 memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
             step(memory.ctypes.data)
@@ -249,15 +263,16 @@ def require_sum(controller: NativeController) -> None:
 
 
 def require_same_without_telemetry(controller: NativeController) -> None:
-    """Require that a trial flight without telemetry has the same commands as one with telemetry.
+    """Require that a trial flight has the same commands with and without telemetry.
 
     Raises:
         ConfigError: The commands differ.
     """
-    quiet = controller.step_without_telemetry
-    if quiet is None:
+    quiet_step = controller.step_without_telemetry
+    if quiet_step is None:
         return
-    if flown_with(controller, {0: initial_memory(controller)}, quiet) != flown_commands(controller, [0]):
+    quiet_commands = flown_with(controller, {0: initial_memory(controller)}, quiet_step)
+    if quiet_commands != flown_commands(controller, [0]):
         rule = (
             "gives other commands where it gets NULL for its telemetry; let telemetry change nothing, or define no "
             "DSSC_JAX_OPTIONAL_TELEMETRY"
@@ -273,4 +288,5 @@ def trial_commands(controller: NativeController) -> np.ndarray:
 
 def samples_not_finite(controller: NativeController) -> int:
     """Number of samples of a trial flight, with default parameters, in which a command is not finite."""
-    return int(np.sum(~np.isfinite(trial_commands(controller)).all(axis=1)))
+    is_finite = np.isfinite(trial_commands(controller)).all(axis=1)
+    return int(np.count_nonzero(~is_finite))

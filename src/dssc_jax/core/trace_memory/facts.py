@@ -14,16 +14,16 @@ DTYPE = "dtype"
 
 
 def encoded(tree: Any) -> bytes:
-    """A tree as JSON.
+    """A tree of plain values as JSON text, in bytes.
 
     Raises:
-        Undescribed: It contains something else, or a named tuple that cannot be imported.
+        Undescribed: It contains a value of another type, or a named tuple that cannot be imported.
     """
     return json.dumps(as_plain(tree)).encode()
 
 
 def decoded(content: bytes) -> Any:
-    """The tree that :func:`encoded` has turned into these bytes."""
+    """Read the tree again that :func:`encoded` has turned into these bytes."""
     return restored(json.loads(content))
 
 
@@ -50,12 +50,12 @@ def as_plain(tree: Any) -> Any:
 
 
 def restored(content: Any) -> Any:
-    """The tree that :func:`as_plain` has turned into this content."""
+    """Make the tree again that :func:`as_plain` has turned into this content."""
     if isinstance(content, list):
         return [restored(part) for part in content]
     if not isinstance(content, dict):
         return content
-    ((kind, parts),) = content.items()
+    ((kind, parts),) = content.items()  # an object has one key, the name of its type
     if kind == DTYPE:
         return np.dtype(parts)
     arguments = restored(parts)

@@ -30,9 +30,10 @@ DESCRIBED = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "builtins", "collect
 """Packages whose functions and types can be described: their code is fixed by sources or version."""
 
 PLAIN = tuple("biufc")
-"""NumPy's kinds of dtypes whose bytes describe an array."""
+"""NumPy's kinds of dtypes whose bytes describe an array: truth values, integers, unsigned, real and complex numbers."""
 
 VERSIONED = ("jax", "jaxlib", "numpy", "scipy", "llvmlite")
+"""Libraries whose versions are part of a name."""
 
 
 class Undescribed(Exception):
@@ -40,10 +41,11 @@ class Undescribed(Exception):
 
 
 def name_of(*subjects: Any) -> str | None:
-    """The name of a result that depends on the subjects and on this package's code.
+    """The name under which a result is kept that depends on the subjects and on this package's code.
 
     Returns:
-        A digest; None if a subject cannot be described, or if the package's files have changed since their import.
+        A digest in hexadecimal; None if a subject cannot be described, or if the package's files have changed since
+        their import.
     """
     sources = sources_digest()
     if sources is None:
@@ -59,10 +61,9 @@ def name_of(*subjects: Any) -> str | None:
 
 @cache
 def sources_digest() -> str | None:
-    """Digest of the package's source files.
+    """Digest of the package's source files in hexadecimal, computed once in a process.
 
-    Returns:
-        None if they cannot be read, or may have changed since this process imported the package.
+    None: they cannot be read, or may have changed since this process imported the package.
     """
     root = package_root()
     digest = hashlib.sha256()
@@ -92,7 +93,7 @@ def versions() -> tuple[str, ...]:
 
 
 def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
-    """Describe a subject by a sequence of bytes: its type, then its value or its parts.
+    """Describe a subject by pieces of bytes, which the digest joins: its type, then its value or its parts.
 
     Args:
         subject: The object.
@@ -140,7 +141,11 @@ def package_of(module: str) -> str:
 
 
 def array_parts(array: Any) -> Iterator[bytes]:
-    """Describe an array by its dtype, shape and numbers; raises Undescribed for a dtype such as that of keys."""
+    """Describe an array by its dtype, shape and numbers.
+
+    Raises:
+        Undescribed: Its dtype is no plain one, as for random keys.
+    """
     if getattr(array.dtype, "kind", "") not in PLAIN:
         raise Undescribed(array.dtype)
     numbers = np.asarray(array)
@@ -149,7 +154,7 @@ def array_parts(array: Any) -> Iterator[bytes]:
 
 
 def parts_of(subject: Any) -> list[Any]:
-    """The parts that determine a container, a function, or an object of a supported type.
+    """The parts that determine a container, a function, or an object of a supported type, for their description.
 
     Raises:
         Undescribed: The type is not supported.

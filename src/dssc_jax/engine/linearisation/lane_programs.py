@@ -1,4 +1,7 @@
-"""Programs of lanes whose numbers and results include vectors, as machine code if possible, else by plain XLA."""
+"""Programs of lanes that take and return vectors, as machine code if possible, else by plain XLA.
+
+A lane is the work for one draw. Compiled lanes know only numbers, so a vector is passed as one number per entry.
+"""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -14,26 +17,25 @@ from dssc_jax.engine.sampling import Arrays
 
 BATCH_LANES = 4096  # most lanes that run at once
 
-Values: TypeAlias = dict[str, jax.Array]
+LaneValues: TypeAlias = dict[str, jax.Array]
 """Numbers or vectors of one lane by name."""
 
 Entries: TypeAlias = tuple[jax.Array, ...]
 """The entries of a vector."""
 
-Lane: TypeAlias = Callable[[Values, Values, jax.Array], tuple[jax.Array, ...]]
-"""(numbers of the study, vectors, draw index) -> vectors."""
+VectorLane: TypeAlias = Callable[[LaneValues, LaneValues, jax.Array], tuple[jax.Array, ...]]
+"""The program of a lane with vectors: ``(numbers of the study, vectors, draw index) -> vectors``."""
 
 
 class LaneProgram:
-    """The program of a lane with vectors, compiled in float64 when it first runs.
-
-    Compiled lanes take and return numbers, so a vector becomes one column for each of its entries.
+    """The program of a lane with vectors, compiled in float64 when it first runs; a call runs many lanes.
 
     Args:
         lane: The program.
     """
 
-    def __init__(self, lane: Lane) -> None:
+    def __init__(self, lane: VectorLane) -> None:
+        """Keep the program; the first call tells the sizes of its vectors, and compiles it."""
         self.lane = lane
         self.start: Start | None = None
 
@@ -50,38 +52,42 @@ class LaneProgram:
         """
         columns = {name: np.asarray(column, float) for name, column in numbers.items()}
         for name, rows in vectors.items():
-            columns |= {entry_name(name, i): np.asarray(column, float) for i, column in enumerate(rows.T)}
+            for i, column in enumerate(rows.T):
+                columns[entry_name(name, i)] = np.asarray(column, float)
         batches = []
         with arithmetic():
             if self.start is None:
                 sizes = {name: rows.shape[1] for name, rows in vectors.items()}
                 lane = lane_of_numbers(self.lane, sizes)
-                self.start = kernels.compiled(form(), lane, list(columns), BATCH_LANES, None, None)
+                self.start = kernels.compiled(cpu_form(), lane, list(columns), BATCH_LANES, tile=None, devices=None)
             for first in range(0, len(indices), BATCH_LANES):
                 part = slice(first, first + BATCH_LANES)
                 finish = self.start({name: column[part] for name, column in columns.items()}, indices[part])
-                batches.append(finish()[0])
+                entries_by_vector, _ = finish()  # and the time at which the batch ended
+                batches.append(entries_by_vector)
         results = []
-        for parts in zip(*batches, strict=True):
-            empty = np.zeros((len(indices), 0))
-            results.append(np.concatenate([np.stack(part, axis=1) for part in parts]) if parts[0] else empty)
+        for entries_by_batch in zip(*batches, strict=True):
+            has_entries = len(entries_by_batch[0]) > 0
+            rows_by_batch = [np.stack(entries, axis=1) for entries in entries_by_batch if has_entries]
+            results.append(np.concatenate(rows_by_batch) if has_entries else np.zeros((len(indices), 0)))
         return results
 
 
 def entry_name(vector: str, index: int) -> str:
-    """The name of a vector's entry as a number; its blank tells it from numbers of a study."""
+    """The name under which a lane takes a vector's entry as a number; the blank tells it from names of a study."""
     return f"{vector} {index}"
 
 
-def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.Array], tuple[Entries, ...]]:
-    """The program of a lane as a function of numbers only, with the entries of vectors among them.
+def lane_of_numbers(lane: VectorLane, sizes: dict[str, int]) -> Callable[[LaneValues, jax.Array], tuple[Entries, ...]]:
+    """Return a program with vectors as a function of numbers only, among them the entries of its vectors.
 
     Args:
         lane: The program.
         sizes: Size of each vector that the program takes, by name.
     """
 
-    def run_lane(values: Values, index: jax.Array) -> tuple[Entries, ...]:
+    def run_lane(values: LaneValues, index: jax.Array) -> tuple[Entries, ...]:
+        """The entries of each vector that the program returns."""
         numbers = dict(values)
         vectors = {}
         for name, size in sizes.items():
@@ -91,8 +97,8 @@ def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.
     return run_lane
 
 
-def form() -> str:
-    """The form in which the lanes run; it is one for the CPU even where flights run as a kernel on a GPU."""
-    on_cpu = {Form.GPU.value: Form.LANES, Form.GPU_STRICT.value: Form.STRICT}
+def cpu_form() -> str:
+    """The form in which these lanes run: the requested one, or its counterpart on the CPU if that is for a GPU."""
+    counterparts = {Form.GPU.value: Form.LANES, Form.GPU_STRICT.value: Form.STRICT}
     requested_form = kernels.requested_form()
-    return on_cpu.get(requested_form, requested_form)
+    return counterparts.get(requested_form, requested_form)

@@ -14,8 +14,9 @@ from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics.margin_measures import margins_of
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.linearisation.equilibria import LATER_SAMPLE, RestingLoop
 from dssc_jax.engine.linearisation.matrices import StateMatrices
-from dssc_jax.engine.linearisation.operating_points import RestingLoop, lane_loop
+from dssc_jax.engine.linearisation.operating_points import lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.response import margin_angles, named_margins, response_of
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
@@ -27,12 +28,14 @@ STEP = 1e-4  # step of a central difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):
-    """Some closed loops x+ = A x + b w, v = c x at one break point, in the states by which a signal comes back to it.
+    """n closed loops x+ = A x + b w, v = c x: w is added at one break point, and v is the signal before the sum.
+
+    The states x are those by which the added signal comes back to the break point.
 
     Args:
-        a: Shape (n, states, states).
-        b: Shape (n, states).
-        c: Shape (n, states).
+        a: A, shape (n, states, states).
+        b: b, shape (n, states).
+        c: c, shape (n, states).
     """
 
     a: np.ndarray
@@ -47,7 +50,7 @@ class LoopOfStudy:
     Args:
         table: Hash of the study's table.
         loop: The models and the clock.
-        study: The study.
+        study: The study, which two keys need not share.
     """
 
     table: str
@@ -56,18 +59,18 @@ class LoopOfStudy:
 
 
 def margin_values(study: Study) -> "MarginValues":
-    """The :class:`MarginValues` of a study; the last few studies stay compiled."""
+    """The function that computes the required margins of a study's lanes; the last few studies stay compiled."""
     return compiled_margins(LoopOfStudy(study.hash, study.loop, study))
 
 
 @lru_cache(maxsize=4)
 def compiled_margins(key: LoopOfStudy) -> "MarginValues":
-    """See :func:`margin_values`."""
+    """The cached part of :func:`margin_values`: compile the margins of the key's study."""
     return MarginValues(key.study)
 
 
 class MarginValues:
-    """The required margins of a study, as a compiled function of its uncertain and swept numbers.
+    """The required margins of a study; a call computes them from the numbers of many lanes.
 
     Args:
         study: The study.
@@ -77,6 +80,7 @@ class MarginValues:
     """
 
     def __init__(self, study: Study) -> None:
+        """Prepare the search for equilibria; nothing is prepared for a study that requires no margin."""
         self.study = study
         self.margins = margins_of(study.measures)
         if not self.margins:
@@ -124,7 +128,8 @@ class MarginValues:
         """
         column = np.asarray(values[name], float)
         size = np.abs(column)
-        step = STEP * np.where(size > 0.0, size, np.max(size, initial=0.0) or 1.0)
+        size_at_zero = np.max(size, initial=0.0) or 1.0  # scale of the step for a number that is 0
+        step = STEP * np.where(size > 0.0, size, size_at_zero)
         low = np.where(size > 0.0, column - step, column)  # a number that is 0 may have no negative values
         high = column + step
         margins_at_low = self(values | {name: low}, indices)
@@ -137,25 +142,31 @@ class MarginValues:
         return slopes
 
     def _batch(self, values: Arrays, indices: np.ndarray) -> Arrays:
-        """The margins of at most :data:`BATCH_LANES` lanes; arguments as for a call."""
+        """The required margins of at most :data:`BATCH_LANES` lanes, by the name of their measure, shape (n,) each.
+
+        Args:
+            values: Values of all uncertain and swept numbers, shape (n,) each.
+            indices: Draw index of each lane, shape (n,).
+        """
         states, matrices, is_settled, _ = self.resting.settle(values, indices)
         is_beyond = np.zeros(len(is_settled), bool)
         if is_settled.any():
-            states = np.where(is_settled[:, None], states, states[is_settled][0])
-            findings = self.examine(values, indices, states, 1)
-            findings = self.resting.linearise.resolve_open_loops(values, indices, states, 1, findings)
+            any_equilibrium = states[is_settled][0]  # stands for the state of lanes without one
+            states = np.where(is_settled[:, None], states, any_equilibrium)
+            findings = self.examine(values, indices, states, LATER_SAMPLE)
+            findings = self.resting.linearise.resolve_open_loops(values, indices, states, LATER_SAMPLE, findings)
             require_smooth_at(self.study, self.resting.places, findings[is_settled])
             is_beyond = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):
-                matrices = self.resting.linearise(values, indices, states, 1, findings)
+                matrices = self.resting.linearise(values, indices, states, LATER_SAMPLE, findings)
         names = place_names(self.study.loop.channels)
-        neutral_values: dict[str, dict[str, float]] = {}
+        neutral_by_place: dict[str, dict[str, float]] = {}
         for margin in self.margins.values():
-            neutral_values.setdefault(margin.place, {})[margin.kind.field] = margin.kind.neutral
-        by_place: dict[str, Arrays] = {}
-        for place, neutral in neutral_values.items():
-            by_place[place] = self._margins_at(matrices, is_settled, is_beyond, names.index(place), neutral)
-        return {name: by_place[margin.place][margin.kind.field] for name, margin in self.margins.items()}
+            neutral_by_place.setdefault(margin.place, {})[margin.kind.field] = margin.kind.neutral
+        margins_by_place: dict[str, Arrays] = {}
+        for place, neutral in neutral_by_place.items():
+            margins_by_place[place] = self._margins_at(matrices, is_settled, is_beyond, names.index(place), neutral)
+        return {name: margins_by_place[margin.place][margin.kind.field] for name, margin in self.margins.items()}
 
     def _margins_at(
         self,
@@ -167,6 +178,9 @@ class MarginValues:
     ) -> Arrays:
         """The margins at one break point, by field of ``ClassicalMargins``, shape (n,) each.
 
+        Lanes are computed together if a signal comes back to the break point by the same states. An unstable loop has
+        the value at the limit of stability, and a lane without an equilibrium or with an open loop has NaN.
+
         Args:
             matrices: Matrices of the lanes.
             is_settled: Which lanes have an equilibrium, shape (n,).
@@ -175,10 +189,10 @@ class MarginValues:
             neutral: Value of each margin at the limit of stability.
         """
         loop_states = matrices.returning(point)
-        is_settled = is_settled & (np.any(loop_states, axis=1) | ~is_beyond)
-        columns = {field: np.where(is_settled, value, np.nan) for field, value in neutral.items()}
-        for mask in np.unique(loop_states[is_settled], axis=0):
-            lanes = np.flatnonzero(is_settled & np.all(loop_states == mask, axis=1))
+        has_loop = is_settled & (np.any(loop_states, axis=1) | ~is_beyond)
+        columns = {field: np.where(has_loop, value, np.nan) for field, value in neutral.items()}
+        for mask in np.unique(loop_states[has_loop], axis=0):
+            lanes = np.flatnonzero(has_loop & np.all(loop_states == mask, axis=1))
             loops = ClosedLoops(
                 matrices.a[np.ix_(lanes, mask, mask)],
                 matrices.b[lanes][:, mask, point],

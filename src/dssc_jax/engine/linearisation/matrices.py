@@ -8,13 +8,15 @@ from dssc_jax.core.influences import closure
 
 
 class StateMatrices(NamedTuple):
-    """The linearised loops x+ = A x + B w, v = C x of n draws, with a column of B and a row of C per break point.
+    """The linearised loops x+ = A x + B w, v = C x of n draws, from one sample to the next.
+
+    w are the signals that are added at the break points, and v the signals there before they are added.
 
     Args:
-        next_states: The state after one sample, shape (n, states).
-        a: Shape (n, states, states).
-        b: Shape (n, states, break points).
-        c: Shape (n, break points, states).
+        next_states: The state after one sample from the operating point, shape (n, states).
+        a: A, shape (n, states, states).
+        b: B, with a column for each break point, shape (n, states, break points).
+        c: C, with a row for each break point, shape (n, break points, states).
     """
 
     next_states: np.ndarray
@@ -25,12 +27,15 @@ class StateMatrices(NamedTuple):
     def returning(self, point: int) -> np.ndarray:
         """Which states carry a signal from a break point around the loop and back, in each draw, shape (n, states).
 
+        They are the states that the added signal reaches, and on which the signal before the sum depends.
+
         Args:
             point: Index of the break point.
         """
-        influences = self.a != 0.0
-        reachable = closure(self.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
-        return reachable & closure(self.c[:, point] != 0.0, influences)
+        influences = self.a != 0.0  # of the column's state on the row's state
+        is_reached = closure(self.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
+        is_observed = closure(self.c[:, point] != 0.0, influences)
+        return is_reached & is_observed
 
     def loop_states(self, point: int, draws: np.ndarray) -> np.ndarray:
         """Indices of the states that carry a signal back to a break point in any of some draws.
@@ -53,7 +58,7 @@ class Operating(NamedTuple):
     Args:
         matrices: Matrices of all draws.
         reached: Which draws have the operating point, shape (draws,).
-        limited: Which draws have a part beyond its boundary there, shape (draws,).
+        limited: Which draws have a part beyond its boundary there, such as a command beyond its limit, shape (draws,).
         taken: Notes on the substitutes that stand for parts at a corner.
     """
 
@@ -68,4 +73,5 @@ class Operating(NamedTuple):
         Args:
             point: Index of the break point.
         """
-        return self.reached & (np.any(self.matrices.returning(point), axis=1) | ~self.limited)
+        has_return = np.any(self.matrices.returning(point), axis=1)
+        return self.reached & (has_return | ~self.limited)

@@ -1,4 +1,7 @@
-"""Each part of a loop at one operating point, as a function of its state and inputs."""
+"""Each part of a loop at one operating point, as a function of its state and inputs.
+
+So the derivative of a part can be compared with the effects of small pushes on its state and inputs.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -29,8 +32,8 @@ class PartMap(NamedTuple):
     """A part as a function of its state and inputs, and their values at one operating point.
 
     Args:
-        apply: ``(part, params, memory, signals) -> outputs``.
-        memory: State of the part, which may contain counters; () for the plant.
+        apply: ``(part, params, memory, signals) -> outputs``; the outputs include the part's next state.
+        memory: State of the part, which may contain counters; () for the plant and for disturbances.
         signals: Inputs of the part and, for the plant, its state.
     """
 
@@ -68,14 +71,28 @@ class OperatingPoint(NamedTuple):
         return self.k * self.loop.sample_time
 
     def stream(self, slot: str, name: str) -> jax.Array:
-        """The random key of a part at this sample, by its slot and the name of its channel or signal."""
+        """The random key of a part at this sample.
+
+        Args:
+            slot: The kind of part, such as ``sensor``.
+            name: Name of its channel or signal.
+        """
         return self.loop.key_at(self.key, slot, name, self.k + 1)
 
 
 def part_maps(
     loop: Loop, params: LoopParams, key: jax.Array, state: LoopState, k: Scalar, places: Sequence[LoopPart]
 ) -> list[PartMap]:
-    """The map of each part in ``places``, with its inputs at sample k; arguments as of :class:`OperatingPoint`."""
+    """Each part in ``places`` as a function of its state and inputs, and their values at sample k.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        state: The loop's state before the sample.
+        k: Index of the sample.
+        places: The parts.
+    """
     _, recorded = step(loop, params, key, state, k)
     commands = tuple(channel.u_total for channel in recorded.instant.channels)
     sampled_commands = []
@@ -93,22 +110,23 @@ def plant_map(at: OperatingPoint, _: int) -> PartMap:
     def apply(
         part: Plant[Measurements, Signals], params: Params, memory: tuple[()], signals: tuple[State, Signals]
     ) -> tuple[State, tuple[Measurements, Signals]]:
+        """The derivative of the state, the measurements, and the true values of the measured signals."""
         plant_state, command = signals
         drive = at.drive._replace(command=command)
         slope = part.derivative(params, plant_state, drive, at.time)
         outputs = measure(at.loop, at.params, plant_state, at.recorded.references)
         return slope, (outputs, signal_values(at.loop, at.params, plant_state, outputs, drive))
 
-    return PartMap(apply, (), (at.state.plant, at.drive.command))
+    return PartMap(apply, memory=(), signals=(at.state.plant, at.drive.command))
 
 
 def sensor_map(at: OperatingPoint, i: int) -> PartMap:
     """The sensor of channel i: from the plant's output to the reading."""
 
     def apply(part: Sensor, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
-        return part.step(
-            params, memory, signals, at.stream("sensor", at.loop.channels[i]), at.time, at.loop.sample_time
-        )
+        """The sensor's next state and its reading."""
+        key = at.stream("sensor", at.loop.channels[i])
+        return part.step(params, memory, signals, key, at.time, at.loop.sample_time)
 
     return PartMap(apply, at.state.channels[i].sensor, at.recorded.measurements[i])
 
@@ -117,6 +135,7 @@ def differentiator_map(at: OperatingPoint, i: int) -> PartMap:
     """The differentiator of channel i: from the reading to the reading with its derivative."""
 
     def apply(part: Differentiator, params: Params, memory: State, signals: Measurement) -> tuple[State, Measurement]:
+        """The differentiator's next state, and the reading with its derivative."""
         return part.step(params, memory, signals, at.loop.sample_time)
 
     return PartMap(apply, at.state.channels[i].differentiator, at.recorded.controlled[i].reading)
@@ -127,7 +146,9 @@ def controller_map(at: OperatingPoint, i: int) -> PartMap:
     controlled = at.recorded.controlled[i]
 
     def apply(part: Controller, params: Params, memory: State, signals: Measurement) -> tuple[State, Command]:
-        return part.step(params, memory, signals, controlled.reference, at.loop.sample_time)[:2]
+        """The controller's next state and its command; its info is not fed back, and left out."""
+        state, command, _ = part.step(params, memory, signals, controlled.reference, at.loop.sample_time)
+        return state, command
 
     return PartMap(apply, at.state.channels[i].controller, controlled.sensed)
 
@@ -136,6 +157,7 @@ def unmodelled_map(at: OperatingPoint, i: int) -> PartMap:
     """The unmodelled dynamics of channel i: from the command to the outputs at both ends of the sample."""
 
     def apply(part: Unmodelled, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
+        """The state after the sample, and the outputs at its start and end."""
         dt = at.loop.sample_time
         begin = part.sample(params, memory, signals, at.stream("unmodelled", at.loop.channels[i]), dt)
         end = part.step(params, begin, signals, dt)
@@ -150,29 +172,37 @@ def disturbance_map(at: OperatingPoint, i: int) -> PartMap:
 
 
 def named_input_map(at: OperatingPoint, i: int) -> PartMap:
-    """The disturbance at the i-th named input of the plant, which depends on the first channel."""
-    return disturbance_from(at, at.state.inputs[i], 0)
+    """The disturbance at the i-th named input of the plant: from measurement and sigma of the first channel."""
+    return disturbance_from(at, at.state.inputs[i], channel=0)
 
 
 def disturbance_from(at: OperatingPoint, state: State, channel: int) -> PartMap:
-    """A disturbance in a state: from the measurement and sigma of a channel to its value."""
+    """A disturbance that keeps its state: from the measurement and sigma of a channel to its value.
+
+    Args:
+        at: The loop at its operating point.
+        state: State of the disturbance.
+        channel: Index of the channel.
+    """
 
     def apply(part: Disturbance, params: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
+        """The value of the disturbance."""
         measurement, sigma = signals
         return part.value(params, state, measurement, sigma, at.time)
 
     measurement = at.recorded.measurements[channel]
     error = tracking_error(measurement, at.recorded.references[channel], at.params.controller[channel].l0)
-    return PartMap(apply, (), (measurement, error.sigma))
+    return PartMap(apply, memory=(), signals=(measurement, error.sigma))
 
 
 def signal_sensor_map(at: OperatingPoint, i: int) -> PartMap:
     """The sensor of the i-th measured signal: from the signal to its reading."""
 
     def apply(part: Sensor, params: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
-        stream = at.stream("signal", at.loop.measures[i].name)
-        measurement = Measurement(signals, 0.0)
-        sensor_state, reading = part.step(params, memory, measurement, stream, at.time, at.loop.sample_time)
+        """The sensor's next state and its reading of the signal."""
+        key = at.stream("signal", at.loop.measures[i].name)
+        measurement = Measurement(signals, y_dot=0.0)  # the sensor of a signal reads one value: no y'
+        sensor_state, reading = part.step(params, memory, measurement, key, at.time, at.loop.sample_time)
         return sensor_state, reading.y
 
     previous_angles = tuple(channel.signal for channel in at.state.channels)

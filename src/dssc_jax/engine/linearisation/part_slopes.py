@@ -1,4 +1,8 @@
-"""Classification of the parts of a loop at its operating points, by the effects of small and large pushes."""
+"""Classification of the parts of a loop at its operating points, by the effects of small and large pushes.
+
+State and inputs of each part are pushed, and the effect on its outputs is compared with the derivative: a part may be
+smooth there, lie at a corner such as a limit, or have no derivative.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -8,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from dssc_jax.closed_loop.first_state import initial_state
 from dssc_jax.closed_loop.loop import Loop, LoopParams
-from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import Params
-from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
+from dssc_jax.engine.linearisation.lane_programs import LaneProgram, LaneValues
 from dssc_jax.engine.linearisation.part_maps import PartMap, part_maps
 from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, equally_long, finding, pushes
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
@@ -20,22 +24,23 @@ from dssc_jax.engine.sampling import Arrays
 
 BATCH_PUSHES = 16384  # most pushes, of all draws, that are computed at once
 
-LaneLoop: TypeAlias = Callable[[Values, jax.Array], tuple[Loop, LoopParams, jax.Array]]
-"""(numbers of the study by name, draw index) -> the loop to linearise, its parameters and its random key."""
+LaneLoop: TypeAlias = Callable[[LaneValues, jax.Array], tuple[Loop, LoopParams, jax.Array]]
+"""``(numbers of the study by name, draw index) -> the loop to linearise, its parameters and its random key``."""
 
 Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]
-"""(numbers of the study by name, draw indices, states, sample) -> :class:`Finding` of each part, shape (n, parts)."""
+"""``(numbers by name, draw indices, states, sample) -> class of each part``, a :class:`Finding`, shape (n, parts)."""
 
 
 def vector_of(tree: object) -> jax.Array:
     """The numbers of a tree as a vector."""
-    return ravel_pytree(as_arrays(tree))[0]
+    vector, _ = ravel_pytree(as_arrays(tree))
+    return vector
 
 
 def slopes_of(
     place: LoopPart, part_map: PartMap, part: Part, params: Params, point: jax.Array, axis: jax.Array
 ) -> Slopes[jax.Array]:
-    """Outputs of a part and their derivatives at a point near its operating point.
+    """Outputs of a part and their derivatives along a direction, at a point near its operating point.
 
     Args:
         place: The part's place in the loop.
@@ -45,21 +50,27 @@ def slopes_of(
         point: State and inputs of the part, as a vector.
         axis: Direction of the derivatives, of the same shape.
     """
-    _, unravel = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
+    _, tree_from_vector = ravel_pytree(as_arrays((part_map.memory, part_map.signals)))
 
-    def derivative(model: Part, p: Params) -> tuple[jax.Array, jax.Array]:
+    def value_and_slope(model: Part, model_params: Params) -> tuple[jax.Array, jax.Array]:
+        """The outputs of the part, or of a substitute for it, and their derivative along the direction."""
+
         def outputs(inputs: jax.Array) -> jax.Array:
-            return vector_of(part_map.apply(model, p, *unravel(inputs)))
+            """The outputs as a vector, from state and inputs as a vector."""
+            memory, signals = tree_from_vector(inputs)
+            return vector_of(part_map.apply(model, model_params, memory, signals))
 
         return jax.jvp(outputs, (point,), (axis,))
 
-    value, slope = derivative(part, params)
-    inner = derivative(*place.inner_side(params))[1] if place.has_inner_side else slope
+    value, slope = value_and_slope(part, params)
+    inner = slope
+    if place.has_inner_side:
+        _, inner = value_and_slope(*place.inner_side(params))
     return Slopes(value, slope, inner)
 
 
 def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """The function that classifies every part at the operating points of many draws.
+    """Return the function that classifies every part at the operating points of many draws.
 
     Parts of the package that are smooth everywhere need no examination, and count as smooth.
 
@@ -69,35 +80,43 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     """
     examined_indices = [index for index, place in enumerate(places) if place.is_examined]
     examined_places = [places[index] for index in examined_indices]
-    if not examined_places:
-        return lambda values, indices, states, k: np.full((len(indices), len(places)), Finding.SMOOTH.value)
-    examine_places = examination_of(lane, examined_places)
+    examine_places = push_examination(lane, examined_places) if examined_places else None
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
+        """The class of each part in each draw, shape (n, parts)."""
         findings = np.full((len(indices), len(places)), Finding.SMOOTH.value)
-        findings[:, examined_indices] = examine_places(values, indices, states, k)
+        if examine_places is not None:
+            findings[:, examined_indices] = examine_places(values, indices, states, k)
         return findings
 
     return examine
 
 
-def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """The function of :func:`examination` for parts that all need examination."""
+def push_examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
+    """Return the function that classifies every part at the operating points of many draws by pushes.
 
-    def lane_maps(numbers: Values, vectors: Values, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
+    Args:
+        lane: The loop of a draw, with substitutes for parts that are smooth nowhere.
+        places: The parts, all of which are examined.
+    """
+
+    def lane_maps(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
+        """The loop of a draw with its parameters, and its parts as functions at the operating point."""
         loop, params, key = lane(numbers, index)
-        _, unravel = ravel_pytree(initial_state(loop, params, key))
+        _, state_from_vector = ravel_pytree(initial_state(loop, params, key))
         k = vectors["sample"][0].astype(jnp.int32)
-        return loop, params, part_maps(loop, params, key, unravel(vectors["state"]), k, places)
+        return loop, params, part_maps(loop, params, key, state_from_vector(vectors["state"]), k, places)
 
-    def inputs(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+    def inputs(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
+        """State of the first part, its inputs, state of the second part, ... at the operating point of a draw."""
         _, _, maps = lane_maps(numbers, vectors, index)
         results = []
         for part_map in maps:
             results += [vector_of(part_map.memory), vector_of(part_map.signals)]
         return tuple(results)
 
-    def slopes_under_pushes(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+    def slopes_under_pushes(numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array, ...]:
+        """The three vectors of the :class:`Slopes` of the first part, then of the second, ... under one push."""
         loop, params, maps = lane_maps(numbers, vectors, index)
         results: list[jax.Array] = []
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
@@ -111,16 +130,16 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     push = LaneProgram(slopes_under_pushes)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
+        """The class of each part in each draw, shape (n, parts); draws run in batches of a limited size."""
         count = len(indices)
         at = {"state": states, "sample": np.full((count, 1), k)}
         results = inputs_of(values, at, indices)
-        memories = results[::2]
-        points = [np.concatenate(pair, axis=1) for pair in zip(memories, results[1::2], strict=True)]
-        sizes = []
-        for memory, point in zip(memories, points, strict=True):
-            sizes.append((memory.shape[1], point.shape[1] - memory.shape[1]))
-        patterns = equally_long([directions(*size) for size in sizes])
-        rows = len(MULTIPLES) * len(patterns[0])
+        memories, signals = results[::2], results[1::2]
+        points = [np.concatenate(vectors, axis=1) for vectors in zip(memories, signals, strict=True)]
+        memory_sizes = [memory.shape[1] for memory in memories]
+        signal_sizes = [signal.shape[1] for signal in signals]
+        patterns = equally_long([directions(*sizes) for sizes in zip(memory_sizes, signal_sizes, strict=True)])
+        rows = len(MULTIPLES) * len(patterns[0])  # pushes of a draw
         batch = max(1, BATCH_PUSHES // rows)
         findings = []
         for first in range(0, count, batch):
@@ -132,10 +151,11 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
                 vectors[f"point-{i}"], vectors[f"axis-{i}"] = pushes(point[draws], pattern)
             shape = (len(draws), len(MULTIPLES), len(patterns[0]), -1)
             arrays = [array.reshape(shape) for array in push(numbers, vectors, indices[lanes])]
-            kinds = []
+            columns = []
             for i, place in enumerate(places):
-                kinds.append(finding(place, Slopes(*arrays[3 * i : 3 * i + 3]), sizes[i][0], patterns[i]))
-            findings.append(np.stack(kinds, axis=1))
+                pushed = Slopes(*arrays[3 * i : 3 * i + 3])  # value, slope and inner slope of part i
+                columns.append(finding(place, pushed, memory_sizes[i], patterns[i]))
+            findings.append(np.stack(columns, axis=1))
         return np.concatenate(findings)
 
     return examine

@@ -14,11 +14,11 @@ import numpy as np
 from dssc_jax.core.smoothness import SmoothExtent
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart
 
-SMALL = 1e-8  # pushes, relative to 1 + |x|, whose effects are compared with the derivative
+SMALL = 1e-8  # the two pushes, relative to 1 + |x|, whose effects are compared with the derivative
 LARGE = 1e-6
-PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # the larger ones find the jumps of a staircase
-MULTIPLES = (0.0, *(side * push for push in PUSHES for side in (1.0, -1.0)))
-SIDES = np.array([1.0, -1.0])[:, None, None]
+PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # pushes beyond LARGE find the jumps of a staircase
+MULTIPLES = (0.0, *(side * push for push in PUSHES for side in (1.0, -1.0)))  # no push, then each push to both sides
+SIDES = np.array([1.0, -1.0])[:, None, None]  # shape (sides, 1, 1)
 JUMP = 1e-7  # least jump of an output that did not move under the previous push, relative to 1 + |y|
 DEVIATION = 1e-3  # deviation of a difference from the derivative, relative to the largest derivative of that output
 SHRINKING = 0.5  # ratio of the deviations at the small and the large push, below which a derivative exists
@@ -30,12 +30,13 @@ Array = TypeVar("Array", jax.Array, np.ndarray)
 
 
 class Slopes(NamedTuple, Generic[Array]):
-    """A part near its operating point, along a direction.
+    """Outputs of a part near its operating point, and their derivatives along a direction.
 
     Args:
         value: Its outputs, shape (outputs,).
         slope: Their derivative, shape (outputs,).
-        inner: The derivative of its substitute for its inner side; without a substitute, that of the part.
+        inner: Derivative of the substitute for the inner side of a boundary, such as a command without its limit; of
+            the part itself if it has no substitute.
     """
 
     value: Array
@@ -46,7 +47,8 @@ class Slopes(NamedTuple, Generic[Array]):
 def directions(memory: int, signals: int) -> np.ndarray:
     """Directions in which a part is pushed, shape (directions, memory + signals).
 
-    They are random directions of all inputs together and of the signals alone, and each single input if there are few.
+    Random directions push all inputs together, or the signals alone. If there are few inputs, each is also pushed by
+    itself.
 
     Args:
         memory: Number of state variables of the part.
@@ -55,7 +57,7 @@ def directions(memory: int, signals: int) -> np.ndarray:
     random = np.random.default_rng(0)
     sizes = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals))
     joint = sizes * random.choice([-1.0, 1.0], (RANDOM_DIRECTIONS, 1))
-    joint[: RANDOM_DIRECTIONS // 2, ::2] *= -1.0
+    joint[: RANDOM_DIRECTIONS // 2, ::2] *= -1.0  # in half of them, every second input is pushed the other way
     signals_alone = joint.copy()
     signals_alone[:, :memory] = 0.0
     parts = [joint, signals_alone] if memory and signals else [joint]
@@ -65,13 +67,13 @@ def directions(memory: int, signals: int) -> np.ndarray:
 
 
 def equally_long(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The directions of several parts, repeated until all parts have the same number."""
+    """The directions of several parts, repeated until all parts have equally many, so that they share one batch."""
     longest = max(map(len, patterns))
     return [pattern[np.arange(longest) % len(pattern)] for pattern in patterns]
 
 
 def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points after each push, and their directions, shape (n * multiples * directions, inputs) each.
+    """The inputs of a part after each push, and the directions, shape (n * multiples * directions, inputs) each.
 
     Args:
         points: Operating points, shape (n, inputs).
@@ -86,29 +88,39 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
 def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
     """Classify a part at the operating points of n draws: a :class:`Finding` each, shape (n,).
 
+    A derivative exists if the deviation of the effect from it is small, or shrinks with the push. A part with a
+    substitute is at a corner if its own derivative fails, and in every direction the substitute's derivative holds on
+    one side at least. It is beyond the boundary if its own derivative holds, and the substitute's differs from it.
+
     Args:
         place: The part.
         pushed: The part under the pushes, each array of shape (n, multiples, directions, outputs).
         memory: Number of state variables among the part's inputs, which come first.
         pattern: Directions, shape (directions, inputs).
     """
-    value = pushed.value[:, 0, 0]
-    slopes = pushed.slope[:, 0]
-    inner = pushed.inner[:, 0]
+    no_push = 0  # index of the multiple 0.0
+    value = pushed.value[:, no_push, 0]  # the same in all directions
+    slopes = pushed.slope[:, no_push]
+    inner = pushed.inner[:, no_push]
     with np.errstate(all="ignore"):
         moves = pushed.value[:, 1:].reshape(len(value), -1, 2, *slopes.shape[1:]) - value[:, None, None, None]
         noise = ROUNDING_NOISE * (1.0 + np.abs(value))[:, None, None]
 
         def error(derivative: np.ndarray, index: int) -> np.ndarray:
-            """Deviation of both differences from a derivative, shape (n, sides, directions, outputs)."""
+            """Deviation of difference quotients from a derivative, shape (n, sides, directions, outputs).
+
+            Args:
+                derivative: The derivative, shape (n, directions, outputs).
+                index: Index of the push in :data:`PUSHES`.
+            """
             push = PUSHES[index]
             differences = moves[:, index] * SIDES / push
             deviation = np.maximum(np.abs(differences - derivative[:, None]) - noise / push, 0.0)
             return np.where(np.isfinite(deviation), deviation, np.inf)
 
-        small_error = error(slopes, 0)
-        large_error = error(slopes, 1)
-        largest = np.max(np.abs(slopes), axis=1)[:, None, None]
+        small_error = error(slopes, PUSHES.index(SMALL))
+        large_error = error(slopes, PUSHES.index(LARGE))
+        largest = np.max(np.abs(slopes), axis=1)[:, None, None]  # derivative of each output over all directions
         is_large_deviation = (small_error > DEVIATION * largest) & (small_error > SHRINKING * large_error)
         is_defect = np.any(is_large_deviation, axis=(1, 2, 3))
         if place.remaining.extent != SmoothExtent.PIECEWISE:
@@ -118,23 +130,28 @@ def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: n
         is_beyond = np.zeros(len(value), dtype=bool)
         if place.has_inner_side:
             scale = DEVIATION * np.maximum(largest, np.max(np.abs(inner), axis=1)[:, None, None])
-            inner_side = np.any(np.all(error(inner, 1) <= scale, axis=3), axis=1)
+            inner_error = error(inner, PUSHES.index(LARGE))
+            has_inner_side = np.any(np.all(inner_error <= scale, axis=3), axis=1)  # on one side of each direction
             has_large_error = np.any(large_error > scale, axis=(1, 2, 3))
-            is_corner = has_large_error & np.all(inner_side, axis=1)
+            is_corner = has_large_error & np.all(has_inner_side, axis=1)
             is_beyond = ~has_large_error & np.any(np.abs(inner - slopes) > scale[:, 0], axis=(1, 2))
     findings = [Finding.CORNER, Finding.DEFECT, Finding.BEYOND]
     return np.select([is_corner, is_defect, is_beyond], findings, Finding.SMOOTH)
 
 
 def staircase(moves: np.ndarray, slopes: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Whether an output does not move under a push along a direction and jumps under the next, shape (n, directions).
+    """Whether an output does not move under a push and jumps under the next larger one, shape (n, directions).
+
+    A quantiser does so: its derivative is 0, yet a larger push moves its output.
 
     Args:
         moves: Effects of the pushes, shape (n, pushes, sides, directions, outputs).
         slopes: Derivatives, shape (n, directions, outputs).
         value: Outputs at the operating point, shape (n, outputs).
     """
-    size = np.abs(moves)
-    unmoved = (size[:, :-1] == 0.0) & (slopes == 0.0)[:, None, None]
-    jumps = np.isfinite(size[:, 1:]) & (size[:, 1:] > JUMP * (1.0 + np.abs(value))[:, None, None, None])
-    return np.any(unmoved & jumps, axis=(1, 2, 4))
+    smaller_push = np.abs(moves[:, :-1])
+    larger_push = np.abs(moves[:, 1:])
+    is_unmoved = (smaller_push == 0.0) & (slopes == 0.0)[:, None, None]
+    least_jump = JUMP * (1.0 + np.abs(value))[:, None, None, None]
+    jumps = np.isfinite(larger_push) & (larger_push > least_jump)
+    return np.any(is_unmoved & jumps, axis=(1, 2, 4))

@@ -40,7 +40,7 @@ PART_FUNCTIONS: dict[type, tuple[str, ...]] = {
     Differentiator: ("init", "step"),
     Unmodelled: ("init", "step", "output", "sample", "linear", "moments"),
 }
-"""The functions, as far as a part has them, in which a choice between two parts has to select."""
+"""The functions of a part that select its substitute where :func:`choice` makes a part of two."""
 
 
 class LoopPart(NamedTuple):
@@ -51,7 +51,8 @@ class LoopPart(NamedTuple):
         channel: Index within the slot: of the channel, signal or input; 0 for the plant.
         label: Slot, channel and kind in words.
         smoothness: Where the part has derivatives, by its declaration.
-        remaining: The same for the part that is differentiated: the substitute if that always replaces the part.
+        remaining: Where the part that is differentiated has derivatives: that part is the substitute if it always
+            replaces the part.
         imported: Whether the model is user-defined code, ``module:object``.
     """
 
@@ -64,9 +65,9 @@ class LoopPart(NamedTuple):
 
     @property
     def is_examined(self) -> bool:
-        """Whether the part is examined at its operating points: if it has boundaries, or is user-defined code.
+        """Whether the part is examined at its operating points: it has boundaries, or is user-defined code.
 
-        The tests of this package examine its parts that are smooth everywhere.
+        The package's own parts that are smooth everywhere need no examination: its tests have examined them.
         """
         return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
@@ -92,16 +93,12 @@ class LoopPart(NamedTuple):
 
 
 class Finding(IntEnum):
-    """Class of a part at an operating point.
+    """Class of a part at an operating point."""
 
-    SMOOTH: it has a derivative. CORNER: it lies on a boundary with a substitute for the inner side. DEFECT: it has no
-    derivative, and no substitute applies. BEYOND: it lies beyond a boundary, where deviations do not pass.
-    """
-
-    SMOOTH = 0
-    CORNER = 1
-    DEFECT = 2
-    BEYOND = 3
+    SMOOTH = 0  # it has a derivative
+    CORNER = 1  # it lies on a boundary, and a substitute for the inner side applies
+    DEFECT = 2  # it has no derivative, and no substitute applies
+    BEYOND = 3  # it lies beyond a boundary, where deviations do not pass
 
 
 class SelectedParams(NamedTuple):
@@ -147,25 +144,31 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
 
 
 def named_kind(study: Study, slot: str, name: str) -> str:
-    """The kind of a part in words, by its slot and the name of its channel, measured signal or input.
+    """The kind of a part in words, such as ``sine + step`` for two disturbances at one input.
 
-    Several disturbances at one input are joined by plus signs.
+    Args:
+        study: The study.
+        slot: Field of :class:`Loop`.
+        name: Name of the part's channel, measured signal or input; empty for a single channel.
     """
     table = getattr(study.config, SECTIONS.get(slot, slot))
-    if isinstance(table, list) or "input" in table:
+    if isinstance(table, list) or "input" in table:  # disturbances, each of which may name its input
         tables = table if isinstance(table, list) else [table]
-        return " + ".join(str(part["kind"]) for part in tables if part.get("input", name) == name) or "none"
+        kinds = [str(part["kind"]) for part in tables if part.get("input", name) == name]
+        return " + ".join(kinds) or "none"
     if slot == INPUTS:
-        common = "none"
+        common_kind = "none"
     elif slot == SIGNAL_SENSOR:
-        common = "ideal"
+        common_kind = "ideal"
     else:
-        common = table.get("kind", "ideal")
-    return str(table.get(name, {}).get("kind", common)) if name else str(common)
+        common_kind = table.get("kind", "ideal")
+    if not name:
+        return str(common_kind)
+    return str(table.get(name, {}).get("kind", common_kind))
 
 
 def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
-    """The place of a part with its declaration.
+    """The place of a part in the loop, with its declaration of where it is smooth.
 
     Args:
         study: The study.
@@ -182,7 +185,8 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     channel = names.get(slot, loop.channels)[index]
     kind = kind_in(study.config, slot, channel) if slot == UNMODELLED else named_kind(study, slot, channel)
     section = SECTIONS.get(slot) or section_of(study.config, slot)
-    path = f"{study.source}: {section}{'.' if channel else ''}{channel}.kind"
+    place = f"{section}.{channel}" if channel else section
+    path = f"{study.source}: {place}.kind"
     try:
         smoothness = declared_smoothness(part, params)
     except ConfigError as error:
@@ -200,12 +204,13 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
 
 
 def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
-    """Notes on the substitutes of the parts that are smooth nowhere."""
-    return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.is_replaced))
+    """Notes on the substitutes of the parts that are smooth nowhere, each once, for the reader of the results."""
+    notes = [f"{place.label} {place.smoothness.meaning}" for place in places if place.is_replaced]
+    return list(dict.fromkeys(notes))
 
 
 def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
-    """The part in a place, and its parameters."""
+    """The model of the part in a place of the loop, and its parameters."""
     if place.slot == "plant":
         return loop.mimo_plant, params.plant
     return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
@@ -214,7 +219,15 @@ def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Para
 def with_part(
     loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
 ) -> tuple[Loop, LoopParams]:
-    """The loop with another part, and its parameters, in a place."""
+    """The loop with another part in a place, and the loop's parameters with the part's own.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        place: The place.
+        part: The other part.
+        part_params: Its parameters.
+    """
     models = list(getattr(loop, place.slot))
     values = list(getattr(params, place.slot))
     models[place.channel] = part
@@ -223,7 +236,7 @@ def with_part(
 
 
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
-    """The loop in which substitutes replace the parts that are smooth nowhere."""
+    """The loop and its parameters, with substitutes in place of the parts that are smooth nowhere."""
     for place in places:
         if place.is_replaced:
             _, part_params = part_of(loop, params, place)
@@ -234,7 +247,7 @@ def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> t
 def with_inner_sides(
     loop: Loop, params: LoopParams, places: Sequence[LoopPart], findings: jax.Array
 ) -> tuple[Loop, LoopParams]:
-    """The loop in which substitutes for the inner side replace the parts at a corner.
+    """The loop and its parameters, with substitutes for the inner side in place of the parts at a corner.
 
     Args:
         loop: The models and the clock.
@@ -248,7 +261,7 @@ def with_inner_sides(
         part, part_params = part_of(loop, params, place)
         substitute, substitute_params = place.inner_side(part_params)
         is_substituted = finding == Finding.CORNER
-        if substitute is part:
+        if substitute is part:  # the same model with other parameters, such as an infinite limit
             params_of_part = selected_params(part_params, substitute_params, is_substituted)
             loop, params = with_part(loop, params, place, part, params_of_part)
         else:
@@ -258,23 +271,28 @@ def with_inner_sides(
 
 
 def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
-    """The parameters of the substitute if it replaces the part, else those of the part.
+    """The parameters of the substitute if it replaces the part, else the parameters of the part.
 
     Numbers that are equal before tracing stay plain numbers, such as the size of a memory.
     """
 
-    def select(a: Scalar, b: Scalar) -> Scalar:
-        is_equal = a is b or (is_known(a) and is_known(b) and a == b)
-        return a if is_equal else jnp.where(is_substituted, b, a)
+    def select(number: Scalar, substitute_number: Scalar) -> Scalar:
+        """The number of the substitute if it replaces the part, else the number of the part."""
+        are_known = is_known(number) and is_known(substitute_number)
+        is_equal = number is substitute_number or (are_known and number == substitute_number)
+        return number if is_equal else jnp.where(is_substituted, substitute_number, number)
 
     return jax.tree.map(select, params, substitute)
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that behaves as one of two parts; its parameters are :class:`SelectedParams`, which select."""
+    """A part that behaves as the part or as its substitute, whichever its :class:`SelectedParams` select."""
 
     def selecting(name: str) -> Callable[..., object]:
+        """Return the function of this name that runs both parts, and selects the results of one."""
+
         def select(params: SelectedParams, *arguments: object) -> object:
+            """The results of the substitute if it replaces the part, else the results of the part."""
             inner = getattr(substitute, name)(params.substitute, *arguments)
             outer = getattr(part, name)(params.part, *arguments)
             return jax.tree.map(lambda a, b: jnp.where(params.is_substituted, a, b), inner, outer)

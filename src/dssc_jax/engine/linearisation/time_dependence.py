@@ -12,21 +12,24 @@ from dssc_jax.study.fitting import nominal_params
 
 
 def require_timeless(study: Study) -> None:
-    """Require that the derivatives of a user-defined plant do not depend on the time, by its traced program.
+    """Require that the derivatives of a user-defined plant do not depend on the time; its traced program tells.
 
-    Those of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
+    The derivatives of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
 
     Raises:
         ConfigError: A derivative depends on the time.
     """
     kind = str(study.config.plant.get("kind", ""))
     plant = study.loop.mimo_plant
-    if ":" not in kind or plant.begin is not None or kind_in(study.config, "wind") != "none":
+    is_user_defined = ":" in kind  # module:object
+    has_wind = kind_in(study.config, "wind") != "none"
+    if not is_user_defined or plant.begin is not None or has_wind:
         return
     params = nominal_params(study.template).plant
     drive = study.loop.zero_input(params)
 
     def slopes(t: Scalar) -> list[State]:
+        """The derivatives of the plant's initial state at a time [s]."""
         state = plant.init(params)
         derivatives = [plant.derivative(params, state, drive, t)]
         if plant.remainder is not None:

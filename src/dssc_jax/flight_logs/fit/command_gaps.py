@@ -5,7 +5,7 @@ between. The flight tells which. Each reconstruction of the commands is compared
 the best one counts, and those that describe the flight as well widen the intervals by how far they move the estimates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +13,14 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.sampled_log import Reconstruction, SampledLog
 from dssc_jax.flight_logs.reading.reader import forward_filled
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, WarningCode
 
 LACKING = 0.25  # share of the samples: a command that lacks more is logged more rarely than it is given
 STAIRCASE = 0.2  # share of the logged values that repeat the one before: with more, the controller itself is as slow
 REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
-JUMP = 5.0  # factor on the changes before and after: a larger change is a jump, and no straight line
+JUMP = 5.0  # factor on the slopes before and after: a larger slope is a jump, and no straight line
 LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
 TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
 
@@ -60,22 +60,28 @@ def is_rare(command: np.ndarray) -> bool:
     return float(np.mean(np.diff(values) == 0.0)) < STAIRCASE
 
 
-def along_lines(command: np.ndarray, jumps_early: bool) -> np.ndarray:
+def along_lines(command: np.ndarray, jumps_early: bool, longest_gap: float | None = None) -> np.ndarray:
     """Interpolate a command linearly between its values; it is held over long gaps.
 
     Where it jumps, it keeps the last value until the next one is logged; ``jumps_early`` has the next one at once.
+
+    Args:
+        command: The command, NaN where the log lacks it, shape (samples,).
+        jumps_early: Whether it jumps right after the last logged value.
+        longest_gap: Longest gap that is no long one, in samples; None: 2.5 times the median gap.
     """
     finite_rows = np.flatnonzero(np.isfinite(command))
     values = command[finite_rows]
     gaps = np.diff(finite_rows)
-    changes = np.abs(np.diff(values))
-    preceding = np.concatenate([[0.0], changes[:-1]])
-    following = np.concatenate([changes[1:], [0.0]])
-    jumps = changes > JUMP * np.maximum(preceding, following)
+    slopes = np.abs(np.diff(values)) / gaps
+    preceding = np.concatenate([[0.0], slopes[:-1]])
+    following = np.concatenate([slopes[1:], [0.0]])
+    jumps = slopes > JUMP * np.maximum(preceding, following)
+    longest = REGULAR * float(np.median(gaps)) if longest_gap is None else longest_gap
     filled = forward_filled(command)
     lines = np.interp(np.arange(len(command)), finite_rows, values)
     for begin, end, value, is_jump, gap in zip(finite_rows[:-1], finite_rows[1:], values[1:], jumps, gaps, strict=True):
-        if gap > REGULAR * np.median(gaps):
+        if gap > longest:
             continue
         if not is_jump:
             filled[begin:end] = lines[begin:end]
@@ -135,7 +141,7 @@ def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[C
     return np.array(moves).reshape(len(moves), len(problem.names))
 
 
-def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[Doubt, ...]:
+def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[SignalWarning, ...]:
     """The doubt about commands that are logged more rarely than they are given.
 
     Args:
@@ -158,7 +164,8 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     )
     if move_texts:
         text += f". Another course describes it as well, and moves {', '.join(move_texts)}: intervals are wider by that"
-    return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)
+    text += ". Log every command, or set loop.sample_time to that of the flight's controller"
+    return (SignalWarning("", "rare-command", text),)
 
 
 def largest_jump(command: np.ndarray) -> float:
@@ -168,34 +175,37 @@ def largest_jump(command: np.ndarray) -> float:
     return float(changes.max(initial=0.0))
 
 
-def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
+def held_doubts(log: SampledLog) -> tuple[SignalWarning, ...]:
     """The doubts about outputs that are held or interpolated, commands with large changes, and gaps in the log."""
-    texts = (
+    texts: tuple[tuple[Mapping[str, float], WarningCode, str], ...] = (
         (
             log.slow,
+            "held-output",
             "is held for {:.3g} s at a time, and is taken where it changes. Leave repeated cells empty, or log the "
             "time of each measurement",
         ),
         (
             log.interpolated,
+            "interpolated-output",
             "is a straight line from one reading to the next, {:.3g} s apart: the log was interpolated, and one value "
             "for each reading is taken. Log the readings alone, with the time of each measurement, and leave other "
             "cells empty",
         ),
         (
             log.jumps,
+            "command-jump",
             "changes by {:.3g} where the log lacks it, and the moment of the change is not known: estimates of lags, "
             "delays, masses and gains may be wrong by more than their intervals. Log every command, with a time stamp "
             "of its own",
         ),
     )
     doubts = []
-    for sizes, text in texts:
+    for sizes, code, text in texts:
         for name, size in sizes.items():
-            doubts.append(Doubt(name, f"{name} {text.format(size)}"))
+            doubts.append(SignalWarning(name, code, f"{name} {text.format(size)}"))
     if log.gaps:
         names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
         longest = max(gap.end - gap.begin for gap in log.gaps)
         text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
-        doubts.append(Doubt("", text))
+        doubts.append(SignalWarning("", "damaged-log", text))
     return tuple(doubts)

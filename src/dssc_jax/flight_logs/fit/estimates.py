@@ -11,7 +11,7 @@ from scipy import special
 from dssc_jax.core.json_types import Json
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.flight_logs.fit.least_squares import fit_scale, from_fit_scale
-from dssc_jax.flight_logs.fit.refusals import Doubt, Explained
+from dssc_jax.flight_logs.fit.refusals import Explained
 from dssc_jax.flight_logs.hints.conversions import factor_text
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import correlation_time
@@ -84,7 +84,7 @@ class Fitted:
     rivals: tuple[RivalMinimum, ...]
     simulations: int
     cut: str  # why the search ended before it was complete; empty: it is complete
-    doubts: tuple[Doubt, ...]  # reasons to doubt it
+    doubts: tuple[SignalWarning, ...]  # reasons to doubt it
 
     @property
     def deviations(self) -> np.ndarray:
@@ -146,15 +146,15 @@ class Fitted:
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:
         """The reasons to doubt the estimates: all doubts, estimates outside their laws, and a search that was cut."""
-        warnings = [SignalWarning(doubt.signal, doubt.text) for doubt in self.doubts]
+        warnings = list(self.doubts)
         for name, factor in self.outside_laws().items():
             text = f"the estimate of {name} lies outside its law: compare units, columns and start of the log"
             if factor:
                 text += f"; {factor} it lies within, as if an output or a command were logged in another unit"
-            warnings.append(SignalWarning(name, text))
+            warnings.append(SignalWarning(name, "estimate-outside-law", text))
         if self.cut:
             remark = "these are the best numbers so far, others may be better. Repeat it with more simulations"
-            warnings.append(SignalWarning("", f"the search ended early, {self.cut}: {remark}"))
+            warnings.append(SignalWarning("", "early-end", f"the search ended early, {self.cut}: {remark}"))
         return tuple(warnings)
 
     def toml(self) -> str:

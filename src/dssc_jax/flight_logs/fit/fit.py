@@ -17,6 +17,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.fit.command_dropouts import dropout_doubts
 from dssc_jax.flight_logs.fit.command_gaps import (
     better_commands,
     command_doubts,
@@ -50,8 +51,10 @@ from dssc_jax.flight_logs.fit.refusals import (
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.flight_logs.fit.start_doubts import output_start_doubts, wind_doubts
+from dssc_jax.flight_logs.fit.start_speeds import start_speed_doubts
 from dssc_jax.flight_logs.fit.unidentified import UnidentifiedNumbers
 from dssc_jax.flight_logs.fit.width_reasons import open_numbers, widest_growth, width_reasons
+from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
 from dssc_jax.flight_logs.hints.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.hints.starts import fixed_integrals
 from dssc_jax.flight_logs.reading.gaps import gap_text
@@ -208,8 +211,9 @@ def none_identified(problem: FitProblem, best: Minimum, unidentified: Unidentifi
         Unexplained: The residual is more than noise.
     """
     results = explain(problem, best.x)
-    require_description(problem, best.x, results)
-    doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, best.x, results))
+    require_explained(problem, best, results)
+    causes = (*doubts(problem, best.x, results), *column_doubts(problem, best))
+    doubt_texts = "".join(f". {doubt.text}" for doubt in causes)
     return NotIdentifiable(
         f"the flight identifies none of {', '.join(unidentified.widths)}: their laws are narrower than what it leaves "
         f"open, a standard deviation that is a multiple of the law's, {open_numbers(unidentified.widths)}. "
@@ -260,10 +264,10 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     try:
         require_description(problem, best.x, results)
     except Unexplained as refusal:
-        causes = (
-            *output_start_doubts(problem, best.x, results),
+        causes = column_doubts(problem, best) or (
+            *(start_speed_doubts(problem, best) or output_start_doubts(problem, best.x, results)),
             *outlier_doubts(problem, best.x),
-            *delay_doubts(problem, best),
+            *(dropout_doubts(problem, best) or delay_doubts(problem, best)),
         )
         raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
 
@@ -292,7 +296,7 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    doubts_of_delays = delay_doubts(problem, search.best)
+    doubts_of_delays = dropout_doubts(problem, search.best) or delay_doubts(problem, search.best)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]
@@ -307,6 +311,9 @@ def fitted_minimum(
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
     doubts_of_forces = () if doubts_of_delays else force_doubts(problem, search.best, np.sqrt(np.diag(covariance)))
+    doubts_of_start = output_start_doubts(problem, x, results)
+    if any(result.is_doubtful for result in results):
+        doubts_of_start = start_speed_doubts(problem, search.best) or doubts_of_start
     doubts_of_outliers = outlier_doubts(problem, x)
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
@@ -334,7 +341,7 @@ def fitted_minimum(
         cut=problem.count.reason,
         doubts=(
             *doubts(problem, x, results),
-            *output_start_doubts(problem, x, results),
+            *doubts_of_start,
             *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *doubts_of_delays,

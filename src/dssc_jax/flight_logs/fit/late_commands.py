@@ -13,10 +13,10 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 
 class ShiftedCommands:
@@ -77,7 +77,7 @@ def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
     return fitted_delay(shifts, minimum, channels, best, margin)
 
 
-def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about commands that act later or earlier than they are logged, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
@@ -100,4 +100,4 @@ def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, 
         f"{delay.shifted[0]:.3g} {study.units[0].output} rms, and "
         f"{delay.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
-    return (Doubt(name, text),)
+    return (SignalWarning(name, "delayed-command", text),)

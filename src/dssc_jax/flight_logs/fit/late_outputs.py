@@ -15,9 +15,9 @@ from dssc_jax.flight_logs.fit.late_commands import command_delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES, TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, minimise
 from dssc_jax.flight_logs.fit.prediction import declares_noise
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, linear_cost, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import weighted_products
 
 MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be told without a fit
@@ -150,7 +150,7 @@ def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.nda
     return problem
 
 
-def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about outputs, or commands, that are later or earlier than the study predicts, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
@@ -181,10 +181,10 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, the residual falls, "
         f"{', '.join(sizes)}, and {lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
-    return tuple(Doubt(name, text) for name in names[:1])
+    return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
 
 
-def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers.
 
     A gust leaves a smooth residual, which any shift changes, so a study that declares one has no such doubt. A shift
@@ -205,4 +205,4 @@ def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         "left: they seem to be logged at other times than the study predicts, and the search has ended too early to "
         "tell by how much and what the numbers are without it. Compare the stamps of the log's topics"
     )
-    return tuple(Doubt(name, text) for name in names[:1])
+    return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])

@@ -39,8 +39,10 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     samples = max(samples_within(log, loop.sample_time, loop.steps), 1)
     references = study_references(study, samples)
     sampling = LogSampling(study, log, samples)
+    all_signals = []
     for row in range(len(loop.channels)):
         signals = channel_signals(study, log, row, references[row, 0])
+        all_signals.append(signals)
         if "y" in signals:
             sampling.add_output(row, signals["y"])
         command = signals.get("u_total")
@@ -59,6 +61,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         replayed=tuple(sampling.replayed),
         jumps=sampling.jumps,
         gaps=log_gaps(log, sampling.needed_signals, end),
+        references=references[:, 0],
+        signals=tuple(all_signals),
         rare=tuple(sampling.rare),
         between=reconstruction.text,
         sensor_noise=reading_noise(study, sampling.outputs),
@@ -110,12 +114,15 @@ class LogSampling:
             self.interpolated[name] = len(is_bend) / np.count_nonzero(is_bend) * loop.sample_time
 
     def add_command(self, row: int, command: np.ndarray) -> None:
-        """Add a channel's logged command."""
+        """Add a channel's logged command; of one that is interpolated between rarer ones, these."""
         name = signal_name(self._study.loop.channels[row], "u_total")
         self.commands[row] = command
         self.needed_signals.append(name)
         self.held_samples |= held_samples({name: command})
-        if is_rare(command):
+        is_bend = bends(command)
+        if is_bend.size:
+            self.commands[row] = np.where(np.resize(is_bend, len(command)), command, np.nan)
+        if is_rare(self.commands[row]):
             self.rare.append(name)
         jump = largest_jump(command)
         if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):

@@ -13,9 +13,10 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.refusals import Doubt, signal_and_unit
+from dssc_jax.flight_logs.fit.refusals import signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE, likelihood_of_cost, linear_cost
 from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import weighted_products
 from dssc_jax.statistics.noise_posterior import NoiseSearch
 
@@ -65,7 +66,7 @@ class ForceEffect(NamedTuple):
     moves: np.ndarray
 
 
-def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) -> tuple[Doubt, ...]:
+def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) -> tuple[SignalWarning, ...]:
     """The doubt about a force against the speed that the study lacks, in a study of one channel, with the remedy.
 
     Args:
@@ -92,7 +93,7 @@ def force_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray) 
         f"{problem.values(minimum.x)[place]:.4g}. Estimates are wrong by more than their intervals. Give the plant "
         "that force (docs/extending.md), or fly at the speeds that count"
     )
-    return (Doubt(signal, text),)
+    return (SignalWarning(signal, "missing-force", text),)
 
 
 def force_effects(problem: FitProblem, minimum: Minimum) -> list[ForceEffect]:

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
-from dssc_jax.flight_logs.fit.refusals import Doubt
 from dssc_jax.flight_logs.hints.integrals import usual_size
 from dssc_jax.flight_logs.hints.output_steps import step_cause
 from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 OUTSTANDING = 8.0  # factor on the usual change from one reading to the next: a larger change is no noise
 MOST_SHARE = 0.02  # of the changes that may stand out: more of them are the study's or the noise's way
@@ -68,7 +68,7 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     return result
 
 
-def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
+def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[SignalWarning, ...]:
     """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy."""
     doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
@@ -79,12 +79,12 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
         jumps = [outlier for outlier in changes if outlier.lasts]
         if single:
             text = f"single readings of {name} stand out {list_text(single, unit)} of the study. Leave such cells empty"
-            doubts.append(Doubt(name, text))
+            doubts.append(SignalWarning(name, "outliers", text))
         if jumps:
             sizes = [jump.size for jump in jumps]
             cause = step_cause(problem.study, readings.channel, [jump.time for jump in jumps], sizes)
             text = f"{name} jumps {list_text(jumps, unit)} of the study, and what is predicted does not: {cause}"
-            doubts.append(Doubt(name, text))
+            doubts.append(SignalWarning(name, "output-jump", text))
     return tuple(doubts)
 
 

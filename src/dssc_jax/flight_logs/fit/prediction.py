@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.control import near_reference
-from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial_state, step
+from dssc_jax.closed_loop.first_state import initial_state
+from dssc_jax.closed_loop.sample import LoopState, held_between_samples, step
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar

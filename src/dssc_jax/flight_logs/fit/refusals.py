@@ -18,6 +18,7 @@ from dssc_jax.flight_logs.fit.minima import MinimumSearch
 from dssc_jax.flight_logs.fit.prediction import NoiseProgram, declares_noise
 from dssc_jax.flight_logs.hints.conversions import likeness_text
 from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 from dssc_jax.study import Study
 
@@ -89,13 +90,6 @@ class Explained(NamedTuple):
     def is_doubtful(self) -> bool:
         """Whether the residual is clearly larger than noise explains, and leaves more than ``LEAST_DOUBTED``."""
         return self.residual > max(MUCH_LARGER * self.noise, self.limit) and self.unexplained > LEAST_DOUBTED
-
-
-class Doubt(NamedTuple):
-    """A reason to doubt a fit that is accepted, and the signal that it concerns; empty: the fit as such."""
-
-    signal: str
-    text: str
 
 
 def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
@@ -175,7 +169,7 @@ def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
     return ""
 
 
-def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubts about residuals that are clearly larger than noise explains, by channel, with the remedy."""
     reasons = []
     columns = problem.columns(x) if any(result.is_doubtful for result in results) else []
@@ -192,11 +186,11 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
             f"their intervals. {REMEDY}"
             f"{conversion_hint(problem, x, place)}"
         )
-        reasons.append(Doubt(name, text))
+        reasons.append(SignalWarning(name, "large-residual", text))
     return tuple(reasons)
 
 
-def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
@@ -210,7 +204,7 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
             f"study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
             f"{conversion_hint(problem, x, place)}"
         )
-        reasons.append(Doubt(name, text))
+        reasons.append(SignalWarning(name, "noisy-output", text))
     return tuple(reasons)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum, random_rays
-from dssc_jax.flight_logs.fit.refusals import Doubt
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 SEED = 1  # the seeds of the search are even
 POINTS = 32
@@ -40,7 +40,7 @@ def widening(rough: float) -> float:
     return max(1.0, rough / SMOOTH)
 
 
-def roughness_doubts(rough: float) -> tuple[Doubt, ...]:
+def roughness_doubts(rough: float) -> tuple[SignalWarning, ...]:
     """The doubt about a sum of squares that is no parabola."""
     if widening(rough) == 1.0:
         return ()
@@ -48,4 +48,4 @@ def roughness_doubts(rough: float) -> tuple[Doubt, ...]:
         f"the sum of squares deviates from a parabola by {rough:.3g} times its noise, as where limits or samples of an "
         f"inner loop make the output jump: all intervals are widened by {math.sqrt(widening(rough)):.3g}"
     )
-    return (Doubt("", text),)
+    return (SignalWarning("", "rough-squares", text),)

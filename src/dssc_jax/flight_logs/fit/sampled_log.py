@@ -26,6 +26,8 @@ class SampledLog(NamedTuple):
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
     gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
+    references: np.ndarray  # the study's
+    signals: tuple[Mapping[str, np.ndarray], ...]  # all logged signals by channel, NaN where missing, shape (samples,)
     rare: tuple[str, ...] = ()  # commands that are logged more rarely than the controller gives them
     between: str = ""  # what commands do between two logged values
     sensor_noise: tuple[float, ...] = ()  # standard deviation of what the study's sensor adds to a reading, by channel

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
-from dssc_jax.flight_logs.fit.refusals import Doubt, Explained, signal_and_unit
+from dssc_jax.flight_logs.fit.refusals import Explained, signal_and_unit
 from dssc_jax.flight_logs.hints.starts import begins_in_air, begins_level
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 
@@ -21,7 +22,7 @@ DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of th
 LEAST_SHARE = 0.02  # of the output's standard deviation: a smaller difference hardly moves an estimate
 
 
-def output_start_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+def output_start_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[SignalWarning, ...]:
     """The doubts about outputs that begin elsewhere than the study, by channel, with the remedy.
 
     Args:
@@ -47,11 +48,11 @@ def output_start_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
             f"noise is {noise:.2g} {unit}: give the study's initial state that value or a law, or compare `start` and "
             "the offset of the column. Other numbers take the difference, and their estimates are wrong"
         )
-        reasons.append(Doubt(name, text))
+        reasons.append(SignalWarning(name, "initial-output", text))
     return tuple(reasons)
 
 
-def wind_doubts(study: Study) -> tuple[Doubt, ...]:
+def wind_doubts(study: Study) -> tuple[SignalWarning, ...]:
     """The doubt about a vehicle that begins in the air in wind, but without the tilt that the wind requires."""
     if not begins_in_air(study) or not begins_level(study) or kind_in(study.config, "wind") == "none":
         return ()
@@ -60,4 +61,4 @@ def wind_doubts(study: Study) -> tuple[Doubt, ...]:
         "wind, drag and integrals may be wrong by more than their intervals. Set plant.inner_loop.start = 'settled', "
         "which is the equilibrium in the wind, or plant.roll, plant.pitch and plant.body_rate, or begin at the take-off"
     )
-    return (Doubt("", text),)
+    return (SignalWarning("", "level-start", text),)

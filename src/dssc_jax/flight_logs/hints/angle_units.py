@@ -10,12 +10,13 @@ import numpy as np
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight_logs.hints.conversions import FEWER, rms
 from dssc_jax.flight_logs.reading.reader import FlightLog, nearest_values, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 LARGEST_ERROR = 0.6  # rad, root mean square: an angle in degrees that is farther from its reference is not told
 
 
-def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[str, str]:
+def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[str, Hint]:
     """The angles, logged as outputs or references, that are in degrees; what to say of each, by signal.
 
     Args:
@@ -34,7 +35,7 @@ def angle_hints(study: Study, log: FlightLog, references: np.ndarray) -> dict[st
                 continue
             values = nearest_values(column, log.start, study.loop.sample_time, len(reference))
             if is_in_degrees(values, reference):
-                hints[name] = "is in degrees in place of radians"
+                hints[name] = Hint("another-unit", "is in degrees in place of radians")
     return hints
 
 

@@ -16,10 +16,11 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, ulog_column
 from dssc_jax.flight_logs.reading.ulog import LogWarning, TopicData, is_ulog, read_topics
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.models.uav.inner_loops.article import euler_of
 from dssc_jax.models.uav.onboard import UavState
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import recorded_frame
+from dssc_jax.study.record_files import recorded_frame
 
 TILTED = math.radians(1.0)  # between the log's and the study's tilt
 TURNING = 0.1  # rad/s, between their body rates
@@ -99,7 +100,7 @@ def study_motion(study: Study) -> FirstMotion | None:
         return FirstMotion((float(phi), float(theta)), tuple(map(float, state.rate)))
 
 
-def attitude_hints(study: Study, log: FlightLog) -> dict[str, str]:
+def attitude_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
     """Hints that a log begins with another tilt or body rate than the study, by the study's fields.
 
     Numbers with laws are left out, as a fit estimates them.
@@ -108,23 +109,25 @@ def attitude_hints(study: Study, log: FlightLog) -> dict[str, str]:
         return {}
     logged = logged_motion(log)
     initial = study_motion(study) if logged.angles or logged.rate else None
-    hints: dict[str, str] = {}
+    hints: dict[str, Hint] = {}
     if initial is None:
         return hints
     if logged.angles and not has_free_tilt(study) and math.dist(logged.angles, initial.angles) > TILTED:
         roll, pitch = logged.angles
-        hints["plant.roll"] = (
+        text = (
             f"and plant.pitch: the study begins with a tilt of {tilt_degrees(initial.angles):.3g} degrees, the log "
             f"with one of {tilt_degrees(logged.angles):.3g}. Set plant.roll = {roll:.4g} and "
             f"plant.pitch = {pitch:.4g}, or give them laws around these, which a fit estimates"
         )
+        hints["plant.roll"] = Hint("start-motion", text)
     has_free_rate = any(name.startswith("plant.body_rate.") for name in study.laws)
     if logged.rate and not has_free_rate and math.dist(logged.rate, initial.rate) > TURNING:
         p, q, r = logged.rate
-        hints["plant.body_rate"] = (
+        text = (
             f"has a length of {math.hypot(*initial.rate):.3g} rad/s, and the log begins with "
             f"{math.hypot(p, q, r):.3g}. Set plant.body_rate = [{p:.4g}, {q:.4g}, {r:.4g}]"
         )
+        hints["plant.body_rate"] = Hint("start-motion", text)
     return hints
 
 

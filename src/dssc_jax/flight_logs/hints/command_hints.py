@@ -10,7 +10,9 @@ import numpy as np
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.hints.conversions import FEWER, conversion_text, multiple_of, rms
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reading.interpolated_outputs import bends
 from dssc_jax.flight_logs.reading.reader import Column, forward_filled
+from dssc_jax.flight_logs.signal_warnings import Hint
 
 SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one controller give it throughout a flight
@@ -29,23 +31,33 @@ MOST_SPANS = 3  # in which a command sticks
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 
 
-def rate_hint(command: Column, sample_time: float) -> str:
-    """That a logged command changes more often than the study's controller gives one, in words; empty if it does not.
+def rate_hint(command: Column, sample_time: float) -> Hint | None:
+    """That a command was interpolated, or changes more often than the study's controller gives one; None if neither.
 
     Args:
         command: The command as logged.
         sample_time: T_s of the study [s].
     """
+    is_bend = bends(command.value)
+    if is_bend.size:
+        interval = len(is_bend) / np.count_nonzero(is_bend) * float(np.median(np.diff(command.time)))
+        text = (
+            f"is a straight line from one command to the next, {interval:.3g} s apart: the log was interpolated, and a "
+            "controller that holds its commands gave each of them later. Log the commands alone, with the time of "
+            "each, and leave other cells empty"
+        )
+        return Hint("interpolated-command", text)
     change_times = command.time[1:][np.diff(command.value) != 0.0]
     if len(change_times) < LEAST_VALUES:
-        return ""
+        return None
     interval = float(np.median(np.diff(change_times)))
     if not interval < FASTER * sample_time:
-        return ""
-    return (
+        return None
+    text = (
         f"changes every {interval:.3g} s, and the study's controller gives a command every {sample_time:g} s: set "
         "loop.sample_time to that of the flight's controller. A fit takes one of its commands for each sample"
     )
+    return Hint("faster-controller", text)
 
 
 def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
@@ -71,8 +83,8 @@ def command_unit(logged: np.ndarray, replayed: np.ndarray, unit: str) -> str:
     )
 
 
-def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
-    """How the logged command follows from the replayed one, in words; empty if both are the same or nothing is certain.
+def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> Hint | None:
+    """How the logged command follows from the replayed one, in words; None if both are the same or nothing is certain.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -82,64 +94,71 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     """
     factor = multiple_of(logged, replayed)
     if factor != 1.0:
-        return (
+        text = (
             f"is {factor:.4g} times what the analysed controller gives for the logged measurements: it is in another "
             "unit, or other gains flew. Estimates of gains and disturbances are off by that factor unless they did"
         )
+        return Hint("another-command", text)
     has_both = np.isfinite(logged) & np.isfinite(replayed)
     if np.count_nonzero(has_both) < LEAST_VALUES:
-        return ""
+        return None
     deviation = rms(logged - np.median(logged[has_both]))
     largest_residual = EXPLAINED * deviation
     difference = rms(logged - replayed)
     if difference <= ROUNDING * rms(logged):
-        return ""
+        return None
     spikes = spike_rows(logged, replayed)
     if spikes:
         times = " and ".join(f"{row * sample_time:.4g} s" for row in spikes)
         largest = max(abs(float(logged[row] - replayed[row])) for row in spikes)
-        return (
+        text = (
             f"has single values that the analysed controller does not give, at {times} of the study, up to "
             f"{largest:.4g} {unit} beside it: spikes of the log. A fit takes them for what the vehicle got: leave them "
             "out of the log"
         )
+        return Hint("command-spikes", text)
     hold = usual_hold(logged)
     spans = stuck_spans(logged, replayed) if hold == 1 else []
     if spans:
         times = " and ".join(f"from {begin * sample_time:.4g} s to {end * sample_time:.4g} s" for begin, end in spans)
-        return (
+        text = (
             f"repeats one value {times} of the study, where the analysed controller's changes: its topic sticks, the "
             "controller was off, or it has a lower limit. A fit takes it for what the vehicle got; if it is not, "
             "fit the part before or after"
         )
+        return Hint("stuck-command", text)
     if hold > 1 and rms(logged - held_like(logged, replayed)) <= min(largest_residual, FEWER * difference):
-        return (
+        text = (
             f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
             "so slow, the vehicle flew other commands, and a fit takes that for a lag; if the flight was, give "
             "loop.sample_time that value"
         )
+        return Hint("held-command", text)
     shift, residual = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
     if shift != 0 and residual <= min(largest_residual, FEWER * difference):
         side = "later" if shift > 0 else "earlier"
-        return (
+        text = (
             f"is {abs(shift) * sample_time:.3g} s {side} than the analysed controller gives it for the logged "
             "measurements: compare the times of its column. A fit takes that for a lag"
         )
+        return Hint("shifted-command", text)
     offset = float(np.median((logged - replayed)[has_both]))
     residual = rms(logged - replayed - offset)
     if abs(offset) > LARGE_OFFSET * deviation and residual <= min(largest_residual, FEWER * difference):
-        return (
+        text = (
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
         )
+        return Hint("command-offset", text)
     latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
     if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
-        return (
+        text = (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
             f"{unit} rms, and the logged one varies by {deviation:.4g}. Other gains or limits flew, or a measurement "
             "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
-    return ""
+        return Hint("another-command", text)
+    return None
 
 
 def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:

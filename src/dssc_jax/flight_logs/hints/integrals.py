@@ -13,6 +13,7 @@ from dssc_jax.flight_logs.hints.conversions import RATE_CONVERSIONS
 from dssc_jax.flight_logs.hints.output_steps import step_cause
 from dssc_jax.flight_logs.reading.held_outputs import stuck_span
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 LEAST_VALUES = 20
@@ -161,9 +162,9 @@ class IntegralHints(NamedTuple):
         jumps: One jumps where the other has no peak.
     """
 
-    units: dict[str, str]
-    factors: dict[str, str]
-    jumps: dict[str, str]
+    units: dict[str, Hint]
+    factors: dict[str, Hint]
+    jumps: dict[str, Hint]
 
 
 def are_copies(first: Column | None, second: Column | None) -> bool:
@@ -203,13 +204,13 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
             continue
         stuck = stuck_span(values_between(y, log.start, end))
         if stuck is not None:
-            hints.factors[y_name] = stuck_text(*stuck)
+            hints.factors[y_name] = Hint("stuck-output", stuck_text(*stuck))
             continue
         if rate is None:
             continue
         stillness = still_text(y, rate, y_name, log.start, end)
         if stillness:
-            hints.factors[rate_name] = stillness
+            hints.factors[rate_name] = Hint("still-rate", stillness)
             continue
         is_copied = y_name in hints.units or rate_name in hints.units
         if not is_copied and channel not in loop.plant.angles:
@@ -240,17 +241,17 @@ def last_sample_time(study: Study, log: FlightLog) -> float:
     return log.start + study.loop.sample_time * (study.loop.steps - 1)
 
 
-def copy_hints(log: FlightLog, channel: str) -> dict[str, str]:
+def copy_hints(log: FlightLog, channel: str) -> dict[str, Hint]:
     """Hints about columns of a channel that are copies of others."""
-    hints: dict[str, str] = {}
+    hints: dict[str, Hint] = {}
     command = signal_name(channel, "u_total")
     for quantity, reference_quantity in (("y", "y_ref"), ("y_dot", "y_ref_dot")):
         name = signal_name(channel, quantity)
         reference = signal_name(channel, reference_quantity)
         if are_copies(log.columns.get(name), log.columns.get(reference)):
-            hints[name] = f"is a copy of {reference}, number by number"
+            hints[name] = Hint("copied-column", f"is a copy of {reference}, number by number")
         if are_copies(log.columns.get(command), log.columns.get(name)):
-            hints[command] = f"is a copy of {name}, number by number"
+            hints[command] = Hint("copied-column", f"is a copy of {name}, number by number")
     return hints
 
 
@@ -274,7 +275,7 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
     factor = integral_factor(y, rate, log.start, end)
     is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
     if not is_opposite and are_exchanged(y, rate, log.start, end):
-        hints.units[y_name] = f"looks exchanged with {rate_name}, which is its integral"
+        hints.units[y_name] = Hint("exchanged-columns", f"looks exchanged with {rate_name}, which is its integral")
         return
     jumps = jumps_beside(y, rate, log.start, end)
     if jumps:
@@ -282,7 +283,8 @@ def add_integral_hints(hints: IntegralHints, study: Study, index: int, log: Flig
         if len(jumps) > MOST_LISTED:
             jump_texts += f", and {len(jumps) - MOST_LISTED} times more,"
         cause = step_cause(study, index, [jump.time - log.start for jump in jumps], [jump.size for jump in jumps])
-        hints.jumps[y_name] = f"jumps {jump_texts} of the log, and {rate_name} has no such peak: {cause}"
+        text = f"jumps {jump_texts} of the log, and {rate_name} has no such peak: {cause}"
+        hints.jumps[y_name] = Hint("output-jump", text)
         return
     if factor is not None and factor.differs:
         add_factor_hint(hints, factor, y_name, rate_name, unit)
@@ -294,20 +296,22 @@ def add_factor_hint(hints: IntegralHints, factor: Factor, y_name: str, rate_name
     multiple = unit_text(factor.value, unit)
     inverse = unit_text(1.0 / factor.value, unit)
     if inverse and changes_less:
-        hints.units[rate_name] = f"is the derivative of {y_name} {inverse}"
+        hints.units[rate_name] = Hint("another-unit", f"is the derivative of {y_name} {inverse}")
         return
     if multiple:
-        hints.units[y_name] = f"is the integral of {rate_name} {multiple}"
+        hints.units[y_name] = Hint("another-unit", f"is the integral of {rate_name} {multiple}")
         return
     change = f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate_name}"
     if factor.value < 0.0:
-        hints.factors[y_name] = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
+        text = f"{change}: one of both has the opposite sign, or is another signal. Compare them"
+        hints.factors[y_name] = Hint("integral-factor", text)
         return
     clock = f"{1.0 / factor.value:.4g} times too fast" if changes_less else f"{factor.value:.4g} times too slow"
-    hints.factors[y_name] = (
+    text = (
         f"{change}: the log's clock is {clock}, or one of both is in another unit or of another place. Compare the "
         "times with those of another clock, and scale the times or the column"
     )
+    hints.factors[y_name] = Hint("integral-factor", text)
 
 
 def unit_text(factor: float, unit: str) -> str:

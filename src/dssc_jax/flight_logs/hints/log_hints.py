@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from dssc_jax.flight_logs.signal_warnings import Hint
+
 
 class LogHints(NamedTuple):
     """Why a log may contradict its study, in words for each signal or number.
@@ -21,19 +23,19 @@ class LogHints(NamedTuple):
         others: References that are not the study's, for no reason that is known.
     """
 
-    conversions: Mapping[str, str]
-    shifts: Mapping[str, str]
-    slopes: Mapping[str, str] = MappingProxyType({})
-    starts: Mapping[str, str] = MappingProxyType({})
-    attitudes: Mapping[str, str] = MappingProxyType({})
-    estimator: Mapping[str, str] = MappingProxyType({})
-    factors: Mapping[str, str] = MappingProxyType({})
-    jumps: Mapping[str, str] = MappingProxyType({})
-    others: Mapping[str, str] = MappingProxyType({})
+    conversions: Mapping[str, Hint]
+    shifts: Mapping[str, Hint]
+    slopes: Mapping[str, Hint] = MappingProxyType({})
+    starts: Mapping[str, Hint] = MappingProxyType({})
+    attitudes: Mapping[str, Hint] = MappingProxyType({})
+    estimator: Mapping[str, Hint] = MappingProxyType({})
+    factors: Mapping[str, Hint] = MappingProxyType({})
+    jumps: Mapping[str, Hint] = MappingProxyType({})
+    others: Mapping[str, Hint] = MappingProxyType({})
 
-    def all(self) -> dict[str, str]:
+    def all(self) -> dict[str, Hint]:
         """All of them, by signal or number."""
         numbers = (self.starts, self.attitudes)
         references = (self.shifts, self.others, self.slopes)
         parts = (self.factors, self.jumps, self.conversions, *references, *numbers, self.estimator)
-        return {name: text for part in parts for name, text in part.items()}
+        return {name: hint for part in parts for name, hint in part.items()}

@@ -18,6 +18,7 @@ from dssc_jax.flight_logs.hints.conversions import (
 )
 from dssc_jax.flight_logs.hints.reference_clocks import StretchedReference, fine_times, reference_stretch, stretch_text
 from dssc_jax.flight_logs.reading.reader import FlightLog, first_time, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 USUAL = 0.9
@@ -42,10 +43,10 @@ class ComparedReferences(NamedTuple):
 
     differences: dict[str, float]
     rates: dict[str, float]
-    conversions: dict[str, str]
-    shifts: dict[str, str]
-    others: dict[str, str]
-    slopes: dict[str, str]
+    conversions: dict[str, Hint]
+    shifts: dict[str, Hint]
+    others: dict[str, Hint]
+    slopes: dict[str, Hint]
 
 
 def median_values(study: Study) -> dict[str, float]:
@@ -95,9 +96,10 @@ def compared_references(
         text = reference_conversion(index, values, references[:, 0], loop.channels, study.units[index].output)
         shift = 0 if text else reference_shift(values, reference)
         if text:
-            comparison.conversions[name] = text
+            is_exchanged = text.startswith("is the study's of ")
+            comparison.conversions[name] = Hint("exchanged-columns" if is_exchanged else "another-unit", text)
         elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
-            comparison.shifts[name] = shifted_text(log, shift * loop.sample_time)
+            comparison.shifts[name] = Hint("shifted-reference", shifted_text(log, shift * loop.sample_time))
         elif not is_same_reference(values, reference):
             unexplained.append(index)
         if channel in rates:
@@ -107,19 +109,19 @@ def compared_references(
             is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
             slope_text = wrong_slope_text(distance, rate, study.units[index].of("y/s")) if is_moving and is_same else ""
             if slope_text:
-                comparison.slopes[signal_name(channel, "y_ref_dot")] = slope_text
+                comparison.slopes[signal_name(channel, "y_ref_dot")] = Hint("reference-slope", slope_text)
     stretch = log_stretch(study, log, references.shape[2]) if unexplained else None
     for index in unexplained:
         name = signal_name(loop.channels[index], "y_ref")
         if stretch is not None:
-            comparison.shifts[name] = stretch_text(log, stretch)
+            comparison.shifts[name] = Hint("clock-rate", stretch_text(log, stretch))
             continue
         unit = study.units[index].output
         same_unit = [units.output == unit for units in study.units]
         largest_range = float(np.ptp(references[same_unit, 0], axis=1).max())
         text = other_reference_text(logged[index], references[index, 0], largest_range, unit)
         if text:
-            comparison.others[name] = text
+            comparison.others[name] = Hint("another-reference", text)
     return comparison
 
 

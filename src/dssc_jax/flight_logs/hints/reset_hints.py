@@ -5,6 +5,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.reading.resets import Reset, reset_list
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not told
@@ -23,7 +24,7 @@ def relevant_resets(study: Study, log: FlightLog) -> list[Reset]:
     return [reset for reset in resets if reset.size > TRIFLE or not reset.is_stated]
 
 
-def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
+def reset_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
     """The resets within the study by counter, and the invalid spans by flag, with the words for them."""
     resets_by_counter: dict[str, list[Reset]] = {}
     for reset in relevant_resets(study, log):
@@ -36,14 +37,14 @@ def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
             text = "the flight followed a wrong velocity before it, and this jump is not taken out"
         else:
             text = "the log does not state the jump, which stays in the signals. Take a part before or after it"
-        hints[label] = f"tells a reset of the estimator {reset_list(resets)}: {text}"
+        hints[label] = Hint("estimator-reset", f"tells a reset of the estimator {reset_list(resets)}: {text}")
     end = study_end(study, log)
     for span in log.invalid:
         if span.begin <= end and span.end > log.start:
             label, _, description = span.text().partition(" ")
-            hints[label] = (
-                f"{description}: the estimator calls {', '.join(span.fields)} invalid there, and they are left out"
-            )
+            fields = ", ".join(span.fields)
+            text = f"{description}: the estimator calls {fields} invalid there, and they are left out"
+            hints[label] = Hint("invalid-values", text)
     return hints
 
 

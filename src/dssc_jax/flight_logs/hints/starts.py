@@ -9,10 +9,27 @@ import math
 import numpy as np
 
 from dssc_jax.flight_logs.reading.reader import FlightLog, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
 from dssc_jax.study import Study
 
 LONG_IN_AIR = 1.0  # s before the study begins: integrals are no longer those of the ground
 MOVING = 0.5  # m/s at the beginning: such a vehicle has flown before
+
+
+START = ("plant.initial.0", "plant.initial.1")
+"""The numbers of the first output and its derivative of a plant of one channel."""
+
+
+def fixed_start(study: Study) -> tuple[float, float] | None:
+    """The output and its derivative at which a plant of one channel starts; None if they are no plain numbers."""
+    values = []
+    for name in START:
+        number = study.numbers.get(name)
+        if number is None or number.expression is not None or not isinstance(number.value, int | float):
+            return None
+        values.append(float(number.value))
+    is_start_of_output = study.numbers[START[0]].quantity.unit.startswith(study.units[0].output)
+    return (values[0], values[1]) if is_start_of_output else None
 
 
 def fixed_integrals(study: Study) -> dict[str, float]:
@@ -60,7 +77,7 @@ def start_remedy(name: str) -> str:
     )
 
 
-def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
+def start_hints(study: Study, log: FlightLog) -> dict[str, Hint]:
     """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
     software = study.loop.mimo_plant.software
     initial_values = fixed_integrals(study)
@@ -70,7 +87,8 @@ def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
     if not reason:
         return {}
     vertical = list(initial_values)[-1]
-    return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
+    text = f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"
+    return {vertical.rpartition(".")[0]: Hint("start-in-air", text)}
 
 
 def airborne_reason(study: Study, log: FlightLog) -> str:

@@ -37,7 +37,8 @@ from dssc_jax.flight_logs.reading.ulog import (
     topic_place,
 )
 from dssc_jax.flight_logs.reading.ulog_scan import LogTopic
-from dssc_jax.study.recorded import TIME, first_text, recorded_frame
+from dssc_jax.study.record_files import recorded_frame
+from dssc_jax.study.recorded import TIME, first_text
 
 TIME_NAMES = ("time", "stamp", "seconds")
 """Beginnings of the names that columns of times usually have."""

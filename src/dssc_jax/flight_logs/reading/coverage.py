@@ -13,6 +13,7 @@ LEAST_COMPARED = 5
 """Samples of a study at which a log needs a value to be compared."""
 UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
 USUAL_GAP = (0.1, 10.0)
+SINCE_1970 = (1e9, 4e9)  # s, from 2001 to 2096: a time of these many seconds is one since 1970
 COARSE = 0.1  # sample times between two floating-point numbers at the log's start: more blur its times
 
 
@@ -48,6 +49,9 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
     doubt_of_times = times_text(log)
     if doubt_of_times:
         return f"; its column of times {doubt_of_times}"
+    for unit in TIME_UNITS:
+        if SINCE_1970[0] <= log.start * unit.seconds <= SINCE_1970[1]:
+            return f"; its times are {unit.name} since 1970. They must be in seconds: {scale_text(log, unit)}"
     gaps = [np.median(np.diff(column.time)) for column in log.columns.values() if len(column.time) > 1]
     gap = min((float(gap) for gap in gaps if gap > 0.0), default=0.0)
     if gap == 0.0 or UNUSUAL_GAP[0] <= gap / sample_time <= UNUSUAL_GAP[1]:
@@ -55,8 +59,14 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
     text = f"; its values are {gap:.4g} s apart, the study's samples {sample_time:g} s"
     for unit in TIME_UNITS:
         if USUAL_GAP[0] <= gap * unit.seconds / sample_time <= USUAL_GAP[1]:
-            return f"{text}: are its times in {unit.name}? They must be in seconds"
+            return f"{text}: are its times in {unit.name}? They must be in seconds: {scale_text(log, unit)}"
     return f"{text}: its times must be in seconds"
+
+
+def scale_text(log: FlightLog, unit: TimeUnit) -> str:
+    """The entry of the table of columns that turns times of a unit into seconds."""
+    scale = unit.seconds * log.clock.scale
+    return f'give time = {{ column = "{log.clock.column}", scale = {scale:.4g} }} in the table of columns'
 
 
 def few_samples_remedy(has_signal: np.ndarray, sample_time: float) -> str:

@@ -34,7 +34,8 @@ from dssc_jax.flight_logs.reading.ulog import (
     stamps,
 )
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import numbers_of, recorded_frame
+from dssc_jax.study.record_files import recorded_frame
+from dssc_jax.study.recorded import numbers_of
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 """Signals of a channel that a log may have, by their names in trajectories."""

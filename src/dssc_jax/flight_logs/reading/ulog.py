@@ -22,7 +22,7 @@ from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.reading.clocks import LateMessage, span_of
 from dssc_jax.flight_logs.reading.frames import MICROSECOND
 from dssc_jax.flight_logs.reading.ulog_scan import LogTopic, Scan, UndamagedBytes
-from dssc_jax.study.recorded import ULOG
+from dssc_jax.study.record_files import ULOG
 
 if TYPE_CHECKING:
     from pyulog import ULog

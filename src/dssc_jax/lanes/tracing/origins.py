@@ -248,8 +248,9 @@ def target_name(target: ast.AST, elements: list[int]) -> str:
         if position >= len(target.elts):
             return ""
         target = target.elts[position]
-    is_public_name = isinstance(target, ast.Name) and not target.id.startswith("_")
-    return target.id if is_public_name and not remaining else ""
+    if remaining or not isinstance(target, ast.Name) or target.id.startswith("_"):
+        return ""
+    return target.id
 
 
 def field_name(code: CodeType, call: ast.Call, position: int) -> str:

@@ -1,7 +1,9 @@
 """Backlash (play) in series with the plant input, as of a gear: the output moves when the gap is used up.
 
-The play is solved implicitly: after a monotone change of the command, the output is that of the play in continuous
+The play is solved implicitly: after a monotone change of the command, the output equals the play's in continuous
 time, whatever the step, and it cannot chatter.
+
+In units, u stands for the unit of the command.
 
 Reference:
     M. Brokate, J. Sprekels, Hysteresis and Phase Transitions (1996), section 2.3.
@@ -19,24 +21,30 @@ from dssc_jax.core.smoothness import SMOOTH, not_smooth
 
 
 class BacklashParams(NamedTuple):
-    """Parameters of a backlash; a half-width of 0 makes it an ideal actuator."""
+    """The gap of a backlash; a half-width of 0 makes it an ideal actuator."""
 
     half_width: Annotated[Scalar, Quantity("u", "half of the gap", at_least=0.0)]
 
 
 def step(params: BacklashParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The output after the command has moved: it changes only as far as the command leaves the gap around it."""
-    (z,) = state
-    return (clip(z, command - params.half_width, command + params.half_width),)
+    """The output [u] after the command has moved: an edge of the gap pushes it along, or it stays.
+
+    The state is the output alone. The result holds whatever the time ``dt`` of the move.
+    """
+    (output,) = state
+    return (clip(output, command - params.half_width, command + params.half_width),)
 
 
 def sample(params: BacklashParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar) -> tuple[Scalar]:
-    """The output after a new command, which moves it at once as in :func:`step`."""
+    """The output [u] just after a new command, which moves it at once; nothing in it is random."""
     return step(params, state, command, dt)
 
 
 def unit_gain(params: BacklashParams) -> tuple[Unmodelled, BacklashParams]:
-    """The substitute for signals that are large compared with the gap: a gain of 1, with the same parameters."""
+    """The part that is linearised in place of the backlash: a gain of 1, with the same parameters.
+
+    It stands for the play where signals are large compared with the gap.
+    """
     return UNIT_GAIN, params
 
 

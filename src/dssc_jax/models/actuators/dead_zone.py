@@ -1,4 +1,7 @@
-"""A dead zone in series with the plant input, as of a valve with overlap: small commands have no effect."""
+"""A dead zone in series with the plant input, as of a valve with overlap: small commands have no effect.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -10,13 +13,13 @@ from dssc_jax.core.smoothness import not_smooth
 
 
 class DeadZoneParams(NamedTuple):
-    """Parameters of a dead zone; a half-width of 0 makes it an ideal actuator."""
+    """The half-width of a dead zone; 0 makes it an ideal actuator."""
 
     half_width: Annotated[Scalar, Quantity("u", "largest command that has no effect", at_least=0.0)]
 
 
 def beyond_zone(params: DeadZoneParams, command: Scalar) -> Scalar:
-    """The plant input: the part of the command beyond the dead zone, 0 within it."""
+    """The plant input [u]: the part of the command beyond the dead zone, 0 within it."""
     return command - saturate(command, params.half_width)
 
 

@@ -1,4 +1,7 @@
-"""A pure delay of a real number of controller samples, in series with the plant input."""
+"""A pure delay of a real number of controller samples, in series with the plant input.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -31,11 +34,11 @@ class DelayParams(NamedTuple):
 
 
 class DelayState(NamedTuple):
-    """State of a delay.
+    """Memory of a delay.
 
     Args:
-        commands: The present and the previous commands, newest first.
-        delayed: The plant's input during the present sample.
+        commands: The present command and the ``memory`` commands before it, newest first [u].
+        delayed: The plant's input during the present sample [u].
     """
 
     commands: tuple[Scalar, ...]
@@ -43,10 +46,14 @@ class DelayState(NamedTuple):
 
 
 def prepare(params: DelayParams) -> DelayParams:
-    """Require a memory of a whole number of samples, which is at least the longest delay; raises ConfigError."""
+    """The parameters themselves, if the memory is a whole number of samples and holds the longest delay.
+
+    Raises:
+        ConfigError: The memory is not whole, or too short for a value of the delay's law.
+    """
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
-    longest = extent(params.samples)[1]
+    _, longest = extent(params.samples)
     if longest > params.memory:
         raise ConfigError("samples", f"must be <= memory = {params.memory:g}, got up to {longest:g}")
     return params
@@ -54,21 +61,21 @@ def prepare(params: DelayParams) -> DelayParams:
 
 def init(params: DelayParams) -> DelayState:
     """The state at t = 0: all earlier commands were zero."""
-    return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
+    return DelayState(commands=(0.0,) * (int(params.memory) + 1), delayed=0.0)
 
 
 def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Array, dt: Scalar) -> DelayState:
-    """The state after a new command.
+    """The memory after a new command, with the delayed command that the plant gets until the next one.
 
-    With a delay of n + f samples the plant gets the mean of the delayed command over the sample, (1 - f) u_n +
-    f u_(n+1), where u_n is the command n samples ago.
+    A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
     """
-    commands = (command, *state.commands[:-1])
+    commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     return DelayState(commands, dot(delay_weights(params.samples, len(commands)), commands))
 
 
 def has_fraction(params: DelayParams) -> bool:
-    """Whether the delay may be a number of samples that is not whole."""
+    """Whether the delay may include a part of a sample, so that the plant's input is a mean over the sample."""
     shortest, longest = extent(params.samples)
     return shortest != longest or not shortest.is_integer()
 

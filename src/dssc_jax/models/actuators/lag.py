@@ -23,14 +23,18 @@ class Order(IntEnum):
 
 
 class LagParams(NamedTuple):
-    """Parameters of a lag."""
+    """The time constant of a lag, which all its first-order lags share."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant mu of the unmodelled dynamics", above=0.0)]
 
 
 def system(params: LagParams, order: Order) -> LinearSystem:
-    """The lag as a linear system: mu z1' = u - z1, mu z2' = z1 - z2, ...; its output is the last state."""
+    """The lag as a linear system: mu z1' = u - z1, mu z2' = z1 - z2, ...; its output is the last state.
+
+    A mu below ``FASTEST`` counts as ``FASTEST``, so that the rate 1/mu stays finite.
+    """
     rate = 1.0 / at_least(params.mu, FASTEST)
+    zeros = (0.0,) * (order - 1)
     rows = []
     for i in range(order):
         row: list[Scalar] = [0.0] * order
@@ -38,11 +42,11 @@ def system(params: LagParams, order: Order) -> LinearSystem:
         if i > 0:
             row[i - 1] = rate
         rows.append(tuple(row))
-    return LinearSystem(tuple(rows), (rate, *(0.0,) * (order - 1)), (*(0.0,) * (order - 1), 1.0), 0.0)
+    return LinearSystem(a=tuple(rows), b=(rate, *zeros), c=(*zeros, 1.0), d=0.0)
 
 
 def lag(order: Order) -> Unmodelled:
-    """The actuator 1/(mu s + 1)^order, at rest at t = 0."""
+    """Make the actuator 1/(mu s + 1)^order, which is at rest at t = 0."""
     return linear_unmodelled(
         LagParams, lambda params: (0.0,) * order, lambda params: system(params, order), time_constant="mu"
     )

@@ -1,4 +1,7 @@
-"""Commands that are lost at random on their way to the actuator, which then holds the last one that arrived."""
+"""Commands that are lost at random on their way to the actuator, which then holds the last one that arrived.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -13,7 +16,7 @@ from dssc_jax.core.smoothness import SMOOTH, Smoothness, not_smooth
 
 
 class LostCommandParams(NamedTuple):
-    """Parameters of losses, which are independent from sample to sample."""
+    """The probability of a loss, independent from sample to sample."""
 
     probability: Annotated[Scalar, Quantity("1", "probability that a command is lost", at_least=0.0, below=1.0)]
 
@@ -21,7 +24,10 @@ class LostCommandParams(NamedTuple):
 def sample(
     params: LostCommandParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar
 ) -> tuple[Scalar]:
-    """The state, which is the plant input: the command if it arrives, else the last one that arrived, at first 0."""
+    """The plant input [u] until the next sample: the command if it arrives, else the last command that arrived.
+
+    It is 0 until the first command has arrived. The state is this input alone.
+    """
     if is_zero(params.probability):
         return (command,)
     (chance,) = uniforms(key, 1)
@@ -29,8 +35,9 @@ def sample(
 
 
 def smoothness(params: LostCommandParams) -> Smoothness:
-    """The declaration: smooth if no command can be lost; else there is no useful derivative."""
-    if extent(params.probability)[1] > 0.0:
+    """Where losses have a derivative: everywhere if no command can be lost, else nowhere."""
+    _, largest_probability = extent(params.probability)
+    if largest_probability > 0.0:
         return not_smooth("loses commands at random, so that no derivative holds from sample to sample; leave it out")
     return SMOOTH
 

@@ -1,4 +1,7 @@
-"""A plant input that is a multiple of a resolution, as behind a digital-to-analogue converter."""
+"""A plant input that is a multiple of a resolution, as behind a digital-to-analogue converter.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -11,13 +14,13 @@ from dssc_jax.core.smoothness import MEAN_GAIN, not_smooth
 
 
 class QuantisationParams(NamedTuple):
-    """Parameters of a quantisation."""
+    """The resolution of a plant input, the difference of two neighbouring values."""
 
     resolution: Annotated[Scalar, Quantity("u", "the plant input is a multiple of it", above=0.0)]
 
 
 def nearest_multiple(params: QuantisationParams, command: Scalar) -> Scalar:
-    """The multiple of the resolution that is nearest to the command; the error is at most half the resolution."""
+    """The plant input [u]: the multiple of the resolution that is nearest to the command."""
     return params.resolution * jnp.round(command / params.resolution)
 
 

@@ -1,4 +1,7 @@
-"""A rate limit in series with the plant input."""
+"""A rate limit in series with the plant input.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -12,49 +15,56 @@ from dssc_jax.core.smoothness import piecewise
 
 
 class RateLimitParams(NamedTuple):
-    """Parameters of a rate limit; an infinite rate makes it an ideal actuator."""
+    """The largest rate of the plant input; an infinite rate makes it an ideal actuator."""
 
     rate: Annotated[Scalar, Quantity("u/s", "largest slope of the plant input", above=0.0)]
 
 
 def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The state after dt with a constant command u: the exact solution of z' = rate sgn(u - z)."""
+    """The output z [u] after dt [s] with a constant command u, by the exact solution of z' = rate sgn(u - z).
+
+    The state is the output alone.
+    """
     (z,) = state
     return (z + saturate(command - z, params.rate * dt),)
 
 
 def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The state after dt with a command that goes in a straight line from start to end: the exact solution.
+    """The output z [u] after dt [s] with a command that goes in a straight line from start to end; exact.
 
-    The output moves towards the command at the largest rate. Once it has reached the command, it moves with it, or
-    falls behind it if the command is faster.
+    The output moves towards the command at the largest rate. If it meets the command within dt, it then moves with the
+    command, or falls behind it if the command is faster.
     """
     (z,) = state
     slope = (end - start) / dt
     gap = start - z
     reach = params.rate * dt
-    closing = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)
-    is_met = jnp.abs(gap) < closing * dt
-    meeting = jnp.where(is_met, jnp.abs(gap) / jnp.where(is_met, closing, 1.0), 0.0)
-    delayed = start + slope * meeting + saturate(slope, params.rate) * (dt - meeting)
-    return (jnp.where(is_met, delayed, jnp.where(gap > 0.0, z + reach, z - reach)),)
+    closing_rate = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)  # of the gap [u/s]
+    is_met = jnp.abs(gap) < closing_rate * dt
+    meeting_time = jnp.where(is_met, jnp.abs(gap) / jnp.where(is_met, closing_rate, 1.0), 0.0)
+    after_meeting = start + slope * meeting_time + saturate(slope, params.rate) * (dt - meeting_time)
+    without_meeting = jnp.where(gap > 0.0, z + reach, z - reach)
+    return (jnp.where(is_met, after_meeting, without_meeting),)
 
 
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
-    """Moments over dt of the output, a ramp that reaches the command after the share s of dt and then stays there.
+    """The straight line with the mean and the first moment of the output over dt [s], with a constant command.
 
-    With d the total change over dt, the mean is the final value less s d/2. The line with the same first moment rises
-    by s (3 - 2 s) d.
+    The output is a ramp that ends at the command, after the share s of dt, and then stays there; s = 1 if it does not
+    get there. With its change d over dt, its mean is the final value less s d/2, and the line rises by s (3 - 2 s) d.
     """
     (z,) = state
     reach = params.rate * dt
     change = saturate(command - z, reach)
     share = jnp.abs(change) / reach
-    return Moments(z + change * (1.0 - 0.5 * share), change * share * (3.0 - 2.0 * share))
+    return Moments(mean=z + change * (1.0 - 0.5 * share), rise=change * share * (3.0 - 2.0 * share))
 
 
 def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:
-    """The substitute for slopes below the limit: an infinite rate, so that the output is the command."""
+    """The part that is linearised in place of the limit: an infinite rate, so that the output is the command.
+
+    It stands for commands that are slower than the limit.
+    """
     return RATE_LIMIT, RateLimitParams(jnp.inf)
 
 

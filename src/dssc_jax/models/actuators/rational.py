@@ -19,7 +19,7 @@ DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of s firs
 
 
 class RationalActuatorParams(NamedTuple):
-    """The transfer function G(s) from the command to the plant's input.
+    """The coefficients of the transfer function G(s) from the command to the plant's input.
 
     Args:
         numerator: Coefficients, highest power first.
@@ -47,20 +47,22 @@ def prepare(params: RationalActuatorParams) -> RationalActuatorParams:
 
 
 def time_unit(denominator: list[float]) -> float:
-    """The geometric mean of the poles' time constants [s], at least FASTEST; poles at 0 are left out.
+    """The geometric mean of the time constants 1/|pole| [s], at least ``FASTEST``; poles at 0 are left out.
+
+    As a unit of time it gives all states of the canonical form about the same size. The product of the other poles'
+    sizes is |a/leading|, where a is the last coefficient that is not 0.
 
     Args:
         denominator: Coefficients, highest power first.
 
     Returns:
-        The mean; 1 if all poles are 0, or if there is none.
+        The mean; 1 if all poles are at 0, or if there is none.
     """
-    leading = denominator[0]
-    for zero_poles, coefficient in enumerate(reversed(denominator[1:])):
-        if coefficient != 0.0:
-            count = len(denominator) - 1 - zero_poles
-            mean = abs(leading / coefficient) ** (1.0 / count)  # |coefficient/leading| is the product of their sizes
-            return max(mean, FASTEST)
+    leading, *lower = denominator
+    for place in reversed(range(len(lower))):
+        if lower[place] != 0.0:
+            poles = place + 1  # that are not 0
+            return max(abs(leading / lower[place]) ** (1.0 / poles), FASTEST)
     return 1.0
 
 
@@ -70,29 +72,33 @@ def init(params: RationalActuatorParams) -> tuple[Scalar, ...]:
 
 
 def system(params: RationalActuatorParams) -> LinearSystem:
-    """G as a linear system in controllable canonical form, in the unit of time."""
+    """G as a linear system in controllable canonical form, whose states have the unit of time of the parameters.
+
+    The denominator is made monic. Its coefficients are then the last row of A; the output row is what remains of the
+    numerator when the direct feedthrough times the denominator is taken off.
+    """
     order = len(params.denominator) - 1
     leading = params.denominator[0]
 
     def rising(coefficients: tuple[Scalar, ...]) -> list[Scalar]:
-        """Coefficients in rising powers of s', over the denominator's leading one."""
+        """Coefficients in rising powers of s' = unit s, over the denominator's leading one."""
         scaled: list[Scalar] = [0.0] * (order + 1)
         for power, coefficient in enumerate(reversed(coefficients)):
             scaled[power] = 0.0 if is_zero(coefficient) else coefficient / leading * params.unit ** (order - power)
         return scaled
 
-    zeros = rising(params.numerator)
-    poles = rising(params.denominator)
+    numerator = rising(params.numerator)
+    denominator = rising(params.denominator)
     rate = 1.0 / params.unit
     rows: list[tuple[Scalar, ...]] = []
     for i in range(order - 1):
         rows.append(one_entry(rate, i + 1, order))
     if order:
-        rows.append(tuple(0.0 if is_zero(pole) else -rate * pole for pole in poles[:-1]))
-    feedthrough = zeros[-1]
+        rows.append(tuple(0.0 if is_zero(a) else -rate * a for a in denominator[:-1]))
+    feedthrough = numerator[-1]
     output = []
-    for zero, pole in zip(zeros[:-1], poles[:-1], strict=True):
-        output.append(zero if is_zero(feedthrough) or is_zero(pole) else zero - feedthrough * pole)
+    for b, a in zip(numerator[:-1], denominator[:-1], strict=True):
+        output.append(b if is_zero(feedthrough) or is_zero(a) else b - feedthrough * a)
     column = one_entry(rate, order - 1, order)
     return LinearSystem(tuple(rows), column, tuple(output), feedthrough)
 

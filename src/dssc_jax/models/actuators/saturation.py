@@ -1,4 +1,7 @@
-"""A saturation in series with the plant input."""
+"""A saturation in series with the plant input.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -21,22 +24,26 @@ class SaturationParams(NamedTuple):
 
 
 def limited_command(params: SaturationParams, command: Scalar) -> Scalar:
-    """The plant input: the command, clipped to the limits."""
-    return clip(command, -params.limit if params.low is None else params.low, params.limit)
+    """The plant input [u]: the command, clipped to the limits."""
+    low = -params.limit if params.low is None else params.low
+    return clip(command, low, params.limit)
 
 
 def prepare(params: SaturationParams) -> SaturationParams:
-    """Require that the lower limit lies below the upper one; raises ConfigError."""
+    """Require that the lower limit lies below the upper one, for all values of their laws; raises ConfigError."""
     if params.low is not None:
-        top = extent(params.low)[1]
-        bottom = extent(params.limit)[0]
-        if not top < bottom:
-            raise ConfigError("low", f"must be below limit = {bottom:g}, got up to {top:g}")
+        _, highest_low = extent(params.low)
+        lowest_limit, _ = extent(params.limit)
+        if not highest_low < lowest_limit:
+            raise ConfigError("low", f"must be below limit = {lowest_limit:g}, got up to {highest_low:g}")
     return params
 
 
 def without_limit(params: SaturationParams) -> tuple[Unmodelled, SaturationParams]:
-    """The substitute for commands within the limits: infinite limits, which make a gain of 1."""
+    """The part that is linearised in place of the saturation: infinite limits, which make a gain of 1.
+
+    It stands for commands within the limits.
+    """
     return SATURATION, SaturationParams(jnp.inf, None if params.low is None else -jnp.inf)
 
 

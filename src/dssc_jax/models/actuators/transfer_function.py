@@ -58,20 +58,24 @@ def scale_time(denominator: Sequence[float]) -> tuple[float, np.ndarray]:
         denominator: Coefficients in rising powers of mu s, length n + 1.
 
     Returns:
-        The unit over mu, and the coefficients in it, shape (n + 1,).
+        The unit over mu, and the coefficients in this unit, shape (n + 1,), in rising powers too.
     """
     ratios = np.asarray(denominator, dtype=float) / denominator[0]
     unit = ratios[-1] ** (1.0 / (len(ratios) - 1))
     return float(unit), ratios / unit ** np.arange(len(ratios))
 
 
-def decay(denominator: Sequence[float]) -> float:
-    """Decay rate of the slowest pole, relative to the geometric mean of all poles; NaN if it is not finite."""
+def slowest_decay(denominator: Sequence[float]) -> float:
+    """Decay rate of the slowest pole over the geometric mean of all poles' sizes; negative if a pole is unstable.
+
+    It is NaN if a coefficient is not finite in the unit of time of :func:`scale_time`, in which that mean is 1.
+    """
     with np.errstate(all="ignore"):
         _, coefficients = scale_time(denominator)
         if not np.all(np.isfinite(coefficients)):
             return np.nan
-        return -float(np.max(np.linalg.eigvals(companion(tuple(coefficients[:-1]))).real))
+        poles = np.linalg.eigvals(companion(tuple(coefficients[:-1])))
+        return -float(np.max(poles.real))
 
 
 def as_rows(matrix: np.ndarray) -> Matrix:
@@ -82,16 +86,22 @@ def as_rows(matrix: np.ndarray) -> Matrix:
 def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Realisation:
     """The controllable canonical form of G(mu s), from its coefficients in rising powers of mu s.
 
-    The unit of time is that of :func:`scale_time`, in which the denominator is monic, so that the direct feedthrough is
+    In the unit of time of :func:`scale_time` the denominator is monic, so that the direct feedthrough is
     the last coefficient of the numerator.
     """
     unit, scaled_denominator = scale_time(denominator)
+    # the numerator over the denominator's first coefficient, in rising powers of s' = unit mu s
     scaled_numerator = np.zeros(len(scaled_denominator))
     scaled_numerator[: len(numerator)] = np.asarray(numerator) / denominator[0] / unit ** np.arange(len(numerator))
     feedthrough = scaled_numerator[-1]
     c = scaled_numerator - feedthrough * scaled_denominator
     a = as_rows(companion(tuple(scaled_denominator[:-1])))
     return Realisation(unit, a, tuple(c[:-1].tolist()), float(feedthrough))
+
+
+def shown(coefficients: Sequence[float]) -> list[float]:
+    """Coefficients with six digits, for messages."""
+    return [float(f"{value:g}") for value in coefficients]
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
@@ -112,14 +122,13 @@ def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
     if numerator[0] != denominator[0] or denominator[0] == 0.0:
         rule = "must begin with the denominator's first coefficient, and that not be 0, so that G(0) = 1"
         raise ConfigError("numerator", f"{rule}, got {numerator[0]:g} and {denominator[0]:g}")
-    shown_denominator, shown_numerator = ([float(f"{value:g}") for value in side] for side in (denominator, numerator))
-    if not decay(denominator) > SLOWEST:
+    if not slowest_decay(denominator) > SLOWEST:
         rule = f"must be Hurwitz, and no pole slower than {SLOWEST:g} of their geometric mean"
-        raise ConfigError("denominator", f"{rule}, got {shown_denominator} in rising powers")
+        raise ConfigError("denominator", f"{rule}, got {shown(denominator)} in rising powers")
     with np.errstate(all="ignore"):
         g = realise(numerator, denominator)
     if not np.all(np.isfinite((*g.c, g.d))):
-        raise ConfigError("numerator", f"must be in proportion to the denominator, got {shown_numerator}")
+        raise ConfigError("numerator", f"must be in proportion to the denominator, got {shown(numerator)}")
     return params
 
 
@@ -128,8 +137,11 @@ def init(params: TransferFunctionParams) -> tuple[Scalar, ...]:
     return (0.0,) * (len(params.denominator) - 1)
 
 
-def linear(params: TransferFunctionParams) -> LinearSystem:
-    """G as a linear system for a time constant mu, which may be traced."""
+def linear_system(params: TransferFunctionParams) -> LinearSystem:
+    """G as a linear system in seconds: the canonical form of :func:`realise`, whose rates are divided by its unit.
+
+    The time constant mu may be traced; numerator and denominator are plain numbers.
+    """
     g = realise(params.numerator, params.denominator)
     rate = 1.0 / at_least(params.mu * g.unit, FASTEST)
     rows = []
@@ -138,4 +150,4 @@ def linear(params: TransferFunctionParams) -> LinearSystem:
     return LinearSystem(tuple(rows), one_entry(rate, len(g.c) - 1, len(g.c)), g.c, g.d)
 
 
-TRANSFER_FUNCTION = linear_unmodelled(TransferFunctionParams, init, linear, prepare, time_constant="mu")
+TRANSFER_FUNCTION = linear_unmodelled(TransferFunctionParams, init, linear_system, prepare, time_constant="mu")

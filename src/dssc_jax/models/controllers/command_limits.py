@@ -1,4 +1,7 @@
-"""Limits ``low`` and ``high`` of a controller's command, which several laws have in common."""
+"""Limits ``low`` and ``high`` of a controller's command, which several laws have in common.
+
+In units, u stands for the unit of the command.
+"""
 
 from collections.abc import Callable
 
@@ -21,7 +24,16 @@ def within_limits(v: Scalar, low: Scalar | None, high: Scalar | None) -> Scalar:
 
 
 def tracking_rate(proportional: Scalar, integral: Scalar, tracking: Scalar | None, dt: Scalar) -> Scalar:
-    """1/T_t [1/s], at most 1/T_s; without a time constant k_i/k_p, or 1/T_s for pure integral control."""
+    """1/T_t [1/s], at most 1/T_s; without a time constant k_i/k_p, or 1/T_s for pure integral control.
+
+    Anti-windup moves the integral at this rate times (u - v), the limited command minus the command before its limits.
+
+    Args:
+        proportional: k_p.
+        integral: k_i.
+        tracking: Time constant T_t of the anti-windup [s]; None: it follows from the gains.
+        dt: T_s [s].
+    """
     if tracking is not None:
         return 1.0 / jnp.maximum(tracking, dt)
     ratio = integral / jnp.where(proportional > 0.0, proportional, 1.0)
@@ -29,27 +41,27 @@ def tracking_rate(proportional: Scalar, integral: Scalar, tracking: Scalar | Non
 
 
 def require_order(low: Scalar | None, high: Scalar | None) -> None:
-    """Require that a lower limit lies below an upper one.
+    """Require that a lower limit lies below an upper one, for all values of their laws; None: there is no such limit.
 
     Raises:
-        ConfigError: The limits, or what their laws reach, are not in order.
+        ConfigError: The lower limit may reach the upper one.
     """
     if low is None or high is None:
         return
-    top = extent(low)[1]
-    bottom = extent(high)[0]
-    if not top < bottom:
-        raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
+    _, highest_low = extent(low)
+    lowest_high, _ = extent(high)
+    if not highest_low < lowest_high:
+        raise ConfigError("low", f"must be below high = {lowest_high:g}, got up to {highest_low:g}")
 
 
 def prepare_limits(gains: Params) -> Params:
-    """Gains whose limits are in order; raises ConfigError."""
+    """The gains themselves, whose ``low`` must lie below ``high``; raises ConfigError."""
     require_order(gains.low, gains.high)
     return gains
 
 
 def smooth_within_limits(init: Callable, step: Callable) -> Callable[[Params], Smoothness]:
-    """The declaration of a law that is smooth between the limits of its command.
+    """Make the function that declares where a law with limits of its command has a derivative.
 
     Args:
         init: The law's first state, as in its contract.
@@ -57,13 +69,15 @@ def smooth_within_limits(init: Callable, step: Callable) -> Callable[[Params], S
 
     Returns:
         The function from gains with ``low`` and ``high`` to their declaration. Without limits the law is smooth. With
-        them it is piecewise smooth, and the same law without limits is its substitute.
+        them it is piecewise smooth, and the same law without limits is linearised at a limit.
     """
 
     def without_limits(gains: Params) -> tuple[Controller, Params]:
+        """The same law without limits, and its gains."""
         return Controller(type(gains), init, step), gains._replace(low=None, high=None)
 
     def smoothness(gains: Params) -> Smoothness:
+        """Where the law with these gains has a derivative."""
         if gains.low is None and gains.high is None:
             return SMOOTH
         return piecewise("the limits low and high of its command; there it counts as within them", without_limits)

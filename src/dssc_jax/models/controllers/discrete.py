@@ -6,6 +6,8 @@ limit the denominator acts on the limited command, so that the controller does n
 The state-space model is x(k+1) = A x + B w, u = C x + D w within its limits, where w holds y_m - y and then the
 measured signals, in the order of the study's ``measures``. It has no anti-windup.
 
+In units, u stands for the unit of the command.
+
 References:
     K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), sections 9.4 and 9.5.
 """
@@ -37,7 +39,10 @@ Rows = tuple[Row, ...]
 
 
 class FractionGains(NamedTuple):
-    """Coefficients of C(z) and limits of u; ``l0`` defines sigma of the metrics and is not used by the controller."""
+    """Coefficients of C(z), limits of u, and the T_s for which C(z) was designed.
+
+    ``l0`` defines sigma of the metrics; the controller does not use it.
+    """
 
     numerator: Annotated[Row, NUMERATOR]
     denominator: Annotated[Row, DENOMINATOR]
@@ -48,7 +53,10 @@ class FractionGains(NamedTuple):
 
 
 class MatrixGains(NamedTuple):
-    """A, B, C, D and limits of u; ``l0`` defines sigma of the metrics and is not used by the controller."""
+    """The matrices A, B, C and D of the model, limits of u, and the T_s for which the model was designed.
+
+    ``l0`` defines sigma of the metrics; the controller does not use it.
+    """
 
     a: Annotated[Rows, ENTRY]
     b: Annotated[Rows, INPUTS]
@@ -64,45 +72,50 @@ G = TypeVar("G", FractionGains, MatrixGains)
 
 
 class DiscreteState(NamedTuple):
-    """The state x of the transfer function or the state-space model."""
+    """The state x of the transfer function or of the state-space model."""
 
     x: Row
 
 
 class DiscreteInfo(NamedTuple):
-    """The command before its limits."""
+    """What the controller reports at each sample: the command before its limits."""
 
     unlimited: Annotated[Scalar, Quantity("u", "command u before its limits")]
 
 
-def padded(gains: FractionGains) -> Row:
-    """The numerator with a leading zero for each power that it lacks."""
-    return (*(0.0,) * (len(gains.denominator) - len(gains.numerator)), *gains.numerator)
+def padded_numerator(gains: FractionGains) -> Row:
+    """The numerator's coefficients with leading zeros, so that they are as many as the denominator's."""
+    missing = len(gains.denominator) - len(gains.numerator)
+    return (*(0.0,) * missing, *gains.numerator)
 
 
 def fraction_init(gains: FractionGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
-    """At rest."""
+    """The controller at rest: earlier errors and commands are zero."""
     return DiscreteState((0.0,) * (len(gains.denominator) - 1))
 
 
 def fraction_step(
     gains: FractionGains, state: DiscreteState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[DiscreteState, Command, DiscreteInfo]:
-    """One sample of the transposed direct form II."""
+    """One sample of the transposed direct form II.
+
+    With the coefficients b_i and a_i of numerator and denominator, highest power of z first, the error e and the state
+    x it is v = (b_0 e + x_1)/a_0 and x_i+ = b_i e - a_i u + x_(i+1), where u is v within its limits.
+    """
     error = reference.y - measurement.y
     leading, *lower = gains.denominator
-    first, *following = padded(gains)
+    first, *following = padded_numerator(gains)
     v = (first * error + (state.x[0] if state.x else 0.0)) / leading
     u = within_limits(v, gains.low, gains.high)
     after = []
     for i, (b, a) in enumerate(zip(following, lower, strict=True)):
         successor = state.x[i + 1] if i + 1 < len(state.x) else 0.0
         after.append(b * error - a * u + successor)
-    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+    return DiscreteState(tuple(after)), Command(robust=u, nominal=0.0), DiscreteInfo(v)
 
 
 def prepare_fraction(gains: FractionGains) -> FractionGains:
-    """Require a proper transfer function and limits in order; raises ConfigError."""
+    """Require a proper transfer function, and a lower limit below the upper one; raises ConfigError."""
     require_order(gains.low, gains.high)
     if not 1 <= len(gains.denominator) <= MOST_STATES + 1:
         rule = f"must have 1 to {MOST_STATES + 1} coefficients, got {len(gains.denominator)}"
@@ -110,54 +123,66 @@ def prepare_fraction(gains: FractionGains) -> FractionGains:
     if not 1 <= len(gains.numerator) <= len(gains.denominator):
         rule = f"must have 1 to {len(gains.denominator)} coefficients, so that C(z) is proper"
         raise ConfigError("numerator", f"{rule}; got {len(gains.numerator)}")
-    low, high = extent(gains.denominator[0])
-    if low <= 0.0 <= high:
+    smallest_leading, largest_leading = extent(gains.denominator[0])
+    if smallest_leading <= 0.0 <= largest_leading:
         raise ConfigError("denominator.0", "is the coefficient of the highest power and must not be zero; leave it out")
     return gains
 
 
 def matrix_init(gains: MatrixGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
-    """At rest."""
+    """The controller at rest: its state is zero."""
     return DiscreteState((0.0,) * len(gains.a))
 
 
 def matrix_step(
     gains: MatrixGains, state: DiscreteState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[DiscreteState, Command, DiscreteInfo]:
-    """One sample."""
+    """One sample.
+
+    The command is u = C x + D w within its limits, and the next state is A x + B w. Here w is y_m - y and then the
+    measured signals; a D of one number takes none of them.
+    """
     signals = (reference.y - measurement.y, *measurement.signals[: len(gains.d) - 1])
     v = dot((*gains.c, *gains.d), (*state.x, *signals))
     after = []
     for row, entries in zip(gains.a, gains.b, strict=True):
         after.append(dot((*row, *entries), (*state.x, *signals)))
     u = within_limits(v, gains.low, gains.high)
-    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+    return DiscreteState(tuple(after)), Command(robust=u, nominal=0.0), DiscreteInfo(v)
+
+
+def require_rows(name: str, rows: Rows, shape: tuple[int, int]) -> None:
+    """Require that the matrix in the field ``name`` has a number of rows and of columns; raises ConfigError."""
+    row_count, column_count = shape
+    if len(rows) != row_count:
+        raise ConfigError(name, f"must have {row_count} rows, one for each state, got {len(rows)}")
+    for i, row in enumerate(rows):
+        if len(row) != column_count:
+            raise ConfigError(f"{name}.{i}", f"must have {column_count} numbers, got {len(row)}")
 
 
 def prepare_matrix(gains: MatrixGains) -> MatrixGains:
-    """Require matrices that fit and limits in order; raises ConfigError."""
+    """Require matrices whose sizes fit each other, and a lower limit below the upper one; raises ConfigError."""
     require_order(gains.low, gains.high)
     order = len(gains.a)
     if order > MOST_STATES:
         raise ConfigError("a", f"must have at most {MOST_STATES} rows, got {order}")
     if not gains.d:
         raise ConfigError("d", "must have a number for y_m - y, then one for each measured signal; got none")
-    for name, rows, count in (("a", gains.a, order), ("b", gains.b, len(gains.d))):
-        if len(rows) != order:
-            raise ConfigError(name, f"must have {order} rows, one for each state, got {len(rows)}")
-        for i, row in enumerate(rows):
-            if len(row) != count:
-                raise ConfigError(f"{name}.{i}", f"must have {count} numbers, got {len(row)}")
+    require_rows("a", gains.a, (order, order))
+    require_rows("b", gains.b, (order, len(gains.d)))
     if len(gains.c) != order:
         raise ConfigError("c", f"must have {order} numbers, one for each state, got {len(gains.c)}")
     return gains
 
 
-def fit(gains: G, setting: LoopSetting) -> G:
-    """The gains, unchanged; raises ConfigError if they state another T_s than that of the loop."""
-    design_time = gains.sample_time
-    if design_time is not None and abs(float(design_time) - setting.sample_time) > 1e-9 * setting.sample_time:
-        rule = f"must be the loop's sample_time = {setting.sample_time:g} s, got {float(design_time):g}"
+def require_sample_time(gains: G, setting: LoopSetting) -> G:
+    """The gains themselves, whose stated T_s must be the loop's; None: they state none. Raises ConfigError."""
+    if gains.sample_time is None:
+        return gains
+    design_time = float(gains.sample_time)
+    if abs(design_time - setting.sample_time) > 1e-9 * setting.sample_time:
+        rule = f"must be the loop's sample_time = {setting.sample_time:g} s, got {design_time:g}"
         raise ConfigError("sample_time", f"{rule}; design the controller for that, or change the loop")
     return gains
 
@@ -169,7 +194,7 @@ DISCRETE_TRANSFER_FUNCTION: Entry = single(
         fraction_step,
         prepare_fraction,
         smooth=smooth_within_limits(fraction_init, fraction_step),
-        fit=fit,
+        fit=require_sample_time,
         info=DiscreteInfo,
     ),
     "u = C(z) (y_m - y), by the coefficients of C",
@@ -185,7 +210,7 @@ DISCRETE_STATE_SPACE: Entry = single(
         prepare_matrix,
         smooth=smooth_within_limits(matrix_init, matrix_step),
         takes=lambda gains: len(gains.d) - 1,
-        fit=fit,
+        fit=require_sample_time,
         info=DiscreteInfo,
     ),
     "x(k+1) = A x + B w, u = C x + D w, where w is y_m - y and the measured signals",

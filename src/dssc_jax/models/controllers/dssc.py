@@ -1,6 +1,8 @@
 """Dynamic Smooth Sliding Control (14)-(18), and SSC as its special case with constant functions.
 
 The sampled forms of filter and predictor are in :mod:`dssc_jax.models.controllers.dssc_forms`.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from typing import Annotated, NamedTuple
@@ -47,17 +49,20 @@ from dssc_jax.models.controllers.dssc_forms import (
     sigma_rate,
     switching_gain,
 )
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant, StateFunctions
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Constant
 from dssc_jax.models.controllers.modulation import ModulationSignals
 from dssc_jax.models.controllers.nominal import nominal_control
+from dssc_jax.models.controllers.state_functions import StateFunctions
 
 
 class DsscInfo(NamedTuple):
-    """Values reported at each sample.
+    """What DSSC reports at each sample, for metrics and plots.
 
-    ``sliding_margin`` is rho - |u_eq| [m/s] with u_eq = d_0/k_o of (20), discretised: in the implicit form the u_0
-    that brings sigma_tilde to 0 within the sample; in the explicit form, which never reaches 0, (20) with the
-    difference of the last two sigma. The sliding condition rho > |d_0|/k_o holds if the margin is not negative.
+    ``sliding_margin`` is rho - |u_eq| [m/s], where the equivalent control u_eq = d_0/k_o of (20) is the u_0 that keeps
+    sigma_tilde at 0. The sliding condition rho > |d_0|/k_o holds if the margin is not negative. In the implicit and
+    the conservative form u_eq brings sigma_tilde to 0 within the sample. The explicit form never reaches 0; there u_eq
+    is (20) with the difference of the last two sigma.
+
     ``integral_gain`` is K_I = 1/(k_o tau_av tau_m) of the synthesised law (22), whose K_P is K_I tau_m.
     """
 
@@ -76,7 +81,16 @@ class DsscInfo(NamedTuple):
 def control_sample(
     gains: DsscGains, modulation: State, u_av: Scalar, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[State, Scalar, ControlSample]:
-    """The next state of the modulation, the nominal control, and what filter and predictor see at one sample."""
+    """The next state of the modulation, the nominal control, and what filter and predictor see at one sample.
+
+    Args:
+        gains: Gains of DSSC.
+        modulation: State of the modulation rho.
+        u_av: Averaged control before the sample [u].
+        measurement: y and y'.
+        reference: y_m and its derivatives.
+        dt: T_s [s].
+    """
     error: TrackingError = tracking_error(measurement, reference, gains.l0)
     at: StateFunctions = gains.functions.at(error.sigma, error.e, gains.l0)
     ratios = sample_ratios(at, dt)
@@ -97,7 +111,13 @@ def control_sample(
 
 
 def sliding_smoothness(gains: DsscGains) -> Smoothness:
-    """Smooth in sliding, if its functions are; what is between is the clip of u_0 to rho."""
+    """Where DSSC has a derivative: in sliding and outside of it, but not at its end, |u_eq| = rho.
+
+    There the clip of u_0 to rho has a corner. If the state-dependent functions have a derivative nowhere, nor has DSSC.
+
+    Raises:
+        ConfigError: The functions do not declare where they have a derivative.
+    """
     try:
         functions = declared_smoothness(gains.functions, gains)
     except ConfigError as error:
@@ -108,36 +128,47 @@ def sliding_smoothness(gains: DsscGains) -> Smoothness:
 
 
 def explicit_smoothness(gains: DsscGains) -> Smoothness:
-    """The sign switches, unless it is smoothed."""
-    if gains.sign_width is None or extent(gains.sign_width)[0] == 0.0:
+    """Where DSSC in its explicit form has a derivative: nowhere, unless a positive width smooths its sign."""
+    smallest_width = 0.0
+    if gains.sign_width is not None:
+        smallest_width, _ = extent(gains.sign_width)
+    if smallest_width == 0.0:
         return not_smooth(f"in its explicit form {SWITCHES}")
     return sliding_smoothness(gains)
 
 
 def synthesised_gains(gains: DsscGains) -> tuple[Scalar, Scalar]:
-    """K_P = 1/(k_o tau_av) and K_I = K_P/tau_m of the law that (22) synthesises at the origin."""
+    """K_P = 1/(k_o tau_av) [u s/y] and K_I = K_P/tau_m [u/y] of the law that (22) synthesises near 0."""
     at = gains.functions.at(0.0, 0.0, gains.l0)
     proportional = 1.0 / (at.k_o * at.tau_av)
     return proportional, proportional / at.tau_m
 
 
 def tunable_functions(gains: DsscGains) -> tuple[str, ...]:
-    """The gains of the state-dependent functions that may be tuned; none of functions that declare none."""
+    """Names of the constants that a comparison tunes, such as ``functions.kappa1``; () if none are declared."""
     return tuple(f"functions.{name}" for name in getattr(gains.functions, "tunable", ()))
 
 
 def constant_gains(gains: DsscGains) -> TomlTable:
-    """The gains of SSC that correspond to DSSC's: the functions' values at the origin."""
+    """The table of an SSC that corresponds to DSSC: its constants are the values of DSSC's functions at the origin."""
     at = gains.functions.at(0.0, 0.0, nominal(gains.l0))
     constants = {"kind": "constant", **{name: float(value) for name, value in at._asdict().items()}}
     return {"functions": constants, "rho": switching_gain(gains), "predictor_start": gains.predictor_start.value}
 
 
 def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Controller:
-    """DSSC with the given sampled form of filter and predictor."""
+    """Make the controller DSSC with a sampled form of its filter and predictor.
+
+    Args:
+        form: The sampled form.
+        smooth: Declaration where the controller has a derivative.
+    """
 
     def init(gains: DsscGains, measurement: Measurement, reference: ReferencePoint) -> DsscState:
-        """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about phi_1(sigma) to the command."""
+        """u_av = 0, and sigma_hat = 0 or the first sigma; a start at 0 adds about phi_1(sigma) to the command.
+
+        With the start ``midpoint`` the predictor's state belongs to half a sample before the first sample.
+        """
         error = tracking_error(measurement, reference, gains.l0)
         predictor = 0.0 if gains.predictor_start == PredictorStart.ZERO else form.predictor(gains, error)
         earlier = 0.5 if gains.predictor_start == PredictorStart.MIDPOINT else ()
@@ -146,10 +177,12 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
     def step(
         gains: DsscGains, state: DsscState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[DsscState, Command, DsscInfo]:
+        # one sample; `at` holds the values of the state-dependent functions
         modulation, u_nominal, sample = control_sample(gains, state.modulation, state.u_av, measurement, reference, dt)
         error, at, ratios, rho = sample
         earlier = state.earlier
         if gains.predictor_start == PredictorStart.MIDPOINT:
+            # a step takes a state that is one sample old; at the first sample it is half a sample old (earlier = 0.5)
             undecayed = state.predictor * (1.0 + earlier * dt * form.rate(gains, sample))
             state = state._replace(predictor=undecayed)
             earlier = 0.0 * earlier  # a time loop of a kernel cannot carry a plain number
@@ -170,10 +203,14 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
     def transfer(
         gains: DsscGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
     ) -> DsscState:
-        """u_av is what the command lacks of the nominal control, and the predictor's state keeps it in sliding."""
+        """u_av is what the command lacks of the nominal control, and the predictor's state keeps it in sliding.
+
+        The first step from the returned state gives the command.
+        """
         state = init(gains, measurement, reference)
         _, u_nominal, sample = control_sample(gains, state.modulation, 0.0, measurement, reference, dt)
-        u_av = u_nominal - command
+        u_av = u_nominal - command  # command = -u_av + u_n
+        # once more, because rho may depend on u_av
         _, _, sample = control_sample(gains, state.modulation, u_av, measurement, reference, dt)
         start, predictor = form.resting(gains, u_av, sample, dt)
         earlier = 0.0 if gains.predictor_start == PredictorStart.MIDPOINT else ()
@@ -191,8 +228,8 @@ def dssc(form: SampledForm, smooth: Declaration = sliding_smoothness) -> Control
     )
 
 
-def constant_functions(gains: DsscGains) -> DsscGains:
-    """Require constant functions, which make DSSC SSC; raises ConfigError."""
+def require_constant_functions(gains: DsscGains) -> DsscGains:
+    """The gains themselves, whose state-dependent functions must be constants, as those of SSC; raises ConfigError."""
     if not isinstance(gains.functions, Constant):
         raise ConfigError("functions.kind", "ssc has constant functions; for others take kind = 'dssc'")
     return gains
@@ -210,7 +247,7 @@ MEMBERS = {
 
 
 def default_form(table: TomlTable) -> Discretisation:
-    """The sampled form of a controller's table that does not give it: that of its state-dependent functions."""
+    """The sampled form for a controller's table that states none: the one that suits its state-dependent functions."""
     functions = table.get("functions")
     kind = functions.get("kind") if isinstance(functions, dict) else None
     if kind not in GAIN_FUNCTIONS:  # its absence is reported where the functions are parsed
@@ -227,7 +264,10 @@ DSSC = Entry(
     example={"l0": 0.5, "rho": 2.0, "functions": {"kind": "approx_sta_2", **GAIN_FUNCTIONS["approx_sta_2"].example}},
 )
 SSC = Entry(
-    {form: member._replace(prepare=constant_functions, from_dssc=constant_gains) for form, member in MEMBERS.items()},
+    {
+        form: member._replace(prepare=require_constant_functions, from_dssc=constant_gains)
+        for form, member in MEMBERS.items()
+    },
     "smooth sliding control: DSSC with constant functions",
     "discretisation",
     Discretisation.CONSERVATIVE,

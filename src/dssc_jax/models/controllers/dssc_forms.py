@@ -8,6 +8,8 @@ With a = T_s/tau_av, b = T_s/tau_m and c = T_s k_o/((1+a)(1+b)) the set-valued u
 exactly by a clip. While the clip is inactive sigma_hat+ = sigma to rounding and the command obeys the synthesised law
 (22) in backward-Euler form; explicit Euler chatters at every step size and is unstable for T_s > 2 tau_m or
 T_s > 2 tau_av.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 from collections.abc import Callable
@@ -22,16 +24,17 @@ from dssc_jax.core.numerics import clip, newton, sign
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar, State, TrackingError
-from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, StateFunctions
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS
 from dssc_jax.models.controllers.modulation import MODULATIONS, ConstantModulation
 from dssc_jax.models.controllers.nominal import L0, NominalGains
+from dssc_jax.models.controllers.state_functions import StateFunctions
 
 NEWTON_STEPS = 12
 
 
 @jax.tree_util.register_static
 class PredictorStart(StrEnum):
-    """The choice of sigma_hat at the start.
+    """The choice of the predicted sigma, sigma_hat, at the start.
 
     With ``zero`` it is 0 at the first sample. With ``matched`` it is sigma there, so that the loop slides from the
     start, as in Appendix D. With ``midpoint`` it is sigma half a sample earlier.
@@ -66,27 +69,27 @@ class DsscGains(NamedTuple):
 
 
 def switching_gain(gains: DsscGains) -> float:
-    """The constant rho, or its median; raises ConfigError for the norm bound."""
+    """The constant modulation rho [u], or the median of its law; raises ConfigError if rho is the norm bound."""
     if not isinstance(gains.rho, ConstantModulation):
         raise ConfigError("", "rho is no constant")
     return nominal(gains.rho.rho)
 
 
 def nominal_input_gain(gains: DsscGains) -> float:
-    """k_n of the nominal control, or 1 if there is none."""
+    """The input gain k_n of the nominal plant [y/(s^2 u)]; 1 if there is no nominal control."""
     return nominal(gains.nominal.k) if gains.nominal else 1.0
 
 
 class DsscState(NamedTuple):
-    """State of DSSC.
+    """What DSSC remembers from one sample to the next.
 
     Args:
         u_av: Averaged control [u].
         predictor: sigma_hat [y/s]; in the conservative form, phi_1(sigma_hat) [u].
         sigma: sigma at the sample before [y/s].
         modulation: State of the modulation.
-        earlier: Age of ``predictor`` before the first sample [samples], with the start ``midpoint``; 0 after that
-            sample, and () with another start.
+        earlier: With the start ``midpoint`` 0.5 at the first sample, where ``predictor`` is half a sample old and not
+            one sample, and 0 after it; () with another start.
     """
 
     u_av: Scalar
@@ -104,7 +107,7 @@ class Sampled(NamedTuple):
         u_av: Averaged control [u].
         predictor: State of the predictor, as in :class:`DsscState`.
         sigma_hat: Predicted sigma [y/s].
-        u_eq: Equivalent control [u].
+        u_eq: Equivalent control [u], the u_0 with which sigma_hat becomes sigma.
     """
 
     u_0: Scalar
@@ -115,14 +118,15 @@ class Sampled(NamedTuple):
 
 
 class SampleRatios(NamedTuple):
-    """Ratios of the functions' values and T_s at one sample.
+    """What filter and predictor need of the functions' values and T_s at one sample.
 
     Args:
         pole: 1/tau_m [1/s].
         decay: 1/(1 + T_s/tau_m).
-        c: Decrease of sigma_tilde in a sample by an increase of u_0 [y/(s u)].
+        c: T_s k_o/((1 + T_s/tau_av)(1 + T_s/tau_m)), the decrease of sigma_tilde in a sample by an increase of u_0
+            [y/(s u)].
         inverse_c: 1/c.
-        integral_gain: K_I of (22) [u/y].
+        integral_gain: K_I = 1/(k_o tau_av tau_m) of (22) [u/y].
     """
 
     pole: Scalar
@@ -133,7 +137,7 @@ class SampleRatios(NamedTuple):
 
 
 class ControlSample(NamedTuple):
-    """Inputs of filter and predictor at one sample.
+    """What filter and predictor get at one sample.
 
     Args:
         error: Tracking error e and sigma.
@@ -155,8 +159,8 @@ class SampledForm(NamedTuple):
         predictor: (gains, error) -> the predictor's state where sigma_hat = sigma.
         rate: (gains, sample) -> the rate [1/s] at which that state decays.
         update: (gains, state, sample, T_s) -> filter and predictor after the sample.
-        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, with which it ends at
-            u_av+ and slides.
+        resting: (gains, u_av+, sample, T_s) -> u_av and the predictor's state before the sample, from which the sample
+            leads to u_av+ and slides.
     """
 
     predictor: Callable[[DsscGains, TrackingError], Scalar]
@@ -168,7 +172,14 @@ class SampledForm(NamedTuple):
 def smoothed_remainder(free: Scalar, c: Scalar, rho: Scalar, width: Scalar) -> Scalar:
     """The remainder of ``free`` after u_0: the solution x of x + c rho x/(|x| + width) = free, in closed form.
 
-    Smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
+    x is the sigma_tilde after a sample with a smoothed sign [y/s]: the sample takes away c u_0, where u_0 is rho times
+    the smoothed sign of x. It is smooth for width > 0; for width 0 it equals free - clip(free, -c rho, c rho).
+
+    Args:
+        free: The sigma_tilde after the sample with u_0 = 0 [y/s].
+        c: Decrease of sigma_tilde by an increase of u_0 [y/(s u)].
+        rho: Bound of u_0 [u].
+        width: Width of the smoothed sign [y/s].
     """
     size = jnp.abs(free)
     b = width + c * rho - size
@@ -183,6 +194,13 @@ def limit_change(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width:
     """The change u_0 - u_av, limited so that u_0 is in rho Sgn(sigma_tilde+), sigma_tilde+ = c (unlimited - change).
 
     The change is clipped instead of u_0, to avoid subtracting numbers of the size of u_av in sliding.
+
+    Args:
+        unlimited: The change that makes sigma_tilde+ = 0, u_eq - u_av [u].
+        u_av: Averaged control before the sample [u].
+        rho: Bound of u_0 [u].
+        c: Decrease of sigma_tilde by an increase of u_0 [y/(s u)], used with a width only.
+        width: Width of the smoothed sign [y/s]; None: the sign switches.
     """
     if width is None:
         return clip(unlimited, -rho - u_av, rho - u_av)
@@ -190,14 +208,17 @@ def limit_change(unlimited: Scalar, u_av: Scalar, rho: Scalar, c: Scalar, width:
 
 
 def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
-    """The ratios from one common division, since a division costs far more than a product; for tau_m > 0."""
+    """The ratios from one common division, since a division costs far more than a product; for tau_m > 0.
+
+    In the comments a = T_s/tau_av.
+    """
     share = dt / (at.tau_av + dt)  # a/(1+a)
     gain = share * at.k_o * at.tau_av  # T_s k_o/(1+a)
     product = gain * at.tau_m
     longer = at.tau_m + dt
     inverse = 1.0 / (product * longer)
-    decay = product * inverse * at.tau_m
-    inverse_product = longer * inverse
+    decay = product * inverse * at.tau_m  # tau_m/(tau_m + T_s)
+    inverse_product = longer * inverse  # 1/(gain tau_m)
     return SampleRatios(
         pole=gain * inverse_product,
         decay=decay,
@@ -208,11 +229,18 @@ def sample_ratios(at: StateFunctions, dt: Scalar) -> SampleRatios:
 
 
 def implicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Backward Euler for (15)-(18), solved exactly."""
+    """Backward Euler for (15)-(18), solved exactly.
+
+    A sample changes sigma_hat to decay sigma_hat + c (u_0 - u_av), and u_av by a/(1+a) of u_0 - u_av, where
+    a = T_s/tau_av. The equivalent control u_eq is the u_0 that makes the new sigma_hat equal to sigma; u_0 is u_eq,
+    limited to rho.
+    """
     u_av = state.u_av
     sigma_hat = state.predictor
     at = sample.at
-    _, decay, c, inverse_c, _ = sample.ratios
+    decay = sample.ratios.decay
+    c = sample.ratios.c
+    inverse_c = sample.ratios.inverse_c
     unlimited = (sample.error.sigma - decay * sigma_hat) * inverse_c  # u_eq - u_av
     change = limit_change(unlimited, u_av, sample.rho, c, gains.sign_width)
     after = decay * sigma_hat + c * change
@@ -241,22 +269,33 @@ def conservative_update(gains: DsscGains, state: DsscState, sample: ControlSampl
 
 
 def phi_1_and_slope(signals: tuple[State, Scalar, Scalar], sigma: Scalar) -> tuple[Scalar, Scalar]:
-    """phi_1(sigma, e) and its slope in sigma; ``signals``: the functions of the table, l_0 and e."""
+    """phi_1(sigma, e) [u] of the synthesised law and its slope in sigma, 1/(k_o tau_av).
+
+    Args:
+        signals: The state-dependent functions, l_0 and e.
+        sigma: Where it is evaluated [y/s].
+    """
     functions, l0, e = signals
     at = functions.at(sigma, e, l0)
     return functions.law(sigma, e, at).gain * sigma, 1.0 / (at.k_o * at.tau_av)
 
 
 def predicted_sigma(gains: DsscGains, w: Scalar, e: Scalar) -> Scalar:
-    """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below."""
+    """sigma_hat with phi_1(sigma_hat, e) = w; only what is recorded needs it. Newton's method goes up from below.
+
+    Its start is w over the slope at 0, which is below the solution where phi_1 is concave for sigma > 0.
+    """
     size = jnp.abs(w)
     signals = (gains.functions, gains.l0, e)
-    start = size / phi_1_and_slope(signals, 0.0 * size)[1]
+    start = size / phi_1_and_slope(signals, 0.0 * size)[1]  # over the slope at 0
     return sign(w) * newton(phi_1_and_slope, signals, size, start, NEWTON_STEPS)
 
 
 def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, dt: Scalar) -> Sampled:
-    """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison."""
+    """Forward Euler for (15)-(18) with sgn 0 = 0, for comparison.
+
+    The equivalent control u_eq, which is reported only, follows from (20) with the difference of the last two sigma.
+    """
     sigma = sample.error.sigma
     sigma_hat = state.predictor
     at = sample.at
@@ -268,7 +307,7 @@ def explicit_update(gains: DsscGains, state: DsscState, sample: ControlSample, d
 
 
 def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
-    """x/(|x| + width); without a width, or with 0, the sign with sgn 0 = 0."""
+    """The smoothed sign x/(|x| + width); with a width of None or 0, the sign of x with sgn 0 = 0."""
     if width is None:
         return sign(x)
     size = jnp.abs(x) + width
@@ -276,7 +315,10 @@ def smoothed_sign(x: Scalar, width: Scalar | None) -> Scalar:
 
 
 def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
-    """The sigma_tilde at which u_0 = u_av: 0, or what the smoothed sign needs."""
+    """The sigma_tilde at which u_0 = u_av: 0, or what the smoothed sign needs.
+
+    Where u_av is not within rho, no sigma_tilde gives it, and the result is 0.
+    """
     if gains.sign_width is None:
         return 0.0
     room = rho - jnp.abs(u_av)
@@ -284,13 +326,21 @@ def resting_sigma_tilde(gains: DsscGains, u_av: Scalar, rho: Scalar) -> Scalar:
 
 
 def implicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """The sigma_hat that decays to sigma - sigma_tilde."""
+    """The sigma_hat that decays to sigma - sigma_tilde.
+
+    Returns:
+        u_av [u] and sigma_hat [y/s] before the sample, at whose end u_av is the same and the loop slides.
+    """
     sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
     return u_av, (sample.error.sigma - sigma_tilde) / sample.ratios.decay
 
 
 def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """The w that decays to phi_1(sigma), less the part of sigma_tilde."""
+    """The w that decays to phi_1(sigma), less the part of sigma_tilde.
+
+    Returns:
+        u_av [u] and w [u] before the sample, at whose end u_av is the same and the loop slides.
+    """
     e, sigma = sample.error
     at = sample.at
     law = gains.functions.law(sigma, e, at)
@@ -300,29 +350,42 @@ def conservative_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, 
 
 
 def explicit_resting(gains: DsscGains, u_av: Scalar, sample: ControlSample, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample."""
+    """Without a width, u_0 = 0 at sigma_tilde = 0, and u_av decays in this sample.
+
+    Args:
+        gains: Gains of DSSC.
+        u_av: Averaged control after the sample [u].
+        sample: Inputs of filter and predictor.
+        dt: T_s [s].
+
+    Returns:
+        u_av [u] and sigma_hat [y/s] before the sample.
+    """
     sigma_tilde = resting_sigma_tilde(gains, u_av, sample.rho)
     start = u_av / (1.0 - dt / sample.at.tau_av) if gains.sign_width is None else u_av
     return start, sample.error.sigma - sigma_tilde
 
 
 def sigma_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
-    """Sigma itself."""
+    """The predictor's state of the implicit and the explicit form where sigma_hat = sigma: sigma itself [y/s]."""
     return error.sigma
 
 
 def sigma_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """1/tau_m."""
+    """The rate 1/tau_m [1/s] at which the predictor's state sigma_hat of the implicit and the explicit form decays."""
     return sample.ratios.pole
 
 
 def phi_1_coordinate(gains: DsscGains, error: TrackingError) -> Scalar:
-    """phi_1(sigma, e)."""
+    """phi_1(sigma, e).
+
+    It is the predictor's state w [u] of the conservative form where sigma_hat = sigma.
+    """
     at = gains.functions.at(error.sigma, error.e, gains.l0)
     return gains.functions.law(error.sigma, error.e, at).gain * error.sigma
 
 
 def phi_1_rate(gains: DsscGains, sample: ControlSample) -> Scalar:
-    """phi_2/phi_1."""
+    """The rate phi_2/phi_1 [1/s] at which the predictor's state w of the conservative form decays."""
     e, sigma = sample.error
     return gains.functions.law(sigma, e, sample.at).rate

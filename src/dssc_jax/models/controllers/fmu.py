@@ -20,6 +20,7 @@ from dssc_jax.core.native.fmu_tables import (
     params_type,
     reported_outputs,
     require_distinct,
+    value_references,
     values_of,
 )
 from dssc_jax.core.native.named_types import named_type
@@ -65,6 +66,7 @@ class FmuController:
     """
 
     def __init__(self, fmu: NativeFmu, table: TomlTable) -> None:
+        """Connect the loop's signals to the FMU's variables."""
         self.fmu = fmu
         self.inputs = connections(fmu, table, "inputs", INPUT)
         if not self.inputs:
@@ -77,16 +79,27 @@ class FmuController:
         self.command = connection(fmu, table, COMMAND_KEY, OUTPUT)
         self.outputs = reported_outputs(fmu, table)
         self.parameters = parameter_connections(fmu, table, self.inputs)
-        connected = (self.parameters, self.inputs, (self.command, *self.outputs))
-        ports = FmuPorts(fmu, *(tuple(variable.reference for _, variable in part) for part in connected))
+        ports = FmuPorts(
+            fmu,
+            parameters=value_references(self.parameters),
+            inputs=value_references(self.inputs),
+            outputs=value_references((self.command, *self.outputs)),
+        )
         self.functions = FmuFunctions(ports)
 
     def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
-        """The state before an instance begins."""
+        """The state before an instance of the FMU is started: empty words, which :meth:`begin` replaces."""
         return empty_words()
 
     def begin(self, gains: Params, state: tuple[Scalar, ...], lane: Scalar, steps: int) -> tuple[Scalar, ...]:
-        """The state of a new instance with the draw's parameters."""
+        """Start an instance with the draw's parameters; return the state at t = 0.
+
+        Args:
+            gains: Gains with the FMU's parameters.
+            state: The state of :meth:`init`, which is not used.
+            lane: Word that tells the draw's instance apart.
+            steps: Number of steps of the flight.
+        """
         words, _ = self.functions.start(lane, steps, values_of(gains))
         return words
 
@@ -98,16 +111,22 @@ class FmuController:
         reference: ReferencePoint,
         dt: Scalar,
     ) -> tuple[tuple[Scalar, ...], Command, Info]:
-        """One sample: the command is the output after the step that begins at the sample."""
+        """One sample: the FMU gets the signals of the sample, makes a step, and its output is the command.
+
+        All of the command is its robust part u; the nominal part u_n is 0.
+        """
         error = reference.y - measurement.y
         signals = SampledSignals(measurement.y, measurement.y_dot, *reference, error)
         inputs = [getattr(signals, signal) for signal, _ in self.inputs]
         words, (command, *outputs) = self.functions.step(state, dt, inputs)
-        info = report_type(tuple(signal for signal, _ in self.outputs))(*outputs) if outputs else ()
+        info: Info = ()
+        if outputs:
+            report = report_type(tuple(signal for signal, _ in self.outputs))
+            info = report(*outputs)
         return words, Command(command, jnp.zeros_like(command)), info
 
     def controller(self) -> Controller:
-        """The controller."""
+        """The controller, an instance of its contract."""
         quantities = {signal: variable.quantity for signal, variable in self.outputs}
         return Controller(
             params_type(self.parameters, "l0", L0, 1.0),

@@ -6,107 +6,39 @@ follows. ``law(sigma, e, at)`` gives the control law that (22) synthesises, inte
 which DSSC is sampled unless the study says otherwise. ``tunable`` names the two constants that a comparison tunes,
 ``finite_slope`` tells whether phi_1 has a finite slope at 0, and ``super_twisting()`` is the STA that the row
 approximates. r = |sigma|^(1/2) throughout.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
-from typing import Annotated, NamedTuple, Protocol, TypeVar
+from typing import Annotated, NamedTuple
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import log_defect, root_abs, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Registry, single
-from dssc_jax.core.signals import Scalar, State
+from dssc_jax.core.signals import Scalar
 from dssc_jax.core.smoothness import SMOOTH, SWITCHES, not_smooth, piecewise
-
-ROOT_FLOOR = 1e-9  # [(m/s)^(1/2)]: the standard STA's k_o tau_av and tau_m vanish at sigma = 0
-
-KAPPA_1 = Quantity("u (y/s)^(-1/2)", "proportional gain kappa_1 in Table 2's normalisation", above=0.0)
-KAPPA_2 = Quantity("u/s", "integral gain kappa_2 in Table 2's normalisation: sgn times kappa_2/2", above=0.0)
-DELTA = Quantity("(y/s)^(1/2)", "smoothing delta", above=0.0)
-K_O = Quantity("y/(s^2 u)", "predictor gain k_o", above=0.0)
-TAU_AV = Quantity("s", "averaging time constant tau_av", above=0.0)
-TAU_M = Quantity("s", "predictor time constant tau_m", above=0.0)
-
-
-class StateFunctions(NamedTuple):
-    """Values of the functions at one sample: k_o [y/(s^2 u)], tau_av [s], tau_m [s]."""
-
-    k_o: Scalar
-    tau_av: Scalar
-    tau_m: Scalar
-
-
-class IntegratedLaw(NamedTuple):
-    """The law u_av = phi_1 + integral of phi_2 that sliding synthesises, at one sample.
-
-    (22) is u_av' = g sigma' + g sigma/tau_m with g = 1/(k_o tau_av). phi_1(sigma, e) is the integral of g over
-    [0, sigma] at constant e, and phi_2 = u_av' - phi_1', the rest.
-
-    Args:
-        gain: phi_1/sigma, the mean of g over [0, sigma]; no unit.
-        rate: phi_2/phi_1 [1/s].
-    """
-
-    gain: Scalar
-    rate: Scalar
-
-
-class SuperTwisting(NamedTuple):
-    """kappa_1 and kappa_2 in the normalisation of Table 2, and the smoothing delta."""
-
-    kappa1: Scalar
-    kappa2: Scalar
-    delta: Scalar
-
-
-def super_twisting(functions: State) -> SuperTwisting:
-    """The STA that state-dependent functions approximate; raises ConfigError if they approximate none."""
-    approximated = getattr(functions, "super_twisting", None)
-    if approximated is None:
-        raise ConfigError("", f"the functions '{type(functions).__name__}' approximate no super-twisting algorithm")
-    return approximated()
-
-
-def root_law(kappa: Scalar, r: Scalar, delta: Scalar, tau_m: Scalar) -> IntegratedLaw:
-    """The law of g = kappa/(2 (r + delta)): phi_1 = kappa (r - delta ln(1 + r/delta)) sgn sigma."""
-    defect = log_defect(r / delta)
-    return IntegratedLaw(kappa / delta * defect, 0.5 * delta / (defect * (r + delta) * tau_m))
-
-
-def factors(product: Scalar, tau_m: Scalar, k_o: Scalar | None, tau_av: Scalar | None) -> StateFunctions:
-    """The functions from k_o tau_av and the given factor."""
-    if k_o is not None:
-        return StateFunctions(k_o, product / k_o, tau_m)
-    assert tau_av is not None  # held by one_factor, before tracing
-    return StateFunctions(product / tau_av, tau_av, tau_m)
-
-
-class Factored(Protocol):
-    """Functions with a known product k_o tau_av; one factor is a parameter, and the other one is None."""
-
-    @property
-    def k_o(self) -> Scalar | None:
-        """Predictor gain [y/(s^2 u)], or None."""
-        ...
-
-    @property
-    def tau_av(self) -> Scalar | None:
-        """Averaging time constant [s], or None."""
-        ...
-
-
-F = TypeVar("F", bound=Factored)
-
-
-def one_factor(gains: F) -> F:
-    """Require that exactly one of k_o and tau_av is given; raises ConfigError."""
-    if (gains.k_o is None) == (gains.tau_av is None):
-        given_factors = "neither" if gains.k_o is None else "both"
-        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {given_factors}")
-    return gains
+from dssc_jax.models.controllers.state_functions import (
+    DELTA,
+    K_O,
+    KAPPA_1,
+    KAPPA_2,
+    ROOT_FLOOR,
+    TAU_AV,
+    TAU_M,
+    IntegratedLaw,
+    StateFunctions,
+    SuperTwisting,
+    factors,
+    require_one_factor,
+    root_law,
+)
 
 
 class Constant(NamedTuple):
-    """Constants: the original SSC, which synthesises PI with K_P = 1/(k_o tau_av), K_I = K_P/tau_m."""
+    """Constant k_o, tau_av and tau_m: the original SSC, which synthesises PI control.
+
+    Its gains are K_P = 1/(k_o tau_av) and K_I = K_P/tau_m.
+    """
 
     k_o: Annotated[Scalar, K_O]
     tau_av: Annotated[Scalar, TAU_AV]
@@ -118,23 +50,29 @@ class Constant(NamedTuple):
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 1."""
+        """The constants themselves, in every state (Table 2, row 1)."""
         return StateFunctions(self.k_o, self.tau_av, self.tau_m)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """PI: phi_1 = sigma/(k_o tau_av), phi_2 = phi_1/tau_m."""
+        """PI: phi_1 = sigma/(k_o tau_av), phi_2 = phi_1/tau_m.
+
+        The gain phi_1/sigma and the rate phi_2/phi_1 are constant.
+        """
         return IntegratedLaw(1.0 / (at.k_o * at.tau_av), 1.0 / at.tau_m)
 
 
 class StandardSta(NamedTuple):
-    """Standard STA; stiff, since both functions vanish with sigma. r is floored at 1e-9."""
+    """The functions that synthesise the standard STA.
+
+    They are stiff, because k_o tau_av and tau_m vanish with sigma; r counts as at least ``ROOT_FLOOR`` there.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.IMPLICIT  # the slope of phi_1 is infinite at 0
     tunable = ("kappa1", "kappa2")
     finite_slope = False
@@ -146,16 +84,22 @@ class StandardSta(NamedTuple):
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains, without smoothing."""
+        """The STA with these gains, which the functions synthesise exactly: no smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, 0.0)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
-        """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma."""
+        """phi_1 = kappa1 r sgn sigma, phi_2 = (kappa2/2) sgn sigma.
+
+        The gain is phi_1/sigma = kappa1/r, and the rate is phi_2/phi_1 = 1/(2 tau_m).
+        """
         return IntegratedLaw(self.kappa1 / root_abs(sigma, ROOT_FLOOR), 0.5 / at.tau_m)
 
 
 class ApproximateSta1(NamedTuple):
-    """First approximation of the STA; smooth at sigma = 0, where tau_m = 2 delta kappa1/kappa2."""
+    """The functions of the first approximation of the STA.
+
+    They are smooth also at sigma = 0, where tau_m = 2 delta kappa1/kappa2.
+    """
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
@@ -163,20 +107,23 @@ class ApproximateSta1(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa1", "kappa2")
     finite_slope = True
     smooth = SMOOTH
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)]."""
+        """Table 2, row 3: tau_m = (kappa1/kappa2) r/[1 - (delta/r) ln((r + delta)/delta)].
+
+        With x = r/delta the quotient is delta x^2/(x - ln(1 + x)), which is 2 delta at r = 0.
+        """
         r = root_abs(sigma)
         tau_m = self.kappa1 * self.delta / (self.kappa2 * log_defect(r / self.delta))
         return factors(2.0 * (r + self.delta) / self.kappa1, tau_m, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains."""
+        """The STA with these gains and this smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -185,7 +132,7 @@ class ApproximateSta1(NamedTuple):
 
 
 class ApproximateSta2(NamedTuple):
-    """Second approximation of the STA."""
+    """The functions of the second approximation of the STA: the standard STA's, with r + delta in place of r."""
 
     kappa1: Annotated[Scalar, KAPPA_1]
     kappa2: Annotated[Scalar, KAPPA_2]
@@ -193,7 +140,7 @@ class ApproximateSta2(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa1", "kappa2")
     finite_slope = True
@@ -205,7 +152,7 @@ class ApproximateSta2(NamedTuple):
         return factors(2.0 * r / self.kappa1, self.kappa1 / self.kappa2 * r, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """Its own gains."""
+        """The STA with these gains and this smoothing."""
         return SuperTwisting(self.kappa1, self.kappa2, self.delta)
 
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
@@ -233,7 +180,7 @@ class SquareRoot(NamedTuple):
         return StateFunctions(self.kappa_o * (r + self.delta_o), self.tau_av, self.kappa_m * (r + self.delta_m))
 
     def super_twisting(self) -> SuperTwisting:
-        """Row 4 of Table 2, where both delta agree."""
+        """The STA that row 4 of Table 2 approximates, which has these functions if both delta agree."""
         kappa1 = 2.0 / (self.kappa_o * self.tau_av)
         return SuperTwisting(kappa1, kappa1 / self.kappa_m, self.delta_o)
 
@@ -243,7 +190,10 @@ class SquareRoot(NamedTuple):
 
 
 class Field(NamedTuple):
-    """The functions of the field test (Section V-C). Only here, kappa_2 multiplies sgn itself."""
+    """The functions of the article's field test (Section V-C).
+
+    Only here kappa_2 multiplies sgn itself; Table 2 multiplies sgn by kappa_2/2.
+    """
 
     k_o: Annotated[Scalar, K_O]
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -262,7 +212,7 @@ class Field(NamedTuple):
         return StateFunctions(self.k_o, tau_av, self.kappa1 * r / (2.0 * self.kappa2) + self.delta)
 
     def super_twisting(self) -> SuperTwisting:
-        """Twice its kappa_2, which multiplies sgn itself."""
+        """The STA in the normalisation of Table 2, whose kappa_2 is twice the one that multiplies sgn itself."""
         delta = 0.5 * self.delta * self.k_o * self.kappa1
         return SuperTwisting(self.kappa1, 2.0 * self.kappa2, delta)
 
@@ -275,7 +225,10 @@ KAPPA_ABC = "variable gain's coefficient"
 
 
 class VariableGains(NamedTuple):
-    """kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1."""
+    """The variable gains kappa_1, kappa_2 of Section IV-B at one sample, and the derivatives of kappa_1.
+
+    ``by_sigma`` and ``by_e`` are those with respect to sigma and e.
+    """
 
     kappa1: Scalar
     kappa2: Scalar
@@ -286,7 +239,15 @@ class VariableGains(NamedTuple):
 def variable_gains(
     sigma: Scalar, e: Scalar, coefficients: tuple[Scalar, Scalar, Scalar, Scalar], epsilon: Scalar, gamma: Scalar
 ) -> VariableGains:
-    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d and kappa_2 = 2 eps kappa_1 + gamma."""
+    """kappa_1 = (kappa_a |sigma| + kappa_b |e| + kappa_c)^2 + kappa_d and kappa_2 = 2 eps kappa_1 + gamma.
+
+    Args:
+        sigma: Sliding variable [y/s].
+        e: Control error [y].
+        coefficients: kappa_a, kappa_b, kappa_c, kappa_d.
+        epsilon: Share eps of kappa_2 that follows kappa_1.
+        gamma: Constant part of kappa_2.
+    """
     kappa_a, kappa_b, kappa_c, kappa_d = coefficients
     kappa = kappa_a * abs(sigma) + kappa_b * abs(e) + kappa_c
     kappa1 = kappa * kappa + kappa_d
@@ -317,20 +278,23 @@ class Vgsta(NamedTuple):
     k_o: Annotated[Scalar | None, K_O] = None
     tau_av: Annotated[Scalar | None, TAU_AV] = None
 
-    prepare = one_factor
+    prepare = require_one_factor
     sampled_form = Discretisation.CONSERVATIVE
     tunable = ("kappa_d", "gamma")
     finite_slope = True
     smooth = piecewise("the jump of tau_m at e = 0")
 
     def gains(self, sigma: Scalar, e: Scalar) -> VariableGains:
-        """kappa_1 and kappa_2."""
+        """The variable gains kappa_1 and kappa_2 at sigma and e, with the derivatives of kappa_1."""
         coefficients = (self.kappa_a, self.kappa_b, self.kappa_c, self.kappa_d)
         return variable_gains(sigma, e, coefficients, self.epsilon, self.gamma)
 
     def ratio(self, sigma: Scalar) -> tuple[Scalar, Scalar]:
-        """phi_1/sigma = phi_a/(r + delta) + phi_b of (26), and phi_1's derivative."""
-        rd = root_abs(sigma) + self.delta
+        """phi_1/sigma = phi_a/(r + delta) + phi_b of (26), and phi_1's derivative.
+
+        Both are finite at sigma = 0, because delta > 0.
+        """
+        rd = root_abs(sigma) + self.delta  # r + delta
         return self.phi_a / rd + self.phi_b, self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
@@ -352,7 +316,7 @@ class Vgsta(NamedTuple):
         return factors(1.0 / inverse_product, tau_m, self.k_o, self.tau_av)
 
     def super_twisting(self) -> SuperTwisting:
-        """The STA near the origin, where phi_a rules over phi_b."""
+        """The STA that the law approaches near the origin, where its square-root part phi_a rules over phi_b."""
         at = self.gains(0.0, 0.0)
         return SuperTwisting(at.kappa1 * self.phi_a, at.kappa2 * self.phi_a**2, self.delta)
 

@@ -30,7 +30,8 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.core.smoothness import not_smooth
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace, call
+from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace
+from dssc_jax.lanes.foreign import call as call_foreign
 from dssc_jax.models.controllers.nominal import L0
 
 KIND = "library"
@@ -46,9 +47,59 @@ Words: TypeAlias = tuple[jax.Array, ...]
 
 
 class LibraryGains(NamedTuple):
-    """Gains of a library before its file is loaded; the parameters that it exports are further fields."""
+    """Gains of a library whose file is not loaded yet; the parameters that the file exports are further fields."""
 
     l0: Annotated[Scalar, L0] = 1.0
+
+
+class MemoryLayout(NamedTuple):
+    """Places of a controller's numbers in the memory that its functions get: its exchange.
+
+    Args:
+        parameters: The parameters.
+        words: The rest of the controller, in words as large as its numbers: the state.
+        signals: The signals that a step reads.
+        commands: u and u_n, which a step writes.
+        flag: The flag that a step returns.
+        telemetry: The telemetry that a step writes.
+    """
+
+    parameters: tuple[MemoryPlace, ...]
+    words: tuple[MemoryPlace, ...]
+    signals: tuple[MemoryPlace, ...]
+    commands: tuple[MemoryPlace, ...]
+    flag: MemoryPlace
+    telemetry: tuple[MemoryPlace, ...]
+
+
+def memory_layout(controller: NativeController) -> MemoryLayout:
+    """Find the places of a controller's numbers, from the offsets in its description."""
+    real = np.dtype(f"f{controller.real}")
+    word = np.dtype(f"u{controller.real}")
+    parameter_offsets = [number.offset for number in controller.parameters]
+    words = []
+    for offset in range(0, controller.size, controller.real):
+        if offset not in parameter_offsets:
+            words.append(MemoryPlace(word, offset))
+    return MemoryLayout(
+        parameters=tuple(MemoryPlace(real, offset) for offset in parameter_offsets),
+        words=tuple(words),
+        signals=tuple(MemoryPlace(real, offset) for offset in controller.inputs),
+        commands=tuple(MemoryPlace(real, offset) for offset in controller.commands),
+        flag=MemoryPlace(np.dtype(np.uint32), controller.flag),
+        telemetry=tuple(MemoryPlace(real, number.offset) for number in controller.telemetry),
+    )
+
+
+def words_after_init(controller: NativeController, layout: MemoryLayout) -> list[Scalar]:
+    """The state that the library's ``init`` leaves, word by word."""
+    padding = np.zeros(controller.real, np.uint8)  # the last word may end after the exchange
+    memory = np.append(initial_memory(controller), padding)
+    words = []
+    for word, start in layout.words:
+        (value,) = memory[start : start + word.itemsize].view(word)
+        words.append(value)
+    return words
 
 
 class NativeCalls:
@@ -63,39 +114,35 @@ class NativeCalls:
     """
 
     def __init__(self, library: NativeLibrary, controller: NativeController) -> None:
+        """Make the functions known to lanes, with the places of their operands and results."""
         self.library = library
         self.controller = controller
-        real = np.dtype(f"f{controller.real}")
-        word = np.dtype(f"u{controller.real}")
-        parameters = tuple(MemoryPlace(real, number.offset) for number in controller.parameters)
-        occupied = {place.offset for place in parameters}
-        starts = [start for start in range(0, controller.size, controller.real) if start not in occupied]
-        words = tuple(MemoryPlace(word, start) for start in starts)
-        signals = tuple(MemoryPlace(real, offset) for offset in controller.inputs)
-        commands = tuple(MemoryPlace(real, offset) for offset in controller.commands)
-        telemetry = tuple(MemoryPlace(real, number.offset) for number in controller.telemetry)
-        flag = MemoryPlace(np.dtype(np.uint32), controller.flag)
-        size = controller.exchange + controller.real
-        reset = provide_function(library, controller, "reset", controller.reset)
-        step = provide_function(library, controller, "step", controller.step)
-        self.reset = ForeignFunction(reset, size, parameters + words, words)
-        operands = parameters + words + signals
-        outputs = (*words, *commands, flag)
-        self.step = ForeignFunction(step, size, operands, outputs + telemetry)
+        layout = memory_layout(controller)
+        self.begin = words_after_init(controller, layout)
+        self.reset = self.foreign_function("reset", controller.reset, layout.parameters + layout.words, layout.words)
+        operands = layout.parameters + layout.words + layout.signals
+        outputs = (*layout.words, *layout.commands, layout.flag)
+        self.step = self.foreign_function("step", controller.step, operands, outputs + layout.telemetry)
         self.step_without_telemetry: ForeignFunction | None = None
-        quiet = controller.step_without_telemetry
-        if quiet is not None:
-            symbol = provide_function(library, controller, "step_without_telemetry", quiet)
-            self.step_without_telemetry = ForeignFunction(symbol, size, operands, outputs)
-        memory = np.append(initial_memory(controller), np.zeros(controller.real, np.uint8))
-        self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
+        quiet_step = controller.step_without_telemetry
+        if quiet_step is not None:
+            name = "step_without_telemetry"
+            self.step_without_telemetry = self.foreign_function(name, quiet_step, operands, outputs)
 
-    def values(self, gains: Params) -> list[Scalar]:
+    def foreign_function(
+        self, name: str, address: int, operands: tuple[MemoryPlace, ...], results: tuple[MemoryPlace, ...]
+    ) -> ForeignFunction:
+        """Make one function of the library known to lanes; ``address`` is its code's."""
+        symbol = provide_function(self.library, self.controller, name, address)
+        size = self.controller.exchange + self.controller.real  # the last word may end after the exchange
+        return ForeignFunction(symbol, size, operands, results)
+
+    def parameter_values(self, gains: Params) -> list[Scalar]:
         """The values of the library's parameters, in its order."""
         return [getattr(gains, number.name) for number in self.controller.parameters]
 
     def call(self, function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
-        """The results of a call.
+        """Call a function of the library for one draw, and return its results in the order of their places.
 
         Raises:
             ConfigError: The loop's precision lacks the type of the library's numbers.
@@ -103,10 +150,12 @@ class NativeCalls:
         bits = 8 * self.controller.real
         if bits > 8 * jnp.result_type(float).itemsize:
             raise ConfigError("loop.precision", f"must be {bits}, the precision of {self.label}")
-        return call(function, *operands)
+        return call_foreign(function, *operands)
 
     def sample(self, *operands: Scalar) -> list[jax.Array]:
-        """The results of a sample: the words of the state, u, u_n, the flag, then the telemetry.
+        """Compute one sample: return the words of the state, u, u_n, the flag, and then the telemetry.
+
+        Operands are the parameters, the words of the state and the signals.
 
         Raises:
             ConfigError: The loop's precision lacks the type of the library's numbers.
@@ -114,7 +163,7 @@ class NativeCalls:
         results = self.call(self.step, *operands)
         if self.step_without_telemetry is not None:
             outputs = self.call(self.step_without_telemetry, *operands)
-            results[: len(outputs)] = outputs
+            results[: len(outputs)] = outputs  # the telemetry alone remains from the full step
         return results
 
     @property
@@ -125,24 +174,27 @@ class NativeCalls:
 
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
-    """The controller with this name in a library."""
-    (controller,) = (candidate for candidate in library.controllers if candidate.name == name)
+    """The model of the controller with this name in a library, which has one."""
+    controller = next(candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
 
     def init(gains: Params, measurement: Measurement, reference: ReferencePoint) -> Words:
-        return tuple(calls.call(calls.reset, *calls.values(gains), *calls.begin))
+        """The state after ``init`` and ``reset`` with the draw's parameters."""
+        return tuple(calls.call(calls.reset, *calls.parameter_values(gains), *calls.begin))
 
     def step(
         gains: Params, state: Words, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[Words, Command, Info]:
+        """One sample; raises ConfigError if T_s is not the sample time for which the C was written."""
         if isinstance(dt, float) and not np.isclose(dt, controller.sample_time, rtol=1e-9, atol=0.0):
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
         signals = (measurement.y, measurement.y_dot, *reference, *measurement.signals[: len(controller.measured)])
-        results = calls.sample(*calls.values(gains), *state, *signals)
+        results = calls.sample(*calls.parameter_values(gains), *state, *signals)
         words = tuple(results[: len(state)])
-        robust, nominal, flag, *telemetry = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
+        numbers = [result.astype(jnp.result_type(float)) for result in results[len(state) :]]
+        robust, nominal, flag, *telemetry = numbers
         return words, Command(robust, nominal), info(*telemetry, flag)
 
     return Controller(
@@ -164,19 +216,19 @@ def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
 
 
 def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
-    """The type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
+    """Make the NamedTuple type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
     quantities = {number.name: number.quantity for number in controller.parameters}
     return named_type("Gains", {"l0": L0} | quantities, {"l0": 1.0} | defaults)
 
 
 def info_type(controller: NativeController) -> Any:
-    """The type of the controller's info: its telemetry, and the flag of its step."""
+    """Make the NamedTuple type of the controller's report: its telemetry, and the flag of its step."""
     telemetry = {number.name: number.quantity for number in controller.telemetry}
     return named_type("Info", {**telemetry, "flag": FLAG}, {})
 
 
 def loaded_controller(table: TomlTable) -> Controller:
-    """The controller that a study's table names by file, digest and name.
+    """The controller that a study's table names by file, digest and name; without a name, the library's only one.
 
     Raises:
         ConfigError: Its library is not loaded, or has no such controller.
@@ -195,7 +247,7 @@ def loaded_controller(table: TomlTable) -> Controller:
 
 
 def unloaded(reason: str) -> Controller:
-    """A placeholder for native code in lists of kinds, before a file is loaded; no study gets it.
+    """Make the placeholder for native code in lists of kinds, where no file is loaded; no study gets it.
 
     Args:
         reason: Why the code has no derivative.

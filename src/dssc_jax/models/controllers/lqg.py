@@ -15,6 +15,8 @@ equation when the study is built, with the median in place of each law, so that 
 nominal plant. N makes the gain from y_m to y at rest equal to 1; if the plant has a zero there, N is 0. While the
 command is at a limit, z does not integrate errors that drive it further.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapters 8 and 9.
     K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), chapter 11.
@@ -24,7 +26,6 @@ from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
@@ -34,6 +35,13 @@ from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.command_limits import HIGH, LOW, prepare_limits, smooth_within_limits, within_limits
+from dssc_jax.models.controllers.linear_quadratic import (
+    SampledPlant,
+    filter_gain,
+    gain_at_rest,
+    regulator_gain,
+    sampled_system,
+)
 from dssc_jax.models.controllers.nominal import L0
 from dssc_jax.models.controllers.operating_point import (
     RESTING_COMMAND,
@@ -72,7 +80,11 @@ Rows = tuple[Row, ...]
 
 
 class LqgModel(NamedTuple):
-    """The linear model x' = A x + b u + E w, y = c x, s = C x + D u, in continuous time, of deviations."""
+    """The linear model x' = A x + b u + E w, y = c x, s = C x + D u that a study states for the design.
+
+    It is in continuous time, and its signals are deviations from the operating point. ``signals`` and ``feedthrough``
+    are C and D, and ``disturbances`` the columns of E.
+    """
 
     a: Annotated[Rows, MODEL_A]
     b: Annotated[Row, MODEL_B]
@@ -85,9 +97,10 @@ class LqgModel(NamedTuple):
 class LqgGains(NamedTuple):
     """Weights and standard deviations of the design, and the controller that :func:`fit` computes from them.
 
-    ``l0`` defines sigma of the metrics and is not used by the controller. The fields without units are computed: A, B,
-    C, D (``transition``, ``input``, ``signals``, ``feedthrough``), K, L, k_i, N (``feedback``, ``correction``,
-    ``integral_gain``, ``feedforward``), and ``taken``, the number of measured signals, 0 if y alone is measured.
+    The fields after ``l0`` are computed: the sampled plant's A, B, C, D (``transition``, ``input``, ``signals``,
+    ``feedthrough``), the gains K, L, k_i, N (``feedback``, ``correction``, ``integral_gain``, ``feedforward``), and
+    ``taken``, the number of measured signals, 0 if y alone is measured. ``l0`` defines sigma of the metrics; the
+    controller does not use it.
     """
 
     command_weight: Annotated[Scalar, COMMAND_WEIGHT]
@@ -104,6 +117,7 @@ class LqgGains(NamedTuple):
     resting_signals: Annotated[Row, RESTING_SIGNALS] = ()
     model: LqgModel | None = None
     l0: Annotated[Scalar, L0] = 1.0
+    # computed
     transition: Rows = ()
     input: Row = ()
     signals: Rows = ()
@@ -116,7 +130,7 @@ class LqgGains(NamedTuple):
 
 
 class LqgState(NamedTuple):
-    """The predicted state x-, the integral z of the error y - y_m, and the last command."""
+    """The predicted state x- of the plant, the integral z of the error y - y_m, and the last command u [u]."""
 
     predicted: Row
     integral: Scalar
@@ -124,141 +138,90 @@ class LqgState(NamedTuple):
 
 
 class LqgInfo(NamedTuple):
-    """The integral part of the command, and the first innovation s - C x- - D u(k-1)."""
+    """What the controller reports: the integral part of the command, and the first innovation s - C x- - D u(k-1)."""
 
     integral: Annotated[Scalar, Quantity("u", "integral term of u")]
     innovation: Annotated[Scalar, Quantity("SI", "innovation of the first measured signal")]
 
 
-class SampledPlant(NamedTuple):
-    """A linear plant in discrete time, with inputs that are constant over a sample.
-
-    Args:
-        a: A, shape (n, n).
-        b: Column of the command, shape (n,).
-        disturbances: Columns of the disturbances, shape (n, inputs).
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    disturbances: np.ndarray
-
-
-def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> SampledPlant:
-    """The exact discretisation of a linear plant, by Van Loan's method.
-
-    Args:
-        a: A in continuous time, shape (n, n).
-        columns: Columns of the command and then of the disturbances, shape (n, 1 + inputs).
-        sample_time: T_s [s].
-    """
-    order = len(a)
-    block = np.zeros((order + columns.shape[1],) * 2)
-    block[:order, :order] = a
-    block[:order, order:] = columns
-    exponential = expm(block * sample_time)
-    return SampledPlant(exponential[:order, :order], exponential[:order, order], exponential[:order, order + 1 :])
-
-
 def feedback_row(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_time: float) -> np.ndarray:
-    """K, followed by k_i if the error is integrated; shape (n,) or (n + 1,)."""
+    """The feedback K of the state, shape (n,), or K followed by k_i if the error is integrated, shape (n + 1,).
+
+    Args:
+        plant: The sampled plant.
+        output: Row c of y, shape (n,).
+        gains: Weights of the design.
+        sample_time: T_s [s].
+
+    Raises:
+        ConfigError: There are too many or too few weights, or no feedback stabilises the plant.
+    """
     order = len(plant.a)
     a = plant.a
     b = plant.b[:, None]
     weights = numbers_or_zeros("state_weights", gains.state_weights, order)
     q = np.diag(weights) + gains.output_weight * np.outer(output, output)
-    if gains.integral_weight:
-        a = np.block([[a, np.zeros((order, 1))], [sample_time * output[None, :], np.ones((1, 1))]])
+    if gains.integral_weight:  # one more state, z(k+1) = z + T_s y
+        column = np.zeros((order, 1))
+        a = np.block([[a, column], [sample_time * output[None, :], np.ones((1, 1))]])
         b = np.vstack([b, [[0.0]]])
-        q = np.block([[q, np.zeros((order, 1))], [np.zeros((1, order)), gains.integral_weight * np.ones((1, 1))]])
+        q = np.block([[q, column], [column.T, gains.integral_weight * np.ones((1, 1))]])
     return regulator_gain(a, b, q, float(gains.command_weight))
 
 
-def regulator_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, weight: float) -> np.ndarray:
-    """The row K, shape (n,), of u = -K x that minimises the sum of x' Q x + weight u^2; raises ConfigError."""
-    p = riccati_solution(a, b, q, weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
-    return (np.linalg.solve(weight + b.T @ p @ b, b.T @ p @ a))[0]
-
-
 def correction_matrix(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndarray:
-    """L, shape (n, m), for m measured signals s = rows x, where ``rows`` has the shape (m, n)."""
+    """The filter's gain L, shape (n, m), which turns the innovations of the measured signals into a correction of x.
+
+    Args:
+        plant: The sampled plant.
+        rows: Rows of C of the measured signals, shape (m, n).
+        gains: Standard deviations of the design.
+
+    Raises:
+        ConfigError: There are too many or too few numbers, or the measured signals do not show a mode of A.
+    """
     count = plant.disturbances.shape[1]
     missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
     disturbance_std = np.array(numbers_or_zeros("disturbance_std", (*gains.disturbance_std, *missing), count))
     state_variance = np.diag(np.square(numbers_or_zeros("state_std", gains.state_std, len(plant.a))))
-    w = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance
+    w = plant.disturbances @ np.diag(disturbance_std**2) @ plant.disturbances.T + state_variance  # of the state's noise
     v = np.diag(np.square(numbers_or_zeros("signal_std", gains.signal_std, len(rows))))
     return filter_gain(plant.a, rows, w, v)
 
 
-def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The gain L of the steady-state Kalman filter, which corrects a prediction x to x + L (y - C x); shape (n, m).
-
-    Args:
-        a: A in discrete time, shape (n, n).
-        rows: Rows of C of the measured signals, shape (m, n).
-        w: Covariance of the noise that is added to the state in each sample, shape (n, n).
-        v: Covariance of the signals' noise, shape (m, m).
-
-    Raises:
-        ConfigError: The measured signals do not show a mode of A.
-    """
-    p = riccati_solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
-    return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T
-
-
-def riccati_solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray, part: str, cause: str) -> np.ndarray:
-    """The stabilising solution of a discrete algebraic Riccati equation.
-
-    Args:
-        a: A, shape (n, n).
-        b: B, shape (n, m).
-        q: Weight of the state, shape (n, n).
-        r: Weight of the command, shape (m, m).
-        part: The part of the controller that needs it, for the message.
-        cause: A reason why there may be none, for the message.
-
-    Raises:
-        ConfigError: There is no stabilising solution.
-    """
-    try:
-        return solve_discrete_are(a, b, q, r)
-    except (LinAlgError, ValueError) as error:
-        rule = f"has no {part}: the Riccati equation has no stabilising solution ({error}); a mode without weight or "
-        raise ConfigError("kind", f"{rule}noise lies on the unit circle, or {cause}") from None
-
-
 def numbers_or_zeros(name: str, values: Row, count: int) -> tuple[float, ...]:
-    """The values as plain numbers, or zeros if there are none; raises ConfigError if there are not ``count``."""
+    """The values of the field ``name`` as plain numbers, or ``count`` zeros if it has none.
+
+    Raises:
+        ConfigError: The field has values, but not ``count`` of them.
+    """
     if values and len(values) != count:
         raise ConfigError(name, f"must have {count} numbers, got {len(values)}")
     return tuple(map(float, values)) or (0.0,) * count
 
 
-def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) -> float:
-    """N = N_u + K N_x, which makes y = y_m at rest; 0 if the plant has a zero at z = 1."""
-    order = len(plant.a)
-    block = np.block([[plant.a - np.eye(order), plant.b[:, None]], [output[None, :], np.zeros((1, 1))]])
-    if np.linalg.cond(block) > 1e12:
-        return 0.0
-    equilibrium = np.linalg.solve(block, np.append(np.zeros(order), 1.0))
-    return float(equilibrium[order] + feedback @ equilibrium[:order])
+def require_lengths(name: str, rows: Rows, count: int) -> None:
+    """Require ``count`` numbers in each row of a matrix of the table ``model``; raises ConfigError."""
+    for row in rows:
+        if len(row) != count:
+            raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(row)}")
 
 
 def plant_of_model(model: LqgModel, setting: LoopSetting) -> NominalPlant:
-    """The plant of the table ``model``; raises ConfigError if the sizes of its matrices do not fit."""
+    """The plant of the table ``model``; raises ConfigError if the sizes of its matrices do not fit.
+
+    Without columns of disturbances, a disturbance acts as the command does.
+    """
     order = len(model.a)
     columns = model.disturbances or (model.b,)
     rows = model.signals
-    sizes = [("a", row, order) for row in model.a]
-    sizes += [("b", model.b, order), ("c", model.c, order)]
-    sizes += [("signals", row, order) for row in rows]
-    sizes += [("disturbances", column, order) for column in columns]
+    require_lengths("a", model.a, order)
+    require_lengths("b", (model.b,), order)
+    require_lengths("c", (model.c,), order)
+    require_lengths("signals", rows, order)
+    require_lengths("disturbances", columns, order)
     if model.feedthrough:
-        sizes.append(("feedthrough", model.feedthrough, len(rows)))
-    for name, entries, count in sizes:
-        if len(entries) != count:
-            raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(entries)}")
+        require_lengths("feedthrough", (model.feedthrough,), len(rows))
     if len(rows) != len(setting.measures):
         rule = f"must have a row for each of the {len(setting.measures)} measured signals, got {len(rows)}"
         raise ConfigError("model.signals", rule)
@@ -273,22 +236,38 @@ def plant_of_model(model: LqgModel, setting: LoopSetting) -> NominalPlant:
     )
 
 
+def require_signal_stds(gains: LqgGains, count: int, measures: tuple[str, ...]) -> None:
+    """Require a standard deviation for each of ``count`` measured signals; raises ConfigError.
+
+    Args:
+        gains: The gains.
+        count: Number of measured signals; 1 if y alone is measured.
+        measures: Names of the measured signals; () if y alone is measured.
+    """
+    if len(gains.signal_std) == count:
+        return
+    names = ", ".join(measures) or "y"
+    rule = f"must have a number for each measured signal ({names}), got {len(gains.signal_std)}"
+    if measures and "y" not in measures:
+        rule = f"{rule}; to measure y as well, add it to [sensor] measures"
+    raise ConfigError("signal_std", rule)
+
+
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
-    """The gains with the regulator and the filter of the nominal plant, or of ``model``; raises ConfigError."""
+    """The gains with the regulator and the filter of the nominal plant, or of the table ``model`` if there is one.
+
+    Raises:
+        ConfigError: There is no linear plant, numbers do not fit its sizes, or a Riccati equation has no solution.
+    """
     plant = setting.plant if gains.model is None else plant_of_model(gains.model, setting)
     if plant is None:
         rule = "'lqg' needs a linear plant with one command, such as kind = 'state_space', or a linear model of it"
         raise ConfigError("kind", f"{rule} in [controller.model], as `design --controller lqg` writes it")
     require_resting(gains.resting_signals, len(setting.measures))
-    by_output = not setting.measures
-    rows = plant.output[None, :] if by_output else plant.signals
-    feedthrough = np.zeros(1) if by_output else plant.feedthrough
-    if len(gains.signal_std) != len(rows):
-        names = "y" if by_output else ", ".join(setting.measures)
-        rule = f"must have a number for each measured signal ({names}), got {len(gains.signal_std)}"
-        if not by_output and "y" not in setting.measures:
-            rule = f"{rule}; to measure y as well, add it to [sensor] measures"
-        raise ConfigError("signal_std", rule)
+    measures_y_alone = not setting.measures
+    rows = plant.output[None, :] if measures_y_alone else plant.signals
+    feedthrough = np.zeros(1) if measures_y_alone else plant.feedthrough
+    require_signal_stds(gains, len(rows), setting.measures)
     columns = np.column_stack([plant.command, plant.disturbances])
     discrete = sampled_system(plant.a, columns, setting.sample_time)
     order = len(discrete.a)
@@ -307,19 +286,25 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
 
 
 def plain_rows(matrix: np.ndarray) -> Rows:
-    """A matrix as rows of plain numbers."""
+    """A matrix as a tuple of rows of plain numbers, as gains hold it."""
     return tuple(tuple(map(float, row)) for row in matrix)
 
 
 def init(gains: LqgGains, measurement: Measurement, reference: ReferencePoint) -> LqgState:
-    """No estimate, no integral, no command."""
-    return LqgState((0.0,) * len(gains.input), 0.0, 0.0)
+    """The state at the first sample: predicted state, integral and last command are 0."""
+    return LqgState(predicted=(0.0,) * len(gains.input), integral=0.0, command=0.0)
 
 
 def step(
     gains: LqgGains, state: LqgState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[LqgState, Command, LqgInfo]:
-    """One sample: correct, command, predict."""
+    """One sample: correct, command, predict.
+
+    The measured signals correct the predicted state to an estimate; the command follows from the estimate, the integral
+    and the reference, within its limits; the model predicts the state at the next sample. The integral does not take an
+    error that drives the command further beyond a limit.
+    """
+    # signals and the last command as deviations from the operating point
     shown = (difference(measurement.y, gains.resting_output),)
     if measurement.signals:
         shown = deviations(measurement.signals, gains.resting_signals)
@@ -334,24 +319,28 @@ def step(
     integral_part = -gains.integral_gain * state.integral
     desired = difference(reference.y, gains.resting_output)
     v = integral_part + gains.feedforward * desired - dot(gains.feedback, estimate)
-    if not is_zero(gains.resting_command):
+    if not is_zero(gains.resting_command):  # from the deviation to the command itself
         v = v + gains.resting_command
     u = within_limits(v, gains.low, gains.high)
     change = dt * error
     if gains.low is not None or gains.high is not None:
+        # integrating the error changes v by -k_i error; at a limit, away from u if the product is positive
         drives_further = gains.integral_gain * error * (u - v) > 0.0
         change = jnp.where(drives_further, 0.0, change)
     predicted = []
     for row, entry in zip(gains.transition, gains.input, strict=True):
         predicted.append(dot((*row, entry), (*estimate, difference(u, gains.resting_command))))
     after = LqgState(tuple(predicted), state.integral + change, u)
-    return after, Command(u, 0.0), LqgInfo(integral_part, innovations[0])
+    return after, Command(robust=u, nominal=0.0), LqgInfo(integral_part, innovations[0])
 
 
 def transfer(
     gains: LqgGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
 ) -> LqgState:
-    """The integral that gives a command, with a state that the measurement does not correct; 0 without integral."""
+    """The integral that gives a command, with a state that the measurement does not correct; 0 without integral.
+
+    The first step from the returned state gives the command, for a bumpless start.
+    """
     start = init(gains, measurement, reference)
     _, unlimited, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)
     acts = gains.integral_gain != 0.0

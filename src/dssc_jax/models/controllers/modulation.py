@@ -1,6 +1,8 @@
 """The modulation function rho: constant, or the norm bound (33)-(34) with its norm observer.
 
 Each is a NamedTuple of its constants with ``init()`` and ``at(state, signals, dt) -> (state, rho)``.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
 """
 
 import math
@@ -16,7 +18,19 @@ from dssc_jax.core.zero_dynamics import ZeroDynamics, norm_observer
 
 
 class ModulationSignals(NamedTuple):
-    """The signals in the norm bound (34), at one sample."""
+    """The signals in the norm bound (34), at one sample.
+
+    Args:
+        u_av: Averaged control [u].
+        u_nominal: Nominal control u_n [u].
+        y: Output [y].
+        y_dot: Derivative of the output [y/s].
+        sigma: Sliding variable [y/s].
+        sigma_m_dot: y_m'' + l_0 y_m', the derivative of the reference's part of sigma [y/s^2].
+        k_o: Predictor gain [y/(s^2 u)].
+        tau_m: Predictor time constant [s].
+        l0: Error pole l_0 [1/s].
+    """
 
     u_av: Scalar
     u_nominal: Scalar
@@ -35,19 +49,21 @@ class ConstantModulation(NamedTuple):
     rho: Annotated[Scalar, Quantity("u", "modulation rho", above=0.0)]
 
     def init(self) -> tuple[()]:
-        """No state."""
+        """The state: none."""
         return ()
 
     def at(self, state: tuple[()], signals: ModulationSignals, dt: Scalar) -> tuple[tuple[()], Scalar]:
-        """Rho itself."""
+        """The state and the constant rho [u], whatever the signals."""
         return state, self.rho
 
 
 class NormBound(NamedTuple):
-    """rho of (33)-(34), which dominates |d_0|/k_o up to the norm observer's initial transient.
+    """The constants of the modulation rho of (33)-(34), a bound of |d_0|/k_o, so that the loop slides.
 
-    The bound of the disturbance (A0.b) is alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is the
-    controller's model of (A_eta, C_eta); the observer's rate and gain follow from it before tracing.
+    The bound holds up to the initial transient of the norm observer, eta_bar' = -lambda eta_bar + c |y'|, whose state
+    eta_bar bounds the zero dynamics' part |C_eta eta| of d_0. The bound of the disturbance (A0.b) is
+    alpha_d + alpha_y |y| + alpha_y_dot |y'|. ``zero_dynamics`` is the controller's model of (A_eta, C_eta); the
+    observer's rate lambda and gain c follow from it before tracing.
     """
 
     k_p_max: Annotated[Scalar, Quantity("y/(s^2 u)", "upper bound of k_p", above=0.0)]
@@ -62,7 +78,10 @@ class NormBound(NamedTuple):
     observer_gain: Annotated[Scalar | None, Quantity("1/s", "c of the norm observer", at_least=0.0)] = None
 
     def prepare(self) -> "NormBound":
-        """Derive the observer from the zero dynamics, unless both of its numbers are given; raises ConfigError."""
+        """Derive the observer's rate and gain from the zero dynamics, unless both are given; raises ConfigError.
+
+        Without zero dynamics the gain is 0, so that the observer adds nothing once its initial value has decayed.
+        """
         if (self.observer_rate is None) != (self.observer_gain is None):
             raise ConfigError("observer_rate", "observer_rate and observer_gain go together; got one of them")
         if self.observer_rate is not None:
@@ -77,13 +96,16 @@ class NormBound(NamedTuple):
         return self._replace(observer_rate=rate, observer_gain=gain)
 
     def init(self) -> Scalar:
-        """eta_bar at t = 0 [m/s^2]."""
+        """The observer's state eta_bar at t = 0 [m/s^2]."""
         return self.eta_bar_initial
 
     def at(self, state: Scalar, signals: ModulationSignals, dt: Scalar) -> tuple[Scalar, Scalar]:
         """(33) and (34); the observer by implicit Euler, which keeps eta_bar >= 0 at every step size.
 
         Between samples |C_eta eta| may exceed eta_bar by O(T_s), which delta_rho must cover.
+
+        Returns:
+            The next eta_bar, and rho.
         """
         assert self.observer_rate is not None  # held by prepare
         assert self.observer_gain is not None

@@ -1,4 +1,7 @@
-"""The nominal control (37), shared by all controllers."""
+"""The nominal control (37), shared by all controllers.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -11,7 +14,7 @@ L0 = Quantity("1/s", "error pole l_0 of sigma = e' + l_0 e", above=0.0)
 
 
 class NominalGains(NamedTuple):
-    """Nominal plant of (37): a_n, k_n, and whether c_sigma keeps 1/tau_m."""
+    """The nominal plant y'' = -a_n y' + k_n u_p of (37), and whether the gain c_sigma keeps its term 1/tau_m."""
 
     a: Annotated[Scalar, Quantity("1/s", "nominal damping a_n")]
     k: Annotated[Scalar, Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)]
@@ -23,10 +26,11 @@ def nominal_control(
 ) -> Scalar:
     """u_n of (37) [m/s]; zero without nominal gains.
 
-    c_e = (a_n - l0) l0/k_n, c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n, c_m2 = -1/k_n. The article
-    prints the last two for k_n = 1 only. With exact parameters it leaves sigma' = k_p u + k_p d - sigma/tau_m. The
-    term 1/tau_m is an explicit, held feedback: it needs T_s (1/tau_m + |l0 - a_n|) < 2 for every discretisation of
-    the controller.
+    u_n = -c_e e - c_sigma sigma - c_m1 y_m' - c_m2 y_m'' with c_e = (a_n - l0) l0/k_n,
+    c_sigma = (l0 - a_n + 1/tau_m)/k_n, c_m1 = -a_n/k_n and c_m2 = -1/k_n; the article prints the last two for k_n = 1
+    only. If a_n and k_n are the plant's own, sigma' = k_p u + k_p d - sigma/tau_m is left for u to control. The term
+    1/tau_m is an explicit, held feedback: it needs T_s (1/tau_m + |l0 - a_n|) < 2 for every discretisation of the
+    controller.
 
     Args:
         nominal: Nominal gains, or None.

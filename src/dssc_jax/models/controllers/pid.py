@@ -7,6 +7,8 @@
 Sampled as is usual: the integral by forward Euler, so that I does not depend on the present command, and the derivative
 by backward Euler, which is stable for every T_f >= 0.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), sections 11.4 and 11.5.
     K. J. Astrom, T. Hagglund, Advanced PID Control (2006), sections 3.5 and 13.4.
@@ -51,7 +53,7 @@ class PidGains(NamedTuple):
 
 
 class PidState(NamedTuple):
-    """The integral part and the derivative part [u], and c y_m - y at the sample before [y]."""
+    """Integral part and derivative part of the command [u], and ``weighted`` = c y_m - y at the last sample [y]."""
 
     integral: Scalar
     derivative: Scalar
@@ -67,14 +69,22 @@ class PidInfo(NamedTuple):
 
 
 def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -> PidState:
-    """No integral, and a derivative at rest."""
-    return PidState(0.0, 0.0, gains.derivative_weight * reference.y - measurement.y)
+    """No integral, and a derivative at rest.
+
+    So the controller begins as if reference and measurement had been constant before the first sample.
+    """
+    weighted = gains.derivative_weight * reference.y - measurement.y
+    return PidState(integral=0.0, derivative=0.0, weighted=weighted)
 
 
 def step(
     gains: PidGains, state: PidState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[PidState, Command, PidInfo]:
-    """One sample of the PID controller."""
+    """One sample of the PID controller.
+
+    ``v`` is the command before its limits. ``weighted`` is c y_m - y, whose change since the last sample drives the
+    filtered derivative. The integral takes the error of this sample from the next sample on.
+    """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     weighted = gains.derivative_weight * reference.y - measurement.y
     change = gains.k_d * (weighted - state.weighted)
@@ -85,13 +95,16 @@ def step(
     if gains.low is not None or gains.high is not None:
         integral = integral + dt * tracking_rate(gains.k_p, gains.k_i, gains.tracking, dt) * (u - v)
     info = PidInfo(proportional, state.integral, derivative)
-    return PidState(integral, derivative, weighted), Command(u, 0.0), info
+    return PidState(integral, derivative, weighted), Command(robust=u, nominal=0.0), info
 
 
 def transfer(
     gains: PidGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
 ) -> PidState:
-    """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action."""
+    """The integral part that leaves the command as it is, with the derivative at rest; 0 without integral action.
+
+    The first step from the returned state gives the command, for a bumpless start.
+    """
     proportional = gains.k_p * (gains.proportional_weight * reference.y - measurement.y)
     integral = jnp.where(gains.k_i > 0.0, command - proportional, 0.0)
     return init(gains, measurement, reference)._replace(integral=integral)

@@ -1,4 +1,7 @@
-"""First-order sliding mode u = -K sgn(sigma)."""
+"""First-order sliding mode u = -K sgn(sigma).
+
+In units, u stands for the unit of the command.
+"""
 
 import math
 from typing import Annotated, NamedTuple
@@ -16,7 +19,7 @@ from dssc_jax.models.controllers.sta import K_N
 
 
 class SmcGains(NamedTuple):
-    """Gains of first-order sliding mode."""
+    """Gains of first-order sliding mode, and the nominal plant of its nominal control; None: there is none."""
 
     l0: Annotated[Scalar, L0]
     gain: Annotated[Scalar, Quantity("u", "switching gain K", above=0.0)]
@@ -25,39 +28,51 @@ class SmcGains(NamedTuple):
 
 
 class SmcInfo(NamedTuple):
-    """Margin K - |u_eq| [m/s] of the sliding condition; u_eq brings sigma to 0 within one sample."""
+    """The margin K - |u_eq| [m/s] of the sliding condition, which holds if the margin is not negative.
+
+    The equivalent control u_eq brings sigma to 0 within one sample.
+    """
 
     sliding_margin: Annotated[Scalar, Quantity("u", "K - |u_eq|")]
 
 
 class NoInfo(NamedTuple):
-    """No values: the explicit relay never slides within a sample, so it has no margin."""
+    """The report of the explicit relay: nothing, because it never slides within a sample and has no margin."""
 
 
 def init(gains: SmcGains, measurement: Measurement, reference: ReferencePoint) -> tuple[()]:
-    """No state."""
+    """The state: none."""
     return ()
 
 
 def relay_balance(gains: SmcGains) -> HarmonicBalance:
-    """The balance of the relay, with real N = 4 K/(pi A)."""
+    """The relay's side of the harmonic balance N(A) = q, with its real describing function N = 4 K/(pi A)."""
     gain = float(gains.gain)
-    return HarmonicBalance(lambda q: 4.0 * gain / (math.pi * q.real), lambda q, amplitude, w: q.imag)
+    return HarmonicBalance(
+        amplitude=lambda q: 4.0 * gain / (math.pi * q.real),
+        residual=lambda q, amplitude, w: q.imag,
+    )
 
 
 def relay_of_dssc(gains: DsscGains) -> dict[str, float]:
-    """The relay of DSSC without its filter."""
+    """The table of the relay that corresponds to DSSC: u_0 = rho sgn without predictor and averaging filter."""
     return {"gain": switching_gain(gains), "k_n": nominal_input_gain(gains)}
 
 
 def smc(implicit: bool) -> Controller:
-    """The relay in implicit form, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sign of the sample."""
+    """Make the relay, in one of two sampled forms.
+
+    Args:
+        implicit: Whether the relay is in its implicit form, u = -clip(sigma/(T_s k_n), -K, K), or switched by the sign
+            of the sample, u = -K sgn(sigma).
+    """
 
     def step(
         gains: SmcGains, state: tuple[()], measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[tuple[()], Command, SmcInfo | NoInfo]:
+        # one sample
         error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         u_eq = -error.sigma / (dt * gains.k_n)
         if implicit:
             return state, Command(saturate(u_eq, gains.gain), u_nominal), SmcInfo(gains.gain - abs(u_eq))

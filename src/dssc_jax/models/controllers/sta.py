@@ -3,6 +3,8 @@
 u = -kappa1 |sigma|^(1/2) sgn sigma + v, v' = -(kappa2/2) sgn sigma: Table 2's normalisation. With x = sigma,
 h = T_s, k2 = kappa2/2 and the nominal input gain k_n, w = k_n u is computed for x+ = x + h (w + d).
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     B. Brogliato, A. Polyakov, D. Efimov, "The implicit discretization of the supertwisting sliding-mode control
     algorithm", IEEE Trans. Automatic Control 65 (2020).
@@ -31,16 +33,17 @@ from dssc_jax.core.signals import (
 )
 from dssc_jax.core.smoothness import SWITCHES, not_smooth
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
-from dssc_jax.models.controllers.gain_functions import KAPPA_1, KAPPA_2, super_twisting
 from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_control
+from dssc_jax.models.controllers.state_functions import KAPPA_1, KAPPA_2, super_twisting
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
 LIMIT = Quantity("u", "limit of |u|", above=0.0)
-ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # factor of |x|^(1/2) sgn x: 1.1128
+ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)
+"""Factor c of the describing function c A^(-1/2) of |x|^(1/2) sgn x: 1.1128."""
 
 
 class StaGains(NamedTuple):
-    """Gains of the STA; ``limit`` clips the command but not the integrator."""
+    """Gains of the STA in the normalisation of Table 2; ``limit`` bounds |u|, but does not stop the integral."""
 
     l0: Annotated[Scalar, L0]
     kappa1: Annotated[Scalar, KAPPA_1]
@@ -67,12 +70,28 @@ Update: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], tuple[Sca
 
 
 def explicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
-    """Forward Euler: (w, v+)."""
+    """Forward Euler: (w, v+).
+
+    Args:
+        x: Sliding variable sigma [y/s].
+        v: Integral term before the sample [y/s^2].
+        k1: k_n kappa_1.
+        k2: k_n kappa_2/2.
+        h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
+    """
     return -k1 * root_abs(x) * sign(x) + v, v - h * k2 * sign(x)
 
 
 def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
-    """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding."""
+    """Backward Euler, solved exactly: never chatters, |x| = O(h) in sliding.
+
+    Arguments and results are as for :func:`explicit_update`. Without a disturbance the sample leads from x to
+    x+ = b - h k1 |x+|^(1/2) sgn x+ - h^2 k2 xi with b = x + h v and xi in Sgn x+. For |b| <= h^2 k2 the solution is
+    x+ = 0; else s = |x+|^(1/2) solves a quadratic.
+    """
     b = x + h * v
     sliding = jnp.abs(b) <= h * h * k2
     s = root_of(jnp.abs(b) - h * h * k2, h * k1)
@@ -81,7 +100,11 @@ def implicit_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> 
 
 
 def proper_update(x: Scalar, v: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> tuple[Scalar, Scalar]:
-    """The proper implicit form: reaches |x| <= L h^2."""
+    """The proper implicit form: reaches |x| <= L h^2.
+
+    Arguments and results are as for :func:`explicit_update`; L bounds |d'| of the disturbance. xi in Sgn x is the
+    set-valued sign, and s the root that takes the place of |x|^(1/2).
+    """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)
     v_next = v - h * k2 * xi
@@ -93,35 +116,48 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Scalar, Scalar, Scalar], Scalar]
 
 
 def explicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`explicit_update` in v."""
+    """The inverse of :func:`explicit_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     return w + k1 * root_abs(x) * sign(x)
 
 
 def implicit_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     after = x + h * w
     return w + (k1 * root_abs(after) + h * k2) * sign(after)
 
 
 def proper_carried(x: Scalar, w: Scalar, k1: Scalar, k2: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`proper_update` in v."""
+    """The inverse of :func:`proper_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     xi = saturate(x / (h * h * k2), 1.0)
     s = root_of(jnp.abs(x) - h * h * k2, h * k1)
     return w + (2.0 * h * k2 + k1 * s) * xi
 
 
 def sta_balance(gains: StaGains) -> HarmonicBalance:
-    """The balance of the STA: N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2."""
+    """The STA's side of the harmonic balance N(A, w) = q at the amplitude A of sigma and the frequency w [rad/s].
+
+    Its describing function is N = c kappa1 A^(-1/2) + 2 kappa2/(pi A)/(i w), in the normalisation of Table 2, with
+    c = ``ROOT_FACTOR``. The real parts give A, and the imaginary parts the residual.
+    """
     kappa1 = float(gains.kappa1)
     kappa2 = float(gains.kappa2)
     return HarmonicBalance(
-        lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
-        lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
+        amplitude=lambda q: (ROOT_FACTOR * kappa1 / q.real) ** 2,
+        residual=lambda q, amplitude, w: q.imag + 2.0 * kappa2 / (math.pi * amplitude * w),
     )
 
 
 def sta_of_dssc(gains: DsscGains) -> dict[str, float]:
-    """The gains of the STA that DSSC's functions approximate (Table 2, row 2)."""
+    """The table of the STA that DSSC's state-dependent functions approximate (Table 2, row 2)."""
     twisting = super_twisting(gains.functions)
     return {"kappa1": float(twisting.kappa1), "kappa2": float(twisting.kappa2), "k_n": nominal_input_gain(gains)}
 
@@ -134,19 +170,20 @@ IntegralTransfer: TypeAlias = Callable[[Params, TrackingError, Scalar, Scalar], 
 
 
 def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: IntegralTransfer) -> Controller:
-    """A controller u = w/k_n + u_n whose state is its integral term v, with a limit of u.
+    """Make a controller u = w/k_n + u_n, whose w has an integral term v for its state; STA and VGSTA are of this kind.
 
     Args:
-        gains_type: Type of the gains, with ``k_n``, ``limit`` and ``nominal``.
-        sampled: The sampled form.
-        inverse: The sampled form, solved for v.
+        gains_type: Type of the gains, with ``l0``, ``k_n``, ``limit`` and ``nominal``.
+        sampled: The sampled form of w and v.
+        inverse: The sampled form, solved for the v before the sample.
     """
 
     def step(
         gains: Params, state: IntegralState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
     ) -> tuple[IntegralState, Command, IntegralInfo]:
+        # one sample
         error = tracking_error(measurement, reference, gains.l0)
-        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, 0.0)
+        u_nominal = nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0)
         w, v = sampled(gains, error, state.v, dt)
         u = w / gains.k_n
         if gains.limit is not None:
@@ -156,9 +193,12 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
     def transfer(
         gains: Params, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
     ) -> IntegralState:
-        """The integral term that leaves the command as it is."""
+        """The integral term that leaves the command as it is.
+
+        The first step from the returned state gives the command, for a bumpless start.
+        """
         error = tracking_error(measurement, reference, gains.l0)
-        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, 0.0))
+        w = gains.k_n * (command - nominal_control(gains.nominal, gains.l0, error, reference, predictor_pole=0.0))
         return IntegralState(inverse(gains, error, w, dt))
 
     return Controller(
@@ -173,12 +213,19 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
 
 
 def sta(update: Update, inverse_update: Carried) -> Controller:
-    """The STA with the given sampled form."""
+    """Make the STA in a sampled form.
+
+    Args:
+        update: The sampled form.
+        inverse_update: The sampled form, solved for the integral term before the sample.
+    """
 
     def sampled(gains: StaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
+        # k_1 = k_n kappa_1 and k_2 = k_n kappa_2/2, as Table 2 has it
         return update(error.sigma, v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     def inverse(gains: StaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        # the v before the sample that gives w
         return inverse_update(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     controller = twisting_controller(StaGains, sampled, inverse)

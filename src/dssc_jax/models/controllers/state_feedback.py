@@ -6,6 +6,8 @@ Without measured signals s the state is (y, y'), what the class (5)-(8) measures
 state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
 those of the PID controller.
 
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), section 7.4.
 """
@@ -39,7 +41,10 @@ from dssc_jax.models.controllers.operating_point import (
 
 
 class FeedbackGains(NamedTuple):
-    """Gains of the state feedback; ``l0`` defines sigma of the metrics and is not used by the controller."""
+    """Gains of the state feedback, limits of u, and the operating point about which it acts.
+
+    ``l0`` defines sigma of the metrics; the controller does not use it.
+    """
 
     k_1: Annotated[Scalar, Quantity("u/y", "gain k_1 of the output", at_least=0.0)] = 0.0
     k_2: Annotated[Scalar, Quantity("u s/y", "gain k_2 of the output's derivative", at_least=0.0)] = 0.0
@@ -56,24 +61,27 @@ class FeedbackGains(NamedTuple):
 
 
 class FeedbackState(NamedTuple):
-    """The integral part of the command."""
+    """The integral part of the command [u]."""
 
     integral: Scalar
 
 
 class FeedbackInfo(NamedTuple):
-    """The integral part of the command."""
+    """What the controller reports at each sample: the integral part of the command."""
 
     integral: Annotated[Scalar, Quantity("u", "integral term of u")]
 
 
 def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> FeedbackState:
-    """No integral."""
+    """The state at the first sample: the integral part of the command is 0."""
     return FeedbackState(0.0)
 
 
 def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
-    """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0."""
+    """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0.
+
+    Its terms that are known to be 0 before tracing are left out of the program.
+    """
     total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
     if gains.signals:
         total = total + dot(gains.signals, deviations(measurement.signals, gains.resting_signals))
@@ -85,26 +93,36 @@ def proportional_part(gains: FeedbackGains, measurement: Measurement, reference:
 def step(
     gains: FeedbackGains, state: FeedbackState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[FeedbackState, Command, FeedbackInfo]:
-    """One sample of the state feedback; the integral takes the error of this sample from the next one on."""
+    """One sample of the state feedback; the integral takes the error of this sample from the next one on.
+
+    ``v`` is the command before its limits. At a limit u - v moves the integral back, so that it does not wind up.
+    """
     error = measurement.y - reference.y
     v = state.integral - proportional_part(gains, measurement, reference)
     u = within_limits(v, gains.low, gains.high)
     integral = state.integral - dt * gains.k_i * error
     if gains.low is not None or gains.high is not None:
         integral = integral + dt * tracking_rate(gains.k_1, gains.k_i, gains.tracking, dt) * (u - v)
-    return FeedbackState(integral), Command(u, 0.0), FeedbackInfo(state.integral)
+    return FeedbackState(integral), Command(robust=u, nominal=0.0), FeedbackInfo(state.integral)
 
 
 def transfer(
     gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
 ) -> FeedbackState:
-    """The integral part that leaves the command as it is; 0 without integral action."""
+    """The integral part that leaves the command as it is; 0 without integral action.
+
+    The first step from the returned state gives the command, for a bumpless start.
+    """
     needed = command + proportional_part(gains, measurement, reference)
     return FeedbackState(jnp.where(gains.k_i > 0.0, needed, 0.0))
 
 
 def prepare(gains: FeedbackGains) -> FeedbackGains:
-    """Require a gain and limits in order; raises ConfigError."""
+    """The gains themselves, which must feed something back, with fitting lengths and ``low`` below ``high``.
+
+    Raises:
+        ConfigError: A condition does not hold.
+    """
     require_order(gains.low, gains.high)
     require_resting(gains.resting_signals, len(gains.signals))
     if is_zero(gains.k_1) and is_zero(gains.k_2) and not gains.signals:

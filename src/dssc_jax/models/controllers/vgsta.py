@@ -6,6 +6,8 @@ kappa_3 = phi_b when phi_a = 1. kappa_1, kappa_2 as in Table 1.
 The implicit form evaluates the gains, and the factors of (26) that depend on delta, at the sampled (sigma, e), as
 DSSC does. With s = |x+|^(1/2) backward Euler is then a quadratic in s; for constant gains, phi_b = 0 and delta = 0 it
 equals the implicit STA.
+
+In units, y stands for the unit of the plant's output.
 """
 
 from collections.abc import Callable
@@ -21,19 +23,18 @@ from dssc_jax.core.signals import Scalar, TrackingError
 from dssc_jax.models.controllers.dssc_forms import DsscGains, nominal_input_gain
 from dssc_jax.models.controllers.gain_functions import (
     KAPPA_ABC,
-    ROOT_FLOOR,
     TABLE_1_EXAMPLE,
     VariableGains,
     Vgsta,
-    super_twisting,
     variable_gains,
 )
 from dssc_jax.models.controllers.nominal import L0, NominalGains
 from dssc_jax.models.controllers.sta import K_N, LIMIT, twisting_controller
+from dssc_jax.models.controllers.state_functions import ROOT_FLOOR, super_twisting
 
 
 class VgstaGains(NamedTuple):
-    """Gains of the VGSTA; ``limit`` clips the command but not the integrator."""
+    """Gains of the VGSTA, as in Table 1; ``limit`` bounds |u|, but does not stop the integral."""
 
     l0: Annotated[Scalar, L0]
     phi_a: Annotated[Scalar, Quantity("(y/s)^(1/2)", "square-root part phi_a", at_least=0.0)]
@@ -51,7 +52,7 @@ class VgstaGains(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """phi_1 = a s sgn + b x and phi_1' = a_slope/(2 s) + b near the sampled sigma, s = |x|^(1/2)."""
+    """Factors of phi_1(x) = a s sgn x + b x and its slope a_slope/(2 s) + b near the sampled sigma, s = |x|^(1/2)."""
 
     a: Scalar
     a_slope: Scalar
@@ -59,9 +60,12 @@ class Shape(NamedTuple):
 
 
 def shape_at(gains: VgstaGains, sigma: Scalar) -> Shape:
-    """The factors of (26) at the sample; without delta they are phi_a, phi_a and phi_b exactly."""
+    """The factors of (26) at the sample; without delta they are phi_a, phi_a and phi_b exactly.
+
+    With delta, a and a_slope vary with |x|; their values at the sampled sigma hold for the sample.
+    """
     r = root_abs(sigma, ROOT_FLOOR)
-    rd = r + gains.delta
+    rd = r + gains.delta  # r + delta
     return Shape(gains.phi_a * r / rd, gains.phi_a * r * (rd + gains.delta) / (rd * rd), gains.phi_b)
 
 
@@ -70,7 +74,7 @@ Update: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Scal
 
 
 class Phi(NamedTuple):
-    """phi_1 and phi_2 = phi_1 phi_1' at one x."""
+    """phi_1(x), ``first``, and phi_2 = phi_1 phi_1', ``second``, at one x."""
 
     first: Scalar
     second: Scalar
@@ -87,7 +91,19 @@ def phi_at(x: Scalar, shape: Shape) -> Phi:
 def explicit_update(
     x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Forward Euler: (w, v+)."""
+    """Forward Euler: (w, v+).
+
+    Args:
+        x: Sliding variable sigma [y/s].
+        v: Integral term before the sample [y/s^2].
+        shape: Factors of phi_1.
+        at: Variable gains kappa_1 and kappa_2 at the sample.
+        k_n: Nominal input gain.
+        h: T_s [s].
+
+    Returns:
+        w = k_n u of the sample, and the integral term after it.
+    """
     phi_1, phi_2 = phi_at(x, shape)
     return -k_n * at.kappa1 * phi_1 + v, v - h * k_n * at.kappa2 * phi_2
 
@@ -95,7 +111,11 @@ def explicit_update(
 def implicit_update(
     x: Scalar, v: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Backward Euler with the gains of the sample: A s^2 + B s = |x + h v| - h^2 kappa_2 a a_slope/2."""
+    """Backward Euler with the gains of the sample: A s^2 + B s = |x + h v| - h^2 kappa_2 a a_slope/2.
+
+    Arguments and results are as for :func:`explicit_update`; s = |x+|^(1/2). In the code A is ``quadratic``, B is
+    ``linear``, and ``dead_zone`` is the last term: where |x + h v| does not exceed it, x+ = 0.
+    """
     a, a_slope, b = shape
     hk1 = h * k_n * at.kappa1
     h2k2 = h * h * k_n * at.kappa2
@@ -116,24 +136,34 @@ Carried: TypeAlias = Callable[[Scalar, Scalar, Shape, VariableGains, Scalar, Sca
 
 
 def explicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`explicit_update` in v."""
+    """The inverse of :func:`explicit_update` in v.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     return w + k_n * at.kappa1 * phi_at(x, shape).first
 
 
 def implicit_carried(x: Scalar, w: Scalar, shape: Shape, at: VariableGains, k_n: Scalar, h: Scalar) -> Scalar:
-    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known."""
+    """The inverse of :func:`implicit_update` in v: w leads to x+ = x + h w, where both terms are known.
+
+    It returns the integral term v before a sample that gives ``w``, for a bumpless start.
+    """
     phi_1, phi_2 = phi_at(x + h * w, shape)
     return w + k_n * (at.kappa1 * phi_1 + h * at.kappa2 * phi_2)
 
 
 def gains_of_sample(gains: VgstaGains, error: TrackingError) -> VariableGains:
-    """kappa_1 and kappa_2 at the sample."""
+    """The variable gains kappa_1 and kappa_2 at the sampled (sigma, e)."""
     coefficients = (gains.kappa_a, gains.kappa_b, gains.kappa_c, gains.kappa_d)
     return variable_gains(error.sigma, error.e, coefficients, gains.epsilon, gains.gamma)
 
 
 def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
-    """The gains of the VGSTA: Table 1's own numbers if the functions have them, else the STA with smoothing delta."""
+    """The table of the VGSTA that corresponds to DSSC.
+
+    It has the numbers of Table 1 if DSSC's functions have them. Else it is the STA that the functions
+    approximate, as a VGSTA: phi_a = 1 and phi_b = 0, with constant gains and the smoothing delta.
+    """
     if isinstance(gains.functions, Vgsta):
         numbers = {name: getattr(gains.functions, name) for name in TABLE_1_EXAMPLE}
     else:
@@ -144,13 +174,19 @@ def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
 
 
 def vgsta(update: Update, inverse_update: Carried) -> Controller:
-    """The VGSTA with the given sampled form."""
+    """Make the VGSTA in a sampled form.
+
+    Args:
+        update: The sampled form.
+        inverse_update: The sampled form, solved for the integral term before the sample.
+    """
 
     def sampled(gains: VgstaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
         shape = shape_at(gains, error.sigma)
         return update(error.sigma, v, shape, gains_of_sample(gains, error), gains.k_n, dt)
 
     def inverse(gains: VgstaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
+        # the v before the sample that gives w
         shape = shape_at(gains, error.sigma)
         return inverse_update(error.sigma, w, shape, gains_of_sample(gains, error), gains.k_n, dt)
 

@@ -18,10 +18,11 @@ ALPHA_2 = Quantity("1", "alpha_2 of the high-gain observer", above=0.0)
 
 
 class HighGainParams(NamedTuple):
-    """x1' = x2 + (alpha_1/epsilon)(y - x1), x2' = (alpha_2/epsilon^2)(y - x1).
+    """Time constant and gains of the observer x1' = x2 + (alpha_1/epsilon)(y - x1), x2' = (alpha_2/epsilon^2)(y - x1).
 
-    Its transfer function from y to x2 is s/((epsilon s)^2/alpha_2 + (alpha_1/alpha_2) epsilon s + 1); the defaults
-    (assumed) give it the double pole -1/epsilon.
+    x1 estimates y, and x2 estimates y'. The transfer function from y to x2 is
+    s/((epsilon s)^2/alpha_2 + (alpha_1/alpha_2) epsilon s + 1); the defaults (assumed) give it the double pole
+    -1/epsilon.
     """
 
     epsilon: Annotated[Scalar, EPSILON]
@@ -30,22 +31,25 @@ class HighGainParams(NamedTuple):
 
 
 class HighGainState(NamedTuple):
-    """Estimates of y [m] and y' [m/s]."""
+    """The observer's estimates x1 of y [m] and x2 of y' [m/s]."""
 
     x1: Scalar
     x2: Scalar
 
 
 def high_gain_init(params: HighGainParams, measurement: Measurement) -> HighGainState:
-    """At rest at the first y."""
+    """The observer at the first measurement: at y, with velocity zero."""
     return HighGainState(measurement.y, 0.0)
 
 
 def high_gain_step(
     params: HighGainParams, state: HighGainState, measurement: Measurement, dt: Scalar
 ) -> tuple[HighGainState, Measurement]:
-    """Backward Euler, solved for the innovation y - x1+; tends to the backward difference for dt >> epsilon."""
-    # multiplied by epsilon^2, so that nothing is divided by a small epsilon
+    """Backward Euler, solved for the innovation y - x1+; tends to the backward difference for dt >> epsilon.
+
+    The equation is multiplied by epsilon^2, so that nothing is divided by a small epsilon; ``scaled`` is the innovation
+    over epsilon^2.
+    """
     first = dt * params.alpha1 * params.epsilon
     second = dt * dt * params.alpha2
     square = params.epsilon * params.epsilon

@@ -13,20 +13,20 @@ TAU_F = Quantity("s", "time constant tau_f of the lead filter", above=0.0)
 
 
 class LeadFilterParams(NamedTuple):
-    """y' ~ s y/(tau_f s + 1)."""
+    """The time constant of the filter s/(tau_f s + 1), whose output for the input y estimates y'."""
 
     tau_f: Annotated[Scalar, TAU_F]
 
 
 class LeadFilterState(NamedTuple):
-    """The last sample of y [m], and the filter's output [m/s]."""
+    """The last sample of y [m], and the filter's output ``velocity`` v, the estimate of y' [m/s]."""
 
     y: Scalar
     velocity: Scalar
 
 
 def lead_filter_init(params: LeadFilterParams, measurement: Measurement) -> LeadFilterState:
-    """At rest at the first y."""
+    """The filter at the first measurement: its output is zero, as if y had been constant before."""
     return LeadFilterState(measurement.y, 0.0)
 
 

@@ -24,9 +24,10 @@ LAMBDA_0 = Quantity("1", "lambda_0 of the robust exact differentiator", above=1.
 
 
 class LevantParams(NamedTuple):
-    """z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1, z1' = -lambda_0 L sgn(z0 - y).
+    """The bound L = ``lipschitz`` of |y''|, and the gains of the robust exact differentiator of first order.
 
-    The defaults are Levant's (1998).
+    It is z0' = -lambda_1 (L |z0 - y|)^(1/2) sgn(z0 - y) + z1, z1' = -lambda_0 L sgn(z0 - y), where z0 estimates y, and
+    z1 estimates y'. The default gains are Levant's (1998).
     """
 
     lipschitz: Annotated[Scalar, LIPSCHITZ]
@@ -35,14 +36,14 @@ class LevantParams(NamedTuple):
 
 
 class LevantState(NamedTuple):
-    """Estimates of y [m] and y' [m/s]."""
+    """The differentiator's estimates z0 of y [m] and z1 of y' [m/s]."""
 
     z0: Scalar
     z1: Scalar
 
 
 def levant_init(params: LevantParams, measurement: Measurement) -> LevantState:
-    """At rest at the first y."""
+    """The differentiator at the first measurement: at y, with velocity zero."""
     return LevantState(measurement.y, 0.0)
 
 
@@ -51,7 +52,8 @@ def levant_step(
 ) -> tuple[LevantState, Measurement]:
     """Backward Euler with the set-valued sign, solved exactly.
 
-    With x = z0+ - y, b = z0 + dt z1 - y and xi in Sgn x: x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
+    With the error x = z0+ - y after the sample, the error b = z0 + dt z1 - y of the prediction and xi in Sgn x,
+    x + dt lambda_1 (L |x|)^(1/2) sgn x + dt^2 lambda_0 L xi = b.
     For |b| <= dt^2 lambda_0 L the solution is x = 0, and z1+ is the backward difference of y: no chatter, and no
     rounding that adds up. Once reached, sliding persists: b is then a second difference of y, at most
     L dt^2 < lambda_0 L dt^2. The error is at most L dt/2, the least possible from samples. Outside of sliding, s =
@@ -69,13 +71,16 @@ def levant_step(
 def backward_difference_step(
     params: LevantParams, state: LevantState, measurement: Measurement, dt: Scalar
 ) -> tuple[LevantState, Measurement]:
-    """The step of :func:`levant_step` in sliding; with its arguments."""
+    """One sample of the differentiator while it slides, z0 = y: its velocity is the backward difference of y.
+
+    It is :func:`levant_step` without the sign, so that it has a derivative everywhere.
+    """
     velocity = (measurement.y - state.z0) / dt
     return LevantState(measurement.y, velocity), Measurement(measurement.y, velocity)
 
 
 def in_sliding(params: LevantParams) -> tuple[Differentiator, LevantParams]:
-    """The robust exact differentiator in sliding."""
+    """The part that is linearised in place of the robust exact differentiator: the backward difference of y."""
     return BACKWARD_DIFFERENCE, params
 
 

@@ -1,4 +1,7 @@
-"""A disturbance that is coloured Gaussian noise."""
+"""A disturbance that is coloured Gaussian noise.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -14,19 +17,22 @@ from dssc_jax.models.disturbances.prescribed import held_value
 
 
 class NoiseParams(NamedTuple):
-    """Coloured Gaussian noise: a first-order Gauss-Markov process."""
+    """Standard deviation and correlation time of a first-order Gauss-Markov process, d' = -d/T + white noise."""
 
     std: Annotated[Scalar, Quantity("u", "standard deviation", at_least=0.0)]
     correlation_time: Annotated[Scalar, Quantity("s", "correlation time", above=0.0)]
 
 
 def noise_init(params: NoiseParams, key: jax.Array) -> Scalar:
-    """The value at t = 0, drawn from the stationary law, so that there is no transient."""
+    """The value at t = 0 [u], drawn from the stationary law, so that there is no transient."""
     return params.std * standard_normal(key)
 
 
 def noise_step(params: NoiseParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """The value at the next sample, by exact sampling: variance and correlation do not depend on dt."""
+    """The value at the next sample [u], by exact sampling of the process.
+
+    The standard deviation, and the correlation exp(-tau/T) over a time tau, are therefore the same for every dt.
+    """
     decay = jnp.exp(-dt / params.correlation_time)
     spread = params.std * jnp.sqrt(-jnp.expm1(-2.0 * dt / params.correlation_time))
     return decay * state + spread * standard_normal(key)

@@ -1,4 +1,7 @@
-"""Disturbances prescribed over time: constant, step, sine, spline."""
+"""Disturbances prescribed over time: constant, step, sine, spline.
+
+In units, u stands for the unit of the command.
+"""
 
 import math
 from typing import Annotated, NamedTuple
@@ -18,7 +21,7 @@ VALUE = Quantity("u", "value of d")
 
 
 class ConstantParams(NamedTuple):
-    """A constant disturbance."""
+    """The value of a constant disturbance."""
 
     value: Annotated[Scalar, VALUE]
 
@@ -31,7 +34,7 @@ class StepParams(NamedTuple):
 
 
 class SineDisturbanceParams(NamedTuple):
-    """amplitude sin(2 pi t/period + phase)."""
+    """The sine d = amplitude sin(2 pi t/period + phase)."""
 
     amplitude: Annotated[Scalar, Quantity("u", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
@@ -52,31 +55,34 @@ class SplineParams(NamedTuple):
 
 
 def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The value over the sample, which is the state."""
+    """The disturbance over the present sample [u], which the state holds."""
     return state
 
 
 def step_mean(params: StepParams, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of the step over [t, t + dt): the integral of a jump within a sample is exact, its time up to T_s."""
+    """Mean of the step over the sample [t, t + dt) [u], which the plant gets in place of a jump within the sample.
+
+    So the integral of the disturbance is exact at all samples.
+    """
     return params.value * elapsed_share(params.at, t, dt)
 
 
 def sine_value(
     params: SineDisturbanceParams, state: State, measurement: Measurement, sigma: Scalar, t: Scalar
 ) -> Scalar:
-    """The sine at t [s]."""
+    """The sine [u] at t [s]."""
     return params.amplitude * jnp.sin(2.0 * math.pi / params.period * t + params.phase)
 
 
 def check_knots(params: SplineParams) -> SplineParams:
-    """Require at least one knot; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot; raises ConfigError."""
     if not params.knots:
         raise ConfigError("knots", "needs at least one knot, got none")
     return params
 
 
 def spline_value(params: SplineParams, state: tuple[()], measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:
-    """The spline at t [s]."""
+    """The spline [u] at t [s]."""
     return cubic_spline(params.knots, (t - params.at) / params.interval)
 
 

@@ -1,4 +1,7 @@
-"""A recorded disturbance."""
+"""A recorded disturbance.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -31,14 +34,18 @@ class RecordedDisturbanceParams(NamedTuple):
 
 
 def record_mean(record: HeldRecord, state: Scalar, key: jax.Array, t: Scalar, dt: Scalar) -> Scalar:
-    """Mean of a held record over [t, t + dt): the integral of a jump within a sample is exact, its time up to T_s."""
+    """Mean of a held record over the sample [t, t + dt) [u], which the plant gets in place of jumps within the sample.
+
+    So the integral of the disturbance is exact at all samples.
+    """
     return held_mean(record, t, dt)
 
 
 def recorded_disturbance(rule: Interpolation) -> Disturbance:
-    """The disturbance that interpolates a record by a rule; with ``hold`` it is constant over each sample."""
+    """The disturbance that interpolates a record by a rule, as a model; with ``hold`` it is constant over a sample."""
 
     def prepare(params: RecordedDisturbanceParams) -> Pieces:
+        """The record as a piecewise cubic function of time; raises ConfigError."""
         return cubic_pieces(params.time, params.value, rule)
 
     if rule == Interpolation.HOLD:

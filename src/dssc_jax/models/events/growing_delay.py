@@ -1,4 +1,7 @@
-"""A delay of the commands that grows from a time on."""
+"""A delay of the commands that grows from a time on.
+
+In units, u stands for the unit of the command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -11,11 +14,11 @@ from dssc_jax.core.numerics import clip, delay_weights, dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
-MOST_SAMPLES = 200
+MOST_SAMPLES = 200  # samples: the state holds a scalar for each, as for the constant delay
 
 
 class GrowingParams(NamedTuple):
-    """A delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
+    """The growth of a delay of the commands: ``rate`` times the time since the event, at most ``memory`` samples."""
 
     at: Annotated[Scalar, AT]
     rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
@@ -25,12 +28,12 @@ class GrowingParams(NamedTuple):
 
 
 class GrowingState(NamedTuple):
-    """State of the delay.
+    """Memory of the delay.
 
     Args:
         t: Time of the next sample [s].
-        commands: The last commands, newest first.
-        delayed: The command that reaches the plant in this sample.
+        commands: The present command and the ``memory`` commands before it, newest first [u].
+        delayed: The command that reaches the plant during the present sample [u].
     """
 
     t: Scalar
@@ -39,7 +42,7 @@ class GrowingState(NamedTuple):
 
 
 def prepare(params: GrowingParams) -> GrowingParams:
-    """Require a memory of whole samples; raises ConfigError."""
+    """The parameters themselves, whose memory must be a whole number of samples; raises ConfigError."""
     if not float(params.memory).is_integer():
         raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
     return params
@@ -47,16 +50,16 @@ def prepare(params: GrowingParams) -> GrowingParams:
 
 def init(params: GrowingParams) -> GrowingState:
     """The state at t = 0: all earlier commands were zero."""
-    return GrowingState(0.0, (0.0,) * (int(params.memory) + 1), 0.0)
+    return GrowingState(t=0.0, commands=(0.0,) * (int(params.memory) + 1), delayed=0.0)
 
 
 def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax.Array, dt: Scalar) -> GrowingState:
-    """The state after a new command.
+    """The memory after a new command, with the delayed command that the plant gets until the next one.
 
-    With a delay of n + f samples the plant gets the mean of the delayed command over the sample, (1 - f) u_n +
-    f u_(n+1), where u_n is the command n samples ago.
+    A delay of n + f samples, n whole and 0 <= f < 1, switches within the sample from the command of n + 1 samples ago
+    to the command of n samples ago. The plant gets the mean of these two, with the weights f and 1 - f.
     """
-    commands = (command, *state.commands[:-1])
+    commands = (command, *state.commands[:-1])  # the oldest command leaves the memory
     samples = clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
     return GrowingState(state.t + dt, commands, dot(delay_weights(samples, len(commands)), commands))
 

@@ -27,20 +27,33 @@ class PayloadParams(NamedTuple):
 
 
 def prepare(params: PayloadParams) -> PayloadParams:
-    """Require a place of three values; raises ConfigError."""
+    """The parameters themselves, whose place must have the three values x, y, z; raises ConfigError."""
     if len(params.offset) != 3:
         raise ConfigError("offset", f"needs three values, got {len(params.offset)}")
     return params
 
 
 def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share of the mass at its place."""
+    """The condition of the vehicle with a share, in [0, 1], of the mass at its place.
+
+    Masses of other events stay: the moments of all masses add up.
+    """
     mass = share * params.mass
     x, y, z = params.offset
-    load = Load(mass, Vec3(x, y, z) * mass, Vec3(x * x, y * y, z * z) * mass, Vec3(y * z, z * x, x * y) * mass)
-    if condition.load is not None:
-        total, first, square, product = condition.load
-        load = Load(total + load.mass, first + load.first, square + load.square, product + load.product)
+    load = Load(
+        mass=mass,
+        first=Vec3(x, y, z) * mass,
+        square=Vec3(x * x, y * y, z * z) * mass,
+        product=Vec3(y * z, z * x, x * y) * mass,
+    )
+    earlier = condition.load
+    if earlier is not None:
+        load = Load(
+            mass=earlier.mass + load.mass,
+            first=earlier.first + load.first,
+            square=earlier.square + load.square,
+            product=earlier.product + load.product,
+        )
     return condition._replace(load=load)
 
 

@@ -25,15 +25,20 @@ class RotorParams(NamedTuple):
 
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share of the rotor's loss of thrust."""
-    shares = condition.effectiveness or (1.0,) * rotors
+    """The condition of the vehicle with a share, in [0, 1], of the rotor's loss of thrust.
+
+    The number of the rotor may be traced, as in a sweep; then every rotor is compared with it in the program.
+    """
+    shares = condition.effectiveness or (1.0,) * rotors  # (): no earlier event
     remaining_share = 1.0 - share * (1.0 - params.effectiveness)
     effectiveness = []
     for index, value in enumerate(shares, start=1):
         if is_known(params.rotor):
-            effectiveness.append(value * remaining_share if round(float(params.rotor)) == index else value)
+            is_affected = round(float(params.rotor)) == index
+            effectiveness.append(value * remaining_share if is_affected else value)
         else:
-            effectiveness.append(jnp.where(jnp.abs(params.rotor - index) < 0.5, value * remaining_share, value))
+            is_affected = jnp.abs(params.rotor - index) < 0.5
+            effectiveness.append(jnp.where(is_affected, value * remaining_share, value))
     return condition._replace(effectiveness=tuple(effectiveness))
 
 

@@ -14,32 +14,34 @@ ROUNDING = 1e-9  # samples
 
 
 class OutageParams(NamedTuple):
-    """An outage: from ``at`` on and for ``duration``, the sensor shows its last reading."""
+    """Beginning ``at`` and ``duration`` of an outage, during which the sensor shows its last reading before it."""
 
     at: Annotated[Scalar, AT]
     duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
 
 
 class OutageState(NamedTuple):
-    """State of a sensor with an outage: that of the sensor itself (``inner``), and the last reading (``shown``)."""
+    """State of a sensor with an outage: the sensor's own state (``inner``), and the last reading shown (``shown``)."""
 
     inner: State
     shown: Measurement
 
 
 def wrap(sensor: Sensor) -> Sensor:
-    """The sensor with an outage: at samples in [at, at + duration) it shows its last reading before them.
+    """Make a sensor with an outage from a sensor: at samples in [at, at + duration) it shows its last reading before.
 
     An outage from t = 0 on repeats the first reading.
     """
 
     def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
+        """The state from the first true measurement, before any reading is shown."""
         inner = sensor.init(params.inner, measurement, key)  # the first sample replaces what is shown
         return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
 
     def step(
         params: Wrapped, state: OutageState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[OutageState, Measurement]:
+        """One sample; during the outage y and y' stay, while the sensor itself goes on."""
         inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
         elapsed = t - params.event.at + ROUNDING * dt
         frozen = (t > 0.0) & (elapsed >= 0.0) & (elapsed < params.event.duration)

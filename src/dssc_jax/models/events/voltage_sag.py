@@ -17,7 +17,10 @@ class SagParams(NamedTuple):
 
 
 def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share of the fall of the voltage."""
+    """The condition of the vehicle with a share, in [0, 1], of the fall of the voltage.
+
+    The fall multiplies the voltage that earlier events have left; None: there are none.
+    """
     remaining = 1.0 - share * (1.0 - params.voltage)
     earlier = condition.voltage
     return condition._replace(voltage=remaining if earlier is None else earlier * remaining)

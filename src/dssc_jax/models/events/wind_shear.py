@@ -10,7 +10,7 @@ from dssc_jax.core.vectors import Vec3
 
 
 class ShearParams(NamedTuple):
-    """A wind that is added to that of the study: ``gradient`` times the vehicle's height above ``height``."""
+    """A wind that is added to the study's: ``gradient`` times the vehicle's height above ``height``."""
 
     at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
@@ -20,14 +20,14 @@ class ShearParams(NamedTuple):
 
 
 def prepare(params: ShearParams) -> ShearParams:
-    """Require a gradient of three values; raises ConfigError."""
+    """The parameters themselves, whose gradient must have the three values x, y, z; raises ConfigError."""
     if len(params.gradient) != 3:
         raise ConfigError("gradient", f"needs three values, got {len(params.gradient)}")
     return params
 
 
 def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share of the shear."""
+    """The condition of the vehicle with a share, in [0, 1], of this shear beside the shears of other events."""
     shear = Shear(Vec3(*params.gradient) * share, params.height)
     return condition._replace(shears=(*condition.shears, shear))
 

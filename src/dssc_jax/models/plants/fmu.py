@@ -1,4 +1,7 @@
-"""A plant in an FMU, which makes a step between two samples by its own solver, with constant command."""
+"""A plant in an FMU, which makes a step between two samples by its own solver, with constant command.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from math import nan
 from typing import Annotated, Any, NamedTuple, NoReturn
@@ -21,6 +24,7 @@ from dssc_jax.core.native.fmu_tables import (
     params_type,
     reported_outputs,
     require_distinct,
+    value_references,
     values_of,
 )
 from dssc_jax.core.quantities import Quantity
@@ -71,6 +75,7 @@ class FmuPlant:
     """
 
     def __init__(self, fmu: NativeFmu, table: TomlTable) -> None:
+        """Connect the loop's signals to the FMU's variables; ``disturbance`` and ``y_dot`` are optional."""
         self.fmu = fmu
         self.command = connection(fmu, table, COMMAND_KEY, INPUT)
         self.disturbance = connection(fmu, table, DISTURBANCE_KEY, INPUT) if DISTURBANCE_KEY in table else None
@@ -80,7 +85,8 @@ class FmuPlant:
         self.outputs = reported_outputs(fmu, table)
         require_distinct(self.connected_inputs)
         self.parameters = parameter_connections(fmu, table, self.connected_inputs)
-        outputs = (self.y, *([self.rate] if self.rate else []), *self.outputs)
+        rate = () if self.rate is None else (self.rate,)
+        outputs = (self.y, *rate, *self.outputs)
         ports = FmuPorts(
             fmu,
             parameters=value_references(self.parameters),
@@ -91,8 +97,9 @@ class FmuPlant:
 
     @property
     def connected_inputs(self) -> tuple[Connection, ...]:
-        """The connections of the inputs that are set before each step."""
-        return (self.command, *([self.disturbance] if self.disturbance else []), *self.inputs)
+        """The inputs that are set before each step: command, disturbance if it has one of its own, named inputs."""
+        disturbance = () if self.disturbance is None else (self.disturbance,)
+        return (self.command, *disturbance, *self.inputs)
 
     @property
     def units(self) -> ChannelUnits:
@@ -102,19 +109,27 @@ class FmuPlant:
         return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
 
     def init(self, params: Params) -> FmuState:
-        """The state before the instance is started."""
-        return FmuState(empty_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
+        """The state before an instance of the FMU is started, which :meth:`begin` replaces."""
+        return FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=(0.0,) * len(self.outputs))
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
-        """Start an instance with the draw's parameters; return the state at t = 0."""
+        """Start an instance with the draw's parameters; return the state at t = 0.
+
+        Args:
+            params: Parameters, among them the FMU's.
+            state: The state of :meth:`init`.
+            lane: Word that tells the draw's instance apart.
+            steps: Number of steps of the flight.
+        """
         words, (y, *outputs) = self.functions.start(lane, steps, values_of(params))
         y_dot = outputs.pop(0) if self.rate else state.y_dot
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def advance(self, params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar, h: float) -> FmuState:
-        """The state after a step of the FMU with constant input.
+        """The state after a step of the FMU of length h [s] with constant input.
 
-        Without an output for y', y' is the difference quotient of y over the step.
+        A disturbance without an input of its own is added to the command. Without an output for y', y' is the
+        difference quotient of y over the step.
         """
         command = drive.command if self.disturbance else drive.command + drive.disturbance
         inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
@@ -124,10 +139,11 @@ class FmuPlant:
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
-        """The additional outputs by their names in the study."""
+        """The additional outputs by their names in the study; () if it reports none."""
         if not self.outputs:
             return ()
-        return report_type(tuple(signal for signal, _ in self.outputs))(*state.outputs)
+        report = report_type(tuple(signal for signal, _ in self.outputs))
+        return report(*state.outputs)
 
     def plant(self) -> Plant:
         """The plant, an instance of its contract."""
@@ -148,13 +164,8 @@ class FmuPlant:
         )
 
 
-def value_references(connected: tuple[Connection, ...]) -> tuple[int, ...]:
-    """The FMU's value references of connected variables."""
-    return tuple(variable.reference for _, variable in connected)
-
-
 def input_gain(params: Params) -> Scalar:
-    """The gain k_p of the study; NaN if it gives none."""
+    """The high-frequency gain k_p that the study states [y/(s^2 u)]; NaN if it states none."""
     return nan if params.k_p is None else params.k_p
 
 
@@ -174,7 +185,7 @@ def loaded_plant(table: TomlTable) -> Plant:
 
 UNLOADED = Plant(
     FmuPlantParams,
-    init=lambda params: FmuState(empty_words(), 0.0, 0.0, ()),
+    init=lambda params: FmuState(empty_words(), y=0.0, y_dot=0.0, outputs=()),
     derivative=no_derivative,
     measure=lambda params, state, drive: Measurement(state.y, state.y_dot),
     input_gain=input_gain,

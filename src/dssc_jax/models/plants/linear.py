@@ -50,7 +50,7 @@ class StateSpaceParams(NamedTuple):
         a: Rows of A.
         b: Input column of the command.
         c: Output row.
-        disturbance: Input column e of the disturbance; None: that of the command, so that the disturbance is matched.
+        disturbance: Input column e of the disturbance; None: the command's, so that the disturbance is matched.
         x0: First entries of the initial state; the others are zero.
         outputs: Signals beside y, by their names in the study.
         inputs: Input columns of additional disturbances, by their names in the study.
@@ -72,7 +72,7 @@ class StateSpaceParams(NamedTuple):
 
     @property
     def disturbance_column(self) -> Column:
-        """The input column of the disturbance, by default that of the command."""
+        """The input column of the disturbance, by default the command's."""
         return self.b if self.disturbance is None else self.disturbance
 
 
@@ -98,8 +98,8 @@ class LinearState(NamedTuple):
     x: tuple[Scalar, ...]
 
 
-def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
-    """The initial state of a plant with ``order`` states: x0, filled up with zeros."""
+def initial_state(x0: tuple[Scalar, ...], order: int) -> LinearState:
+    """The state at t = 0 of a plant with ``order`` states: the entries x0, filled up with zeros."""
     return LinearState((*x0, *(0.0,) * (order - len(x0))))
 
 
@@ -110,7 +110,11 @@ def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and y' = c A x + c b u + c e d + the effect of the named inputs."""
+    """y = c x, and y' = c A x + c b u + c e d + the effect of the named inputs.
+
+    Here u is the command, and d the disturbance with its column e. Where a relative degree is known to be above 1, the
+    product c b or c e is 0 and is left out.
+    """
     slope = dot(params.c, tuple(dot(row, state.x) for row in params.a))
     if params.degree == 1:
         slope = slope + dot(params.c, params.b) * drive.command
@@ -122,20 +126,25 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
-    """The outputs that the study names, for metrics and plots."""
+    """The values of the outputs that the study names, for metrics and plots; () if it names none."""
     return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
-    """c A^(r-1) b: the gain from the command to the r-th derivative of the output."""
+    """c A^(r-1) b: the gain from the command to the r-th derivative of the output, with the relative degree r."""
+    degree = int(params.degree or 1)  # None before the plant is prepared
     column = params.b
-    for _ in range(int(params.degree or 1) - 1):
+    for _ in range(degree - 1):
         column = tuple(dot(row, column) for row in params.a)
     return dot(params.c, column)
 
 
 def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
-    """Check the sizes of all matrices, and set the relative degrees of the nominal plant; raises ConfigError."""
+    """The parameters with the relative degrees of the nominal plant, after a check of all sizes.
+
+    Raises:
+        ConfigError: A size does not fit, y has a feedthrough, or the command does not reach y.
+    """
     order = len(params.a)
     if params.d != 0.0:
         raise ConfigError("d", f"must be 0, got {params.d:g}: {DELAYED_BY_A_SAMPLE}")
@@ -145,8 +154,9 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
         if len(row) != order:
             raise ConfigError(f"a.{i}", f"must have {order} numbers, one for each row, got {len(row)}")
     for name in ("b", "c", "disturbance"):
-        if getattr(params, name) is not None and len(getattr(params, name)) != order:
-            raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(getattr(params, name))}")
+        entries = getattr(params, name)
+        if entries is not None and len(entries) != order:
+            raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(entries)}")
     require_start(params.x0, order)
     require_named(params.outputs, params.inputs, order)
     a = nominal_values(params.a)
@@ -161,7 +171,10 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
 
 
 def last_slope(params: RationalParams, state: LinearState) -> Scalar:
-    """Derivative of the last state without command and disturbance: -(a_0 x_1 + a_1 x_2 + ...)/a_n."""
+    """Derivative of the last state x_n without command and disturbance: -(a_0 x_1 + a_1 x_2 + ...)/a_n.
+
+    The coefficients a_i of the denominator belong to s^i.
+    """
     leading, *lower = params.denominator
     return -dot(tuple(reversed(lower)), state.x) / leading
 
@@ -182,10 +195,14 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative."""
+    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its derivative y'.
+
+    The coefficients b_i of the numerator belong to s^i. Since x_i' = x_(i+1), the last state's derivative is the only
+    one that depends on command and disturbance.
+    """
     rising = tuple(reversed(params.numerator))
     slope = (*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance)
-    count = len(rising)
+    count = len(rising)  # at most the number of states: the plant is strictly proper
     leading = params.denominator[0]
     return Measurement(dot(rising, state.x[:count]) / leading, dot(rising, slope[:count]) / leading)
 
@@ -221,13 +238,13 @@ def require_start(x0: tuple[Scalar, ...], order: int) -> None:
 
 
 def nominal_values(values: Any) -> Any:
-    """Numbers, or rows of numbers, with the median in place of each law."""
+    """The same numbers or rows of numbers as plain numbers, with the median in place of each law."""
     return tuple(nominal_values(value) if isinstance(value, tuple) else nominal(value) for value in values)
 
 
 STATE_SPACE = Plant(
     StateSpaceParams,
-    init=lambda params: state_of(params.x0, len(params.a)),
+    init=lambda params: initial_state(params.x0, len(params.a)),
     derivative=linear_derivative(state_space_dynamics),
     measure=state_space_measure,
     input_gain=state_space_gain,
@@ -240,7 +257,7 @@ STATE_SPACE = Plant(
 )
 RATIONAL_PLANT = Plant(
     RationalParams,
-    init=lambda params: state_of(params.x0, len(params.denominator) - 1),
+    init=lambda params: initial_state(params.x0, len(params.denominator) - 1),
     derivative=linear_derivative(transfer_function_dynamics),
     measure=transfer_function_measure,
     input_gain=transfer_function_gain,

@@ -55,19 +55,26 @@ def output_report(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive
     """
     if not outputs:
         return ()
-    disturbances = dict(zip([name for name, _ in by_names(inputs)], drive.inputs, strict=False))
+    input_names = [name for name, _ in by_names(inputs)]
+    disturbances = dict(zip(input_names, drive.inputs, strict=False))  # drive.inputs may be (): no disturbances
     command = drive.command + drive.disturbance if is_matched else drive.command
     values = []
     for _, row in by_names(outputs):
         value = dot((*row.c, row.d), (*x, command))
-        for name, column in by_names(row.inputs):
-            value = value + column * disturbances.get(name, 0.0)
+        for name, feedthrough in by_names(row.inputs):
+            value = value + feedthrough * disturbances.get(name, 0.0)
         values.append(value)
-    return report_type(tuple(name for name, _ in by_names(outputs)))(*values)
+    report = report_type(tuple(name for name, _ in by_names(outputs)))
+    return report(*values)
 
 
 def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
-    """Check the sizes, names and units of outputs and inputs; raises ConfigError."""
+    """Check the sizes, names and units of named outputs and inputs of a plant with ``order`` states.
+
+    Raises:
+        ConfigError: A row or column has another length, an output names no input, or a unit is no unit.
+    """
+    input_names = list(inputs or {})
     for name, column in by_names(inputs):
         with errors_under(f"inputs.{name}"):
             require_length("column", column.column, order)
@@ -77,10 +84,9 @@ def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
             require_length("c", row.c, order)
             require_unit(row.unit)
             for input_name, _ in by_names(row.inputs):
-                if input_name not in (inputs or {}):
-                    raise ConfigError(
-                        f"inputs.{input_name}", f"is no input of the plant; {nearest(input_name, inputs or ())}"
-                    )
+                if input_name not in input_names:
+                    rule = f"is no input of the plant; {nearest(input_name, input_names)}"
+                    raise ConfigError(f"inputs.{input_name}", rule)
 
 
 def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:

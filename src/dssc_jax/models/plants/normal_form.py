@@ -1,4 +1,7 @@
-"""The one-degree-of-freedom class (5)-(8), of any order n >= 2, in normal form."""
+"""The one-degree-of-freedom class (5)-(8), of any order n >= 2, in normal form.
+
+In units, y stands for the unit of the plant's output, and u for the unit of its command.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -31,20 +34,20 @@ class NormalFormState(NamedTuple):
 
 
 def init(params: NormalFormParams) -> NormalFormState:
-    """The state at t = 0; components of eta beyond those of ``initial`` are zero."""
+    """The state at t = 0; components of eta that ``initial`` does not give are zero."""
     x1, x2, *eta = params.initial
     order = 0 if params.zero_dynamics is None else len(params.zero_dynamics.a)
     return NormalFormState(x1, x2, tuple(eta) + (0.0,) * (order - len(eta)))
 
 
 def linear(params: NormalFormParams) -> LinearDynamics:
-    """The matrices of (5)-(7) for x = (x1, x2, eta).
+    """The matrices of the plant (5)-(7) for its state x = (x1, x2, eta).
 
-    A_eta has the controllable canonical form, with B_eta = (0, ..., 0, 1).
+    A_eta has the controllable canonical form, with B_eta = (0, ..., 0, 1). The disturbance acts as the command does.
     """
     zero_dynamics = params.zero_dynamics
     order = 0 if zero_dynamics is None else len(zero_dynamics.a)
-    coupling = () if zero_dynamics is None else tuple(-c for c in zero_dynamics.c)
+    coupling = () if zero_dynamics is None else tuple(-c for c in zero_dynamics.c)  # -C_eta
     rows = [(0.0, 1.0, *(0.0,) * order), (0.0, -params.a_p, *coupling)]
     for i in range(order - 1):
         rows.append((0.0, 0.0, *one_entry(1.0, i + 1, order)))
@@ -61,7 +64,7 @@ def measure(params: NormalFormParams, state: NormalFormState, drive: PlantInput)
 
 
 def input_gain(params: NormalFormParams) -> Scalar:
-    """k_p of (7) [1/s]."""
+    """The high-frequency gain k_p of (7) from the command to y'' [y/(s^2 u)]."""
     return params.k_p
 
 

@@ -1,5 +1,7 @@
 """A chirp: a sine whose frequency moves from one value to another.
 
+In units, y stands for the unit of the plant's output.
+
 Reference:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
 """
@@ -54,7 +56,8 @@ def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
     """The phase at a time since the start [s], with a frequency that changes by equal factors in equal times.
 
-    Near x = 0, where (e^x - 1)/x cancels, it is taken as 1 + x/2.
+    The frequency f_0 e^x with x = growth t has the mean f_0 (e^x - 1)/x over the time t. Near x = 0, where the
+    quotient cancels, it is taken as 1 + x/2.
     """
     growth = jnp.log(params.end / params.start) / params.duration
     exponent = growth * elapsed
@@ -65,14 +68,15 @@ def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
 
 
 def chirp(spacing: Spacing) -> Reference:
-    """The chirp with a spacing of its frequencies."""
+    """Make the chirp whose frequency changes by equal amounts or by equal factors."""
     sweep_phase = linear_sweep if spacing is Spacing.LINEAR else logarithmic_sweep
 
     def at(params: ChirpParams, t: Scalar) -> ReferencePoint:
+        """The chirp and its derivatives at t [s]; before it begins, the offset."""
         elapsed = jnp.maximum(t - params.at, 0.0)
         sweep_time = jnp.minimum(elapsed, params.duration)
         angle, rate, sweep = sweep_phase(params, sweep_time)
-        angle = angle + math.tau * params.end * (elapsed - sweep_time)
+        angle = angle + math.tau * params.end * (elapsed - sweep_time)  # after the sweep, at the last frequency
         amplitude = jnp.where(has_reached(t, params.at), params.amplitude, 0.0)
         sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
         sine = amplitude * jnp.sin(angle)

@@ -12,14 +12,14 @@ from dssc_jax.models.references.sine import MISSION, sine_at
 
 
 class HoverParams(NamedTuple):
-    """Parameters of a hover: a fixed position and yaw."""
+    """The position and yaw at which the vehicle hovers."""
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "desired position x, y, z")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "desired yaw")] = 0.0
 
 
 class StepsParams(NamedTuple):
-    """Steps of position and yaw from zero at the time ``at``."""
+    """The position and yaw to which the vehicle steps from zero at the time ``at``."""
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "step of the position x, y, z")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "step of the yaw")] = 0.0
@@ -33,7 +33,7 @@ Placed = TypeVar("Placed", HoverParams, StepsParams)
 
 
 def require_place_in_space(params: Placed) -> Placed:
-    """Return the parameters, whose position must have three values; raises ConfigError."""
+    """The parameters themselves, whose position must have the three values x, y, z; raises ConfigError."""
     if len(params.position) != 3:
         raise ConfigError("position", f"needs three values, got {len(params.position)}")
     return params
@@ -46,11 +46,9 @@ def fixed_point(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
 
 
 def steps_at(params: StepsParams, t: Scalar) -> Flight:
-    """The flight at t [s]: at zero before the step, at its point afterwards.
-
-    The step's time has a tolerance, because t = k T_s is rounded.
-    """
-    on = jnp.where(t >= params.at * (1.0 - 1e-12), 1.0, 0.0)
+    """The flight at t [s]: at zero before the step, at its point afterwards."""
+    begins = params.at * (1.0 - 1e-12)  # slightly early, because t = k T_s is rounded
+    on = jnp.where(t >= begins, 1.0, 0.0)
     return fixed_point(tuple(on * value for value in params.position), on * params.yaw)
 
 

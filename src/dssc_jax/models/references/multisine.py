@@ -1,5 +1,7 @@
 """A multisine: a sum of sines, with phases that keep its peak low.
 
+In units, y stands for the unit of the plant's output.
+
 References:
     L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 13.3.
     M. R. Schroeder, Synthesis of low-peak-factor signals and binary sequences with low autocorrelation, IEEE Trans.
@@ -20,7 +22,7 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 class MultisineParams(NamedTuple):
     """y_m = offset + the sum of a_k sin(2 pi f_k t + phi_k).
 
-    Absent phases are those of Schroeder, with which equal amplitudes have a low peak.
+    Absent phases are Schroeder's, with which equal amplitudes have a low peak.
     """
 
     amplitudes: Annotated[tuple[Scalar, ...], Quantity("y", "amplitude of each sine")]
@@ -30,7 +32,7 @@ class MultisineParams(NamedTuple):
 
 
 def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
-    """The multisine and its derivatives at t [s]."""
+    """The multisine y_m and its derivatives y_m', y_m'' at t [s]."""
     y = params.offset
     y_dot = 0.0
     y_ddot = 0.0
@@ -45,12 +47,15 @@ def multisine_at(params: MultisineParams, t: Scalar) -> ReferencePoint:
     return ReferencePoint(y, y_dot, y_ddot)
 
 
+def schroeder_phases(count: int) -> tuple[float, ...]:
+    """Schroeder's phases -k (k - 1) pi/n of the sines k = 1..n [rad], up to whole turns."""
+    return tuple(-math.pi * ((k * (k - 1)) % (2 * count)) / count for k in range(1, count + 1))
+
+
 def prepare_multisine(params: MultisineParams) -> MultisineParams:
-    """Require lists of one length, and set Schroeder's phases -k (k - 1) pi/n if none are given; raises ConfigError."""
+    """The parameters with phases, by default Schroeder's, and lists that must have one length; raises ConfigError."""
     count = len(params.amplitudes)
-    phases = params.phases
-    if phases is None:
-        phases = tuple(-math.pi * ((k * (k - 1)) % (2 * count)) / count for k in range(1, count + 1))
+    phases = schroeder_phases(count) if params.phases is None else params.phases
     for name, values in (("frequencies", params.frequencies), ("phases", phases)):
         if not count or len(values) != count:
             raise ConfigError(name, f"must hold one number for each of the amplitudes, {count}, got {len(values)}")

@@ -1,4 +1,7 @@
-"""A recorded signal as desired output."""
+"""A recorded signal as desired output.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -15,7 +18,7 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 class RecordParams(NamedTuple):
     """A recorded desired output; the first value holds before the first time, the last one after the last time.
 
-    Derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
+    Derivatives follow from the interpolation. With a recorded rate, y_ref' is this rate, interpolated by the same
     rule, and y_ref'' its slope.
 
     The record of an angle may jump by a turn, such as one in (-pi, pi]; the reference then takes the shorter way.
@@ -40,7 +43,11 @@ class RatedPieces(NamedTuple):
 
 
 def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPieces:
-    """The piecewise cubics of a record; raises ConfigError."""
+    """The record as functions of time by a rule of interpolation, with its recorded rate if it has one.
+
+    Raises:
+        ConfigError: Lengths do not fit, times do not rise, or times of a rate are given without a rate.
+    """
     value = cubic_pieces(params.time, params.value, rule)
     if params.rate is None:
         if params.rate_time is not None:
@@ -55,7 +62,7 @@ def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPi
 
 
 def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
-    """The reference at t [s]; its derivatives are those of the value, or come from the recorded rate."""
+    """The reference at t [s]; its derivatives follow from the recorded rate, or else from the value."""
     if isinstance(pieces, RatedPieces):
         rate = piece_at(pieces.rate, t)
         return ReferencePoint(piece_at(pieces.value, t).y, rate.y, rate.y_dot)
@@ -68,7 +75,7 @@ def unwrapped(params: RecordParams) -> RecordParams:
 
 
 def record(rule: Interpolation) -> Reference:
-    """The reference that interpolates a record by a rule."""
+    """Make the reference that interpolates a record by a rule; an angle takes the shorter way between values."""
     of_angle = Reference(RecordParams, record_at, lambda params: record_pieces(unwrapped(params), rule))
     return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule), of_angle=of_angle)
 

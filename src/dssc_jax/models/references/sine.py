@@ -1,4 +1,7 @@
-"""Sines as desired outputs, and the four axes of the article's mission."""
+"""Sines as desired outputs, and the four axes of the article's mission.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 import math
 from enum import StrEnum
@@ -13,7 +16,7 @@ from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class SineParams(NamedTuple):
-    """y_m = offset + amplitude sin(2 pi t/period + phase)."""
+    """The sine y_m = offset + amplitude sin(2 pi t/period + phase)."""
 
     amplitude: Annotated[Scalar, Quantity("y", "amplitude")]
     period: Annotated[Scalar, Quantity("s", "period", above=0.0)]
@@ -22,7 +25,7 @@ class SineParams(NamedTuple):
 
 
 class Axis(StrEnum):
-    """The mission's four degrees of freedom."""
+    """The vehicle's four degrees of freedom: position and yaw."""
 
     X = "x"
     Y = "y"
@@ -31,7 +34,7 @@ class Axis(StrEnum):
 
 
 def sine_at(params: SineParams, t: Scalar) -> ReferencePoint:
-    """The sine and its derivatives at t [s]."""
+    """The sine y_m and its derivatives y_m', y_m'' at t [s]."""
     rate = 2.0 * math.pi / params.period
     angle = rate * t + params.phase
     swing = params.amplitude * jnp.sin(angle)
@@ -49,7 +52,7 @@ MISSION = {
 
 
 def mission(axis: Axis) -> Reference:
-    """The reference of one axis of the article's mission."""
+    """Make the reference of one axis of the article's mission, which has no parameters."""
     return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
 
 

@@ -2,6 +2,8 @@
 
 A step and a pulse train have no derivatives at their edges. There y_m' and y_m'' are those on the right: a controller
 that uses them sees a change of y_m and no impulse.
+
+In units, y stands for the unit of the plant's output.
 """
 
 from typing import Annotated, NamedTuple
@@ -23,7 +25,7 @@ def has_reached(t: Scalar, at: Scalar) -> Scalar:
 
 
 class StepReferenceParams(NamedTuple):
-    """y_m = offset before ``at``, and offset + size from then on."""
+    """A step: y_m is ``offset`` before the time ``at``, and ``offset + size`` from then on."""
 
     size: Annotated[Scalar, Quantity("y", "size of the step")]
     at: Annotated[Scalar, AT] = 0.0
@@ -31,7 +33,7 @@ class StepReferenceParams(NamedTuple):
 
 
 def step_at(params: StepReferenceParams, t: Scalar) -> ReferencePoint:
-    """The step at t [s]."""
+    """The step at t [s]; its derivatives are 0."""
     return ReferencePoint(params.offset + jnp.where(has_reached(t, params.at), params.size, 0.0), 0.0, 0.0)
 
 
@@ -45,7 +47,7 @@ class RampParams(NamedTuple):
 
 
 def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
-    """The ramp at t [s]."""
+    """The ramp and its slope at t [s]; y_m'' is 0."""
     elapsed = jnp.maximum(t - params.at, 0.0)
     rising = has_reached(t, params.at)
     if params.rise is not None:
@@ -65,8 +67,8 @@ class PulseParams(NamedTuple):
 
 
 def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
-    """The pulse train at t [s]."""
-    rounding = 8.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
+    """The pulse train at t [s]; its derivatives are 0."""
+    rounding = 8.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)  # of t = k T_s
     elapsed = t - params.at + rounding
     phase = elapsed - params.period * jnp.floor(elapsed / params.period)
     on = (elapsed >= 0.0) & (phase < params.width)
@@ -74,9 +76,9 @@ def pulse_at(params: PulseParams, t: Scalar) -> ReferencePoint:
 
 
 def prepare_pulse(params: PulseParams) -> PulseParams:
-    """Require that a pulse ends before the next one begins; raises ConfigError."""
-    widest = extent(params.width)[1]
-    shortest = extent(params.period)[0]
+    """The parameters themselves, whose pulses must end before the next ones begin; raises ConfigError."""
+    _, widest = extent(params.width)
+    shortest, _ = extent(params.period)
     if not widest < shortest:
         raise ConfigError("width", f"must be below the period, got up to {widest:g} s and a period of {shortest:g} s")
     return params

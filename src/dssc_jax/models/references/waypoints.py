@@ -34,7 +34,9 @@ FEWEST_SEGMENTS = 256
 MOST_SEGMENTS = 65536
 LEG_PARTS = 128  # parts of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
-GAUSS = np.polynomial.legendre.leggauss(5)
+GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)  # on [-1, 1]
+SHARPEST_TURN = 0.5  # cosine of the largest turn of the path between two of its checked points: 60 degrees
+STEPS_OF_A_RAMP = 8.0  # fewest segments of the table on which the speed may rise
 
 LATITUDE = Quantity("deg", "WGS 84 latitude", at_least=-90.0, at_most=90.0, law=False)
 LONGITUDE = Quantity("deg", "WGS 84 longitude", at_least=-180.0, at_most=180.0, law=False)
@@ -89,7 +91,7 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
     Returns:
         Positions [m], shape (..., 3).
     """
-    eccentricity2 = FLATTENING * (2.0 - FLATTENING)
+    eccentricity2 = FLATTENING * (2.0 - FLATTENING)  # squared
     normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - eccentricity2 * np.sin(latitude) ** 2)  # prime vertical radius
     axis_distance = (normal + height) * np.cos(latitude)
     up = (normal * (1.0 - eccentricity2) + height) * np.sin(latitude)
@@ -109,6 +111,22 @@ def enu(params: WaypointParams) -> np.ndarray:
 
 def check_path(params: WaypointParams) -> None:
     """Check the numbers of the waypoints, and that these are distinct and near each other; raises ConfigError."""
+    check_numbers(params)
+    points = enu(params)
+    distances = np.linalg.norm(points, axis=1)  # from the ground at the first waypoint
+    spacings = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if distances.max() > FRAME_RADIUS:
+        i = int(distances.argmax())
+        axis = "latitude_deg" if abs(points[i, 1]) > abs(points[i, 0]) else "longitude_deg"  # north or east
+        reach = f"{FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
+        raise ConfigError(f"{axis}.{i}", f"waypoint {i} must be within {reach}")
+    if spacings.min() < SAME:
+        i = int(spacings.argmin())
+        raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({spacings[i]:.2g} m away)")
+
+
+def check_numbers(params: WaypointParams) -> None:
+    """Require at least two waypoints, lists of one length, and finite numbers in range; raises ConfigError."""
     count = len(params.latitude_deg)
     if count < 2:
         raise ConfigError("latitude_deg", f"must hold at least two waypoints, got {count}")
@@ -119,7 +137,7 @@ def check_path(params: WaypointParams) -> None:
         is_list = np.ndim(values) == 1
         if is_list and len(values) != count:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
-        quantity = hint.__metadata__[0]
+        quantity = hint.__metadata__[0]  # the Quantity of the field's annotation
         for i, value in enumerate(values if is_list else (values,)):
             violation = quantity.violated_by(value, value)
             if violation is None and not math.isfinite(value):
@@ -127,21 +145,13 @@ def check_path(params: WaypointParams) -> None:
             if violation:
                 rule = f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}"
                 raise ConfigError(f"{name}.{i}" if is_list else name, rule)
-    points = enu(params)
-    distances = np.linalg.norm(points, axis=1)
-    spacings = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if distances.max() > FRAME_RADIUS:
-        i = int(distances.argmax())
-        axis = "latitude_deg" if abs(points[i, 1]) > abs(points[i, 0]) else "longitude_deg"
-        reach = f"{FRAME_RADIUS / 1e3:g} km of waypoint 0, got {distances[i] / 1e3:.4g} km"
-        raise ConfigError(f"{axis}.{i}", f"waypoint {i} must be within {reach}")
-    if spacings.min() < SAME:
-        i = int(spacings.argmin())
-        raise ConfigError(f"latitude_deg.{i + 1}", f"waypoint {i + 1} repeats waypoint {i} ({spacings[i]:.2g} m away)")
 
 
-def spline(params: WaypointParams) -> CubicSpline:
-    """Natural cubic spline of x, y, z [m] and psi [rad] through the waypoints over their chord length u [m]."""
+def path_through(params: WaypointParams) -> CubicSpline:
+    """The path: a natural cubic spline of x, y, z [m] and psi [rad] through the waypoints.
+
+    Its parameter u [m] is the length of the straight lines between the waypoints, from the first one on.
+    """
     points = enu(params)
     yaw = np.zeros(len(points))
     if params.yaw_deg is not None:
@@ -152,37 +162,48 @@ def spline(params: WaypointParams) -> CubicSpline:
 
 
 def path_speed(path: CubicSpline, u: np.ndarray) -> np.ndarray:
-    """|dr/du|, the length of the path per unit of its parameter u, at each u."""
-    return np.linalg.norm(path(u, 1)[..., :3], axis=-1)
+    """|dr/du|, the length of the path per unit of its parameter u, at each u, any shape."""
+    slope = path(u, 1)  # first derivative of x, y, z and psi
+    return np.linalg.norm(slope[..., :3], axis=-1)
 
 
-def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Length of the path between parameters start and end [m], by Gauss's rule of five points; for short intervals."""
+def path_length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Length of the path between pairs of near parameters, by Gauss's rule of five points [m].
+
+    Args:
+        path: The path.
+        start: First parameter of each interval, shape (n,).
+        end: Last parameter of each interval, shape (n,).
+    """
     half = 0.5 * (end - start)
-    return half * (path_speed(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
+    parameters = start[:, None] + np.outer(half, 1.0 + GAUSS_NODES)
+    return half * (path_speed(path, parameters) @ GAUSS_WEIGHTS)
 
 
 def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
-    """Check that the path is long and smooth enough to be flown at the speed; raises ConfigError.
+    """Require a path that is long and smooth enough to be flown at the speed, and does not turn back on itself.
 
     Args:
         params: Speed and acceleration.
         path: The path.
         u: Parameters at which the path is checked, rising.
         total: Length of the path [m].
+
+    Raises:
+        ConfigError: It turns back on itself, or the speed is too high for its length or its turns.
     """
     slope = path(u, 1)[:, :3]
     bend = path(u, 2)[:, :3]
     size = np.maximum(np.linalg.norm(slope, axis=1), np.finfo(float).tiny)
-    turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]
-    if turn.min() < 0.5:  # 60 degrees within a fraction of a leg
-        i = np.abs(path.x - u[turn.argmin()]).argmin()
+    turn = np.sum(slope[1:] * slope[:-1], axis=1) / size[1:] / size[:-1]  # cosine, from one u to the next
+    if turn.min() < SHARPEST_TURN:
+        i = np.abs(path.x - u[turn.argmin()]).argmin()  # nearest waypoint
         rule = f"the path turns back on itself at waypoint {i}, which no speed allows; put waypoints around the turn"
         raise ConfigError(f"latitude_deg.{i}", rule)
     curvature = np.linalg.norm(np.cross(slope, bend), axis=1) / size**3
     peak = curvature.argmax()
-    by_length = math.sqrt(total * params.acceleration / RAMP)
-    by_turn = math.sqrt(LATERAL_LIMIT / max(curvature[peak], 1e-12))
+    by_length = math.sqrt(total * params.acceleration / RAMP)  # highest speed that the path has room to reach and leave
+    by_turn = math.sqrt(LATERAL_LIMIT / max(curvature[peak], 1e-12))  # highest speed in the sharpest turn
     if params.speed > by_turn:
         acceleration = params.speed**2 * curvature[peak] / STANDARD_GRAVITY
         waypoint = np.abs(path.x - u[peak]).argmin()
@@ -195,7 +216,7 @@ def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, tota
     raise ConfigError("speed", f"must be at most {limit:.3g} m/s, got {params.speed:g}: {rule}")
 
 
-def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rest_to_rest(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The motion along a path from rest to rest: a ramp of the speed, cruise, and the same ramp down.
 
     The ramp is 10 x^3 - 15 x^4 + 6 x^5, so that the speed is twice continuously differentiable.
@@ -207,14 +228,17 @@ def travel(t: np.ndarray, total: float, speed: float, ramp: float) -> tuple[np.n
         ramp: Duration of a ramp [s].
 
     Returns:
-        Distance [m], speed [m/s] and acceleration [m/s^2] at each time, shape (n,) each.
+        Distance [m], speed [m/s] and tangential acceleration [m/s^2] at each time, shape (n,) each.
     """
-    sooner = np.minimum(t, total / speed + ramp - t)  # time from the start or to the end
+    duration = total / speed + ramp
+    sooner = np.minimum(t, duration - t)  # time from the start or to the end: the motion is symmetric
+    is_first_half = sooner == t
     x = np.clip(sooner / ramp, 0.0, 1.0)
     distance = speed * (ramp * x**4 * (2.5 - 3.0 * x + x**2) + np.maximum(sooner - ramp, 0.0))
     rate = speed * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    gain = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
-    return np.where(sooner == t, distance, total - distance), rate, np.where(sooner == t, gain, -gain)
+    acceleration = speed / ramp * 30.0 * (x * (1.0 - x)) ** 2
+    travelled = np.where(is_first_half, distance, total - distance)
+    return travelled, rate, np.where(is_first_half, acceleration, -acceleration)
 
 
 def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) -> np.ndarray:
@@ -229,6 +253,7 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
     Returns:
         Coefficients in ascending powers of the time over ``step``, shape (n, 4, 6).
     """
+    # powers 0 to 2 hold the start of a segment; powers 3 to 5 remove the mismatch at its end
     low = np.stack([y[:-1], step * y_dot[:-1], 0.5 * step**2 * y_ddot[:-1]], axis=-1)
     slope = step * y_dot[1:] - low @ [0.0, 1.0, 2.0]
     jump = y[1:] - low.sum(axis=-1)
@@ -239,25 +264,28 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
     return np.concatenate([np.concatenate([low, high], axis=-1), hold])
 
 
-def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
-    """The parameters at which the path has reached some lengths, by Newton's method.
+def parameters_at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """The parameters at which the path has reached some lengths, by Newton's method, shape (m,).
 
     Args:
         path: The path.
-        u: Parameters of a grid, rising.
-        s: Length of the path up to each of them [m].
-        distances: The lengths [m].
+        u: Parameters of a grid, rising, shape (n,).
+        s: Length of the path up to each of them [m], shape (n,).
+        distances: The lengths [m], shape (m,).
     """
+    # k: the interval of the grid in which each length lies
     k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
     parameters = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
-        remaining_length = distances - s[k] - length(path, u[k], parameters)
+        remaining_length = distances - s[k] - path_length(path, u[k], parameters)
         parameters = np.clip(parameters + remaining_length / path_speed(path, parameters), u[k], u[k + 1])
     return parameters
 
 
-def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
-    """The step with which the motion keeps the bounds of speed and acceleration between the nodes, too.
+def slowed_step(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
+    """The time between two nodes with which the motion keeps the bounds of speed and acceleration between them, too.
+
+    A motion slowed down by a factor has its speed divided by it, and its acceleration divided by the factor's square.
 
     Args:
         step: Time between two nodes [s].
@@ -267,44 +295,72 @@ def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> 
     Returns:
         A step [s] that is usually longer by a factor of 1 + 1e-5.
     """
-    powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T
+    powers = np.vander(np.linspace(0.0, 1.0, 17), 5, increasing=True).T  # of 17 times in each segment, shape (5, 17)
     slope = polyder(coefficients[:, :3], axis=-1)
     velocity = slope @ powers / step
-    gain = polyder(slope, axis=-1) @ powers[:4] / step**2
+    acceleration = polyder(slope, axis=-1) @ powers[:4] / step**2
     speed = np.linalg.norm(velocity, axis=1)
-    tangential = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
+    tangential = np.abs(np.sum(velocity * acceleration, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
     root_ratio = math.sqrt(tangential.max() / float(params.acceleration))
     factor = max(1.0, speed.max() / float(params.speed), root_ratio)
     return float(step * (factor + 0.01 * (factor - 1.0) + 1e-5))  # a little more, for peaks between the 17 points
 
 
 def curve(params: WaypointParams) -> Curve:
-    """Compute the motion along the path on the host, before tracing; :func:`at` evaluates it.
+    """Compute the table of the motion along the path on the host, before tracing; :func:`at` evaluates it.
+
+    The path gets a motion from rest to rest; position and yaw at equal time steps make the table. Finally the motion is
+    slowed down where the table exceeds the bounds between its nodes.
 
     Raises:
         ConfigError: Waypoints are too few, repeated or scattered, numbers are out of range, or the speed is impossible.
     """
     check_path(params)
-    path = spline(params)
+    path = path_through(params)
     cruise = float(params.speed)
-    u = np.interp(np.arange(LEG_PARTS * (len(path.x) - 1) + 1) / LEG_PARTS, np.arange(len(path.x)), path.x)
-    s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
-    check_flyable(params, path, u, s[-1])
+    grid, lengths = path_grid(path)
+    total = lengths[-1]
+    check_flyable(params, path, grid, total)
     ramp = RAMP * cruise / float(params.acceleration)
-    flight = s[-1] / cruise
+    flight = total / cruise
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))
-    ramp = max(ramp, 8.0 * (flight + ramp) / count)  # no ramp is too short for the table's steps
+    ramp = max(ramp, STEPS_OF_A_RAMP * (flight + ramp) / count)
     duration = flight + ramp
-    distances, speed, gain = travel(np.linspace(0.0, duration, count + 1), s[-1], cruise, ramp)
-    v = at_length(path, u, s, distances)
-    size = path_speed(path, v)
-    slope = path(v, 1)
-    bend = path(v, 2)
-    v_dot = speed / size
-    v_ddot = (gain - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * v_dot**2) / size
-    y_ddot = bend * v_dot[:, None] ** 2 + slope * v_ddot[:, None]
-    coefficients = quintics(path(v), slope * v_dot[:, None], y_ddot, duration / count)
-    return Curve(slow_down(duration / count, coefficients, params), coefficients)
+    distances, speed, acceleration = rest_to_rest(np.linspace(0.0, duration, count + 1), total, cruise, ramp)
+    u = parameters_at_length(path, grid, lengths, distances)
+    y_dot, y_ddot = path_derivatives(path, u, speed, acceleration)
+    coefficients = quintics(path(u), y_dot, y_ddot, duration / count)
+    return Curve(slowed_step(duration / count, coefficients, params), coefficients)
+
+
+def path_grid(path: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters of the path, ``LEG_PARTS`` to a leg, and the length of the path up to each [m], shape (n,) each."""
+    waypoints = len(path.x)
+    legs = np.arange(LEG_PARTS * (waypoints - 1) + 1) / LEG_PARTS  # 0 at the first waypoint, 1 at the second, ..
+    grid = np.interp(legs, np.arange(waypoints), path.x)
+    lengths = np.concatenate([[0.0], np.cumsum(path_length(path, grid[:-1], grid[1:]))])
+    return grid, lengths
+
+
+def path_derivatives(
+    path: CubicSpline, u: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """First and second time derivatives of position and yaw on the path, shape (n, 4) each.
+
+    They follow by the chain rule, r' = r_u u' and r'' = r_uu u'^2 + r_u u'', from the parameter u(t).
+
+    Args:
+        path: The path.
+        u: Parameters of the path, shape (n,).
+        speed: Speed along the path at each of them [m/s], shape (n,).
+        acceleration: Rate of change of the speed [m/s^2], shape (n,).
+    """
+    size = path_speed(path, u)
+    slope = path(u, 1)
+    bend = path(u, 2)
+    u_dot = speed / size
+    u_ddot = (acceleration - np.sum(slope[:, :3] * bend[:, :3], axis=1) / size * u_dot**2) / size
+    return slope * u_dot[:, None], bend * u_dot[:, None] ** 2 + slope * u_ddot[:, None]
 
 
 def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]:
@@ -312,7 +368,7 @@ def at(curve: Curve, t: Scalar) -> tuple[ReferencePoint, ReferencePoint, Referen
     dtype = jnp.result_type(t, float)
     step = jnp.asarray(curve.step, dtype)
     phase = jnp.clip(jnp.asarray(t, dtype) / step, 0, curve.coefficients.shape[0] - 1)
-    x = phase - jnp.floor(phase)
+    x = phase - jnp.floor(phase)  # within the segment, in [0, 1)
     row = jnp.take(curve.coefficients, phase.astype(jnp.int32), axis=0, mode="clip").astype(dtype)
     value = slope = bend = jnp.zeros((4,), dtype)
     for power in reversed(range(6)):  # Horner's rule with its first two derivatives

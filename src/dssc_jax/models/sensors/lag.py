@@ -12,34 +12,35 @@ from dssc_jax.core.smoothness import SMOOTH
 
 
 class SensorLagParams(NamedTuple):
-    """A sensor with a lag: y and y' each through 1/(mu s + 1)."""
+    """The time constant of a sensor that passes y and y' each through 1/(mu s + 1)."""
 
     mu: Annotated[Scalar, Quantity("s", "time constant of the sensor's lag", above=0.0)]
 
 
 class LagState(NamedTuple):
-    """State of the lag: the previous true measurement, and the previous reading (``shown``)."""
+    """What the lag remembers: the previous true measurement (``true``), and the previous reading (``shown``)."""
 
     true: Measurement
     shown: Measurement
 
 
 def lag_init(params: SensorLagParams, measurement: Measurement, key: jax.Array) -> LagState:
-    """The state at the first measurement, as if it had been constant before."""
-    return LagState(measurement, measurement)
+    """The state at the first measurement, which the sensor shows as if it had been constant before."""
+    return LagState(true=measurement, shown=measurement)
 
 
 def lag_step(
     params: SensorLagParams, state: LagState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[LagState, Measurement]:
-    """The next state and the reading, by the exact solution of mu z' = y - z for y linear between the samples.
+    """The next state and the reading z, by the exact solution of mu z' = y - z for y linear between the samples.
 
-    So a small mu causes no delay.
+    So a mu far below T_s shows y itself, and not the y of the sample before.
     """
     steps = dt / params.mu
-    share = -jnp.expm1(-steps)
+    share = -jnp.expm1(-steps)  # 1 - exp(-dt/mu)
 
     def filtered_value(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
+        """The reading of a true value, from the true value and the reading at the sample before."""
         return true - (true - previous) * share / steps + (shown - previous) * (1.0 - share)
 
     true = state.true

@@ -1,4 +1,7 @@
-"""A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter."""
+"""A sensor with noise, constant errors, delay, sampling period, resolution, lost readings and jitter.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -12,7 +15,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 
-EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are those of noise
+EXTRA = 2  # index of the random numbers of losses and jitter; 0 and 1 are the noise's
 MOST_DELAY = 200  # samples; each costs two scalars of the state, which are copied at every sample
 POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0, leading=True)
 VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
@@ -48,13 +51,13 @@ class NoisyParams(NamedTuple):
 
 
 class NoisyState(NamedTuple):
-    """State of the sensor.
+    """What the sensor remembers from one sample to the next.
 
     Args:
         age: Controller samples since the last reading was due.
         held: The last reading.
         queue: Readings that the delay holds back, oldest first.
-        previous: The true measurement at the last sample, with jitter; else ().
+        previous: The true measurement at the last sample, alone in a tuple; () without jitter.
     """
 
     age: Scalar
@@ -73,7 +76,7 @@ def sample_count(name: str, value: object) -> int:
 
 
 def prepare(params: NoisyParams) -> NoisyParams:
-    """Require whole numbers of samples for delay and period; raises ConfigError."""
+    """The parameters themselves, whose delay and period must be whole numbers of samples; raises ConfigError."""
     sample_count("delay_samples", params.delay_samples)
     sample_count("period_samples", params.period_samples)
     return params
@@ -81,16 +84,12 @@ def prepare(params: NoisyParams) -> NoisyParams:
 
 def reading(params: NoisyParams, measurement: Measurement, key: jax.Array) -> Measurement:
     """A new reading of a measurement: with constant errors and noise, rounded to the resolution."""
-    noise = standard_normals(key, 2)
+    position_noise, velocity_noise = standard_normals(key, 2)
+    y = measurement.y + params.position_bias + params.position_std * position_noise
+    y_dot = measurement.y_dot + params.velocity_bias + params.velocity_std * velocity_noise
     return Measurement(
-        round_reading(
-            measurement.y + params.position_bias + params.position_std * noise[0],
-            params.position_resolution,
-        ),
-        round_reading(
-            measurement.y_dot + params.velocity_bias + params.velocity_std * noise[1],
-            params.velocity_resolution,
-        ),
+        y=round_reading(y, params.position_resolution),
+        y_dot=round_reading(y_dot, params.velocity_resolution),
     )
 
 
@@ -110,6 +109,7 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
         age: Age in [0, dt] [s].
         dt: Length of a sample [s].
     """
+    # y = previous.y + first s + second s^2 + third s^3, with s from 0 at the sample before to 1 at the present one
     s = 1.0 - age / dt
     rise = present.y - previous.y
     first = dt * previous.y_dot
@@ -124,42 +124,61 @@ def noisy_init(params: NoisyParams, measurement: Measurement, key: jax.Array) ->
     """The state at the first measurement: a reading of it fills the queue, and a new one is due."""
     first = reading(params, measurement, key)
     period = sample_count("period_samples", params.period_samples)
-    previous = () if params.jitter is None else (measurement,)
-    return NoisyState(float(period), first, (first,) * sample_count("delay_samples", params.delay_samples), previous)
+    return NoisyState(
+        age=float(period),
+        held=first,
+        queue=(first,) * sample_count("delay_samples", params.delay_samples),
+        previous=() if params.jitter is None else (measurement,),
+    )
 
 
 def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
-    """The next state, and the reading that was taken ``delay_samples`` ago.
+    """The next state, and the reading that was taken ``delay_samples`` ago, which the controller gets.
 
-    A reading is taken if one is due and is not lost; else the last one stays.
+    A new reading is taken at a sample if one is due there and is not lost; else the last reading stays.
     """
     is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # age is a whole number
-    true = measurement
+    true = measurement  # that the new reading measures
     is_received = is_due
     if params.loss is not None or params.jitter is not None:
-        chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
+        chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)  # of a loss, and of the largest age
         if params.jitter is not None:
-            true = aged_reading(measurement, state.previous[0], params.jitter * share, dt)
+            (last_true,) = state.previous
+            true = aged_reading(measurement, last_true, params.jitter * share, dt)
         if params.loss is not None and not is_zero(params.loss):
             is_received = is_due & (chance >= params.loss)
     fresh = reading(params, true, key)
     y = jnp.where(is_received, fresh.y, state.held.y)
     held_reading = Measurement(y, jnp.where(is_received, fresh.y_dot, state.held.y_dot))
     delivered, *queue = (*state.queue, held_reading)
-    previous = () if params.jitter is None else (measurement,)
-    return NoisyState(jnp.where(is_due, 1.0, state.age + 1.0), held_reading, tuple(queue), previous), delivered
+    next_state = NoisyState(
+        age=jnp.where(is_due, 1.0, state.age + 1.0),
+        held=held_reading,
+        queue=tuple(queue),
+        previous=() if params.jitter is None else (measurement,),
+    )
+    return next_state, delivered
+
+
+def largest_value(number: Scalar | None) -> float:
+    """The largest value of a parameter's law; 0 if the parameter is absent, None."""
+    return 0.0 if number is None else extent(number)[1]
 
 
 def noisy_smoothness(params: NoisyParams) -> Smoothness:
-    """The declaration: the sensor is linear, except for a period of its own, losses, jitter and a resolution."""
+    """Where the sensor has a derivative: everywhere, unless it has a period of its own, losses, jitter or a resolution.
+
+    A period and losses have none that helps. Jitter and a resolution count as the sensor without a resolution, whose
+    readings have a constant age.
+    """
     if params.period_samples != 1.0:
         return not_smooth(
             f"has period_samples = {params.period_samples:g}, which must be 1 for a frequency response: the loop is "
             "periodic otherwise"
         )
-    if params.loss is not None and extent(params.loss)[1] > 0.0:
+    if largest_value(params.loss) > 0.0:
         return not_smooth("loses readings at random, so that no derivative holds from sample to sample; leave loss out")
     assumptions = []
     if params.jitter is not None:
@@ -170,15 +189,17 @@ def noisy_smoothness(params: NoisyParams) -> Smoothness:
 
 
 def with_mean_gain(params: NoisyParams) -> tuple[Sensor, NoisyParams]:
-    """The substitute for signals that are large compared with the resolution: the sensor without a resolution."""
+    """The part that is linearised in place of a sensor with a resolution: the sensor without it.
+
+    It stands for signals that are large compared with the resolution.
+    """
     return NOISY, params._replace(position_resolution=None, velocity_resolution=None)
 
 
 def is_transparent(params: NoisyParams) -> bool:
     """Whether every reading is one of the present sample: without delay, period, losses and jitter."""
-    chances = [extent(number)[1] for number in (params.loss, params.jitter) if number is not None]
-    delayed = extent(params.delay_samples)[1] > 0.0 or extent(params.period_samples)[1] > 1.0
-    return not delayed and max(chances, default=0.0) == 0.0
+    is_timely = largest_value(params.delay_samples) == 0.0 and largest_value(params.period_samples) <= 1.0
+    return is_timely and largest_value(params.loss) == 0.0 and largest_value(params.jitter) == 0.0
 
 
 NOISY = Sensor(NoisyParams, noisy_init, noisy_step, prepare, noisy_smoothness, is_transparent)

@@ -1,4 +1,7 @@
-"""A sensor whose noise is a record."""
+"""A sensor whose noise is a record.
+
+In units, y stands for the unit of the plant's output.
+"""
 
 from enum import StrEnum
 from typing import Annotated, NamedTuple
@@ -45,7 +48,10 @@ class NoiseStart(StrEnum):
 
 
 def prepare(params: RecordedNoiseParams) -> RecordedNoise:
-    """The record as functions of time, shifted so that the first value is at t = 0."""
+    """The record as functions of time, shifted so that the first value is at t = 0; raises ConfigError.
+
+    Each value begins a little early, because the times k T_s of samples are rounded.
+    """
     columns = {"position": params.position, "velocity": params.velocity}
     pieces = columns_as_pieces(params.time, columns, Interpolation.HOLD)
     start = params.time[0]
@@ -59,22 +65,27 @@ def prepare(params: RecordedNoiseParams) -> RecordedNoise:
 def step(
     noise: RecordedNoise, start_time: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[Scalar, Measurement]:
-    """The state, which is the time of the record at t = 0 [s], and the measurement with the record's noise.
+    """The state, and the measurement with the record's noise added.
 
-    The record is repeated after its end.
+    The state is the time of the record at which the draw began [s]; it stays. The record is repeated after its end.
     """
     at = start_time + t
-    at = at - noise.length * jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
+    repetitions = jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
+    at = at - noise.length * repetitions
     position = piece_at(noise.position, at).y
     velocity = piece_at(noise.velocity, at).y
     return start_time, Measurement(measurement.y + position, measurement.y_dot + velocity)
 
 
 def recorded_sensor(start: NoiseStart) -> Sensor:
-    """The sensor whose noise is a record, with values that hold until the next time."""
+    """Make the sensor whose noise is a record with held values, at its first value or at a random time of it."""
 
     def init(noise: RecordedNoise, measurement: Measurement, key: jax.Array) -> Scalar:
-        return noise.length * uniforms(key, 1)[0] if start == NoiseStart.RANDOM else 0.0
+        """The time of the record at which the draw begins [s]."""
+        if start == NoiseStart.FIRST:
+            return 0.0
+        (share,) = uniforms(key, 1)
+        return noise.length * share
 
     return Sensor(RecordedNoiseParams, init, step, prepare, smooth=SMOOTH, transparent=always)
 

@@ -21,7 +21,7 @@ class Drag(NamedTuple):
 
 
 def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speeds: tuple[Scalar, ...]) -> Drag:
-    """Drag of structure and propellers.
+    """Force and torque of the drag of structure and propellers on the whole vehicle.
 
     Args:
         vehicle: K_Fd, K_Fdi and the geometry.
@@ -31,18 +31,20 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
         speeds: |thetadot_i| of each rotor [rad/s].
     """
     in_body = rotation.transpose @ air_velocity
-    structure = Vec3(*vehicle.structure_drag) * (-air_velocity.norm())
+    structure = Vec3(*vehicle.structure_drag) * (-air_velocity.norm())  # structure's force per velocity, by axis
     if vehicle.rotor:
         propellers, torque = drag_of_rotors(vehicle, rate, in_body, speeds)
         return Drag(rotation @ (in_body.scale(structure) + propellers), torque)
+    # the moments of the speeds, each times -K_Fdi: sum w_i, sum w_i p_i, and the entries of sum w_i p_i p_i^T
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     k = -vehicle.propeller_drag
-    pull = k * dot(ones, speeds)  # K_Fdi sum w_i, and so for the first and second moments
+    pull = k * dot(ones, speeds)
     lever = k * vehicle.arm
     first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
 
     def second_moment(a: Sequence[float], b: Sequence[float]) -> Scalar:
+        """The entry of the second moment for two directions of the rotors' places, on an arm of length 1."""
         return lever * vehicle.arm * dot([i * j for i, j in zip(a, b, strict=True)], speeds)
 
     sxx = second_moment(x, x)

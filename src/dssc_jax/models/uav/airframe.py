@@ -94,7 +94,7 @@ class Airframe(NamedTuple):
 
 
 def parameters_in(text: str) -> dict[str, float]:
-    """The numeric parameters by name that the text of a file sets; the last setting counts.
+    """The numbers of the parameters that the text of a file sets, by name; the last setting of a name counts.
 
     Raises:
         ConfigError: A parameter that the model reads is not a number.
@@ -104,13 +104,15 @@ def parameters_in(text: str) -> dict[str, float]:
         line = LINE.match(text_line)
         if line is None:
             continue
-        name, value = (line["set"], line["to"]) if line["set"] else (line["name"], line["value"])
+        is_script = line["set"] is not None
+        name = line["set"] if is_script else line["name"]
+        value = line["to"] if is_script else line["value"]
         try:
             values[name] = float(value)
         except ValueError:
             if name.startswith(PREFIXES) and not value.startswith("$"):  # $ marks a variable of the shell
                 raise ConfigError(name, f"must be a number, got {value!r} in line {number}") from None
-            values.pop(name, None)
+            values.pop(name, None)  # its last setting is no number, so it has none
     return values
 
 
@@ -122,14 +124,20 @@ def require_finite(values: Mapping[str, float]) -> None:
 
 
 def note_unmatched_gains(parameters: Mapping[str, float], used_gains: tuple[str, ...], notes: list[str]) -> None:
-    """Add a note that names the gains of the file for which the model has no counterpart."""
+    """Add a note that names the gains of the file without a counterpart in the model, all but ``used_gains``."""
     gains = [name for name in parameters if GAIN.fullmatch(name) and name not in used_gains]
     if gains:
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
 
 def note_unused_limits(parameters: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
-    """Add a note of the limits in the file that the table does not use, with their values."""
+    """Add a note of the limits in the file that the table does not use, with their values.
+
+    Args:
+        parameters: The file's parameters.
+        cascade: Whether the inner loop is PX4's cascade, which uses some of the limits.
+        notes: The list to which a note is added.
+    """
     names = LIMITS if cascade else LIMITS + CASCADE_LIMITS
     settings = [f"{name} = {parameters[name]:g}" for name in names if name in parameters]
     if settings:
@@ -143,7 +151,7 @@ def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
     for axis in "XYZ":
         names = [f"CA_ROTOR{index}_P{axis}" for index in range(count)]
         unset = [name for name in names if name not in parameters]
-        if len(unset) < count:
+        if len(unset) < count:  # a coordinate that no rotor has is 0 for all
             missing += unset
     if not missing:
         return []
@@ -168,7 +176,7 @@ def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) ->
 
 
 def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) -> list[float]:
-    """The moments of inertia of the file [kg m^2], or an estimate with a note; ``arm`` is in metres."""
+    """The moments of inertia of the file [kg m^2], or an estimate from mass and arm [m], with a note."""
     if all(name in parameters for name in INERTIA):
         return [parameters[name] for name in INERTIA]
     notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
@@ -176,11 +184,11 @@ def body_inertia(parameters: Mapping[str, float], arm: float, notes: list[str]) 
 
 
 def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str]) -> TomlTable:
-    """The entries of the vehicle for the largest thrust, if the file gives one, and the torque that belongs to it.
+    """Entries of the vehicle for a rotor's largest thrust, and for the torque that belongs to it; empty if unknown.
 
     Args:
         parameters: The file's parameters.
-        lift: Thrust of a rotor in hover [N].
+        lift: Thrust of each rotor in hover [N].
         notes: The list to which a note is added.
 
     Raises:
@@ -201,30 +209,54 @@ def thrust_entries(parameters: Mapping[str, float], lift: float, notes: list[str
     return {"max_thrust": lift / hover_command}
 
 
+def rotors_of(geometry: TomlTable) -> int:
+    """The number of rotors that entries of the vehicle place: in a list, or on a circle."""
+    return len(geometry.get("rotor") or geometry["spins"])
+
+
+def hover_thrust(mass: float, geometry: TomlTable) -> float:
+    """The thrust of each rotor in hover [N], for a mass [kg]; tilted rotors push more than they lift."""
+    upward = 0.0  # sum of the axes' vertical parts; only tilted rotors have entries of their axes
+    for entry in geometry.get("rotor", []):
+        if "axis" in entry:
+            upward += entry["axis"][2] / math.hypot(*entry["axis"])
+    return mass * GRAVITY / (upward if upward > 0.0 else rotors_of(geometry))
+
+
+def drag_entries(parameters: Mapping[str, float], rotors: int, notes: list[str]) -> TomlTable:
+    """Entries of the vehicle for the drag: SIH_KDV v, as the propellers of ``rotors`` rotors have it in hover."""
+    if "SIH_KDV" in parameters:
+        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
+    else:
+        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    propeller_drag = parameters.get("SIH_KDV", 0.0) / (rotors * HOVER_SPEED)
+    return {"structure_drag": [0.0, 0.0, 0.0], "propeller_drag": propeller_drag}
+
+
 def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
     """Entries of the vehicle for mass, inertia, thrust, drag and lag; every estimate adds a note.
 
-    The inertia is that of the whole vehicle, so the rotors' inertia is zero. PX4's lag is one of the thrust; near
-    hover, where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag
-    at their speed in hover.
+    The file's inertia is the whole vehicle's, so the rotors' inertia is zero. PX4's lag delays the thrust; near hover,
+    where the thrust is linear in the rotor speed, the speed has the same lag. SIH_KDV v is the propellers' drag at
+    their speed in hover.
+
+    Args:
+        parameters: The file's parameters.
+        geometry: Entries of the vehicle that place its rotors.
+        notes: The list to which notes are added.
+
+    Raises:
+        ConfigError: MPC_THR_HOVER is not in (0, 1].
     """
     mass = parameters["SIH_MASS"]
-    listed_rotors = geometry.get("rotor", [])
-    count = len(listed_rotors or geometry["spins"])
-    upward = sum(entry["axis"][2] / math.hypot(*entry["axis"]) for entry in listed_rotors if "axis" in entry)
-    lift = mass * GRAVITY / (upward if upward > 0.0 else count)  # tilted rotors push more than they lift
+    lift = hover_thrust(mass, geometry)
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
     properties["body_inertia"] = body_inertia(parameters, geometry["arm"], notes)
     properties["thrust_coefficient"] = lift / HOVER_SPEED**2
     notes.append(
         f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
     )
-    properties["structure_drag"] = [0.0, 0.0, 0.0]
-    properties["propeller_drag"] = parameters.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
-    if "SIH_KDV" in parameters:
-        notes.append("drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out")
-    else:
-        notes.append("drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it")
+    properties |= drag_entries(parameters, rotors_of(geometry), notes)
     properties |= thrust_entries(parameters, lift, notes)
     if "SIH_T_TAU" in parameters:
         properties["motor_lag"] = parameters["SIH_T_TAU"]
@@ -236,7 +268,7 @@ def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: l
 
 
 def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` of PX4's cascade."""
+    """The table ``[plant.inner_loop]`` of PX4's cascade with the file's gains; notes say what the file leaves out."""
     gains = gains_from(parameters)
     if parameters.get(LOOP_RATE, 0.0) > 0.0:
         gains["frequency"] = parameters[LOOP_RATE]
@@ -252,22 +284,29 @@ def cascade_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTabl
 def article_gains(parameters: Mapping[str, float], notes: list[str]) -> TomlTable:
     """The table ``[plant.inner_loop]`` of the article's inner loop, with the gains that the file sets.
 
-    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
-    fast rate loop; the model's second-order loop with p = k_p/k_d and a double pole has k_d = 4 p and k_p = 4 p^2.
+    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. PX4 makes an error of roll into a desired rate, p =
+    MC_ROLL_P times the error. The model's attitude loop is of second order; with k_p/k_d = p and a double pole it has
+    k_d = 4 p and k_p = 4 p^2.
     """
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in parameters:
         gains["kd_velocity"] = parameters["MPC_XY_VEL_P_ACC"]
-        gains["kp_velocity"] = parameters.get("MPC_XY_VEL_I_ACC", 0.4)
+        gains["kp_velocity"] = parameters.get("MPC_XY_VEL_I_ACC", 0.4)  # PX4's default
         notes.append("kd_velocity and kp_velocity are those of x and y; the model has the same for z (MPC_Z_VEL_..)")
     if "MC_ROLL_P" in parameters:
-        gains |= {"kp_attitude": 4.0 * parameters["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * parameters["MC_ROLL_P"]}
+        p = parameters["MC_ROLL_P"]
+        gains |= {"kp_attitude": 4.0 * p**2, "kd_attitude": 4.0 * p}
         notes.append("kp_attitude and kd_attitude follow from MC_ROLL_P; MC_.._RATE gains have no counterpart")
     return gains
 
 
 def control_entries(parameters: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
     """The entries of ``[plant]`` for the desaturation, by default that of MC_AIRMODE = 0, and for the inner loop.
+
+    Args:
+        parameters: The file's parameters.
+        notes: The list to which notes are added.
+        cascade: Whether the inner loop is PX4's cascade, and not the article's.
 
     Raises:
         ConfigError: MC_AIRMODE has another value than PX4's.
@@ -282,14 +321,40 @@ def control_entries(parameters: Mapping[str, float], notes: list[str], cascade: 
     return control | {"inner_loop": gains} if gains else control
 
 
+def with_simulation_defaults(parameters: dict[str, float], notes: list[str]) -> dict[str, float]:
+    """The parameters with PX4's defaults of the simulation in hardware, if the file is one for it, and a note."""
+    if "SIH_VEHICLE_TYPE" not in parameters:
+        return parameters
+    unset = [name for name in SIH_DEFAULTS if name not in parameters]
+    if unset:
+        notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")
+    return SIH_DEFAULTS | parameters
+
+
+def with_stated_sizes(
+    parameters: dict[str, float], mass: float | None, arm: float | None, notes: list[str]
+) -> dict[str, float]:
+    """The parameters with a stated mass [kg] and arm [m] in place of the file's; None: it is not stated."""
+    stated_values = {}
+    if mass is not None:
+        stated_values["SIH_MASS"] = mass
+        if parameters.get("SIH_MASS", mass) != mass:
+            notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
+    if arm is not None:
+        stated_values |= {"SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
+    return parameters | stated_values
+
+
 def read_airframe(
     file: str | Mapping[str, float], mass: float | None = None, arm: float | None = None, cascade: bool = False
 ) -> Airframe:
-    """The vehicle of a PX4 airframe script, of a parameter file saved by a ground station, or of a log's parameters.
+    """The tables of the vehicle that PX4's parameters describe, with notes on what they leave out.
+
+    The parameters come from an airframe script, from a file that a ground station saved, or from a log.
 
     Args:
         file: The file's text, or parameters by name.
-        mass: Mass of the vehicle [kg]; None: that of the file.
+        mass: Mass of the vehicle [kg]; None: the file's.
         arm: Length of an arm [m], for positions that are ratios. None: the positions of PX4's generic airframes are
             ratios of SIH_L_PITCH and SIH_L_ROLL in the file, and other positions are in metres.
         cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
@@ -302,15 +367,8 @@ def read_airframe(
     if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
     notes: list[str] = []
-    if "SIH_VEHICLE_TYPE" in parameters:
-        unset = [name for name in SIH_DEFAULTS if name not in parameters]
-        parameters = SIH_DEFAULTS | parameters
-        if unset:
-            notes.append(f"{', '.join(unset)} are PX4's defaults of the simulation in hardware")
-    if mass is not None and parameters.get("SIH_MASS", mass) != mass:
-        notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
-    stated_values = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
-    parameters |= {name: value for name, value in stated_values.items() if value is not None}
+    parameters = with_simulation_defaults(parameters, notes)
+    parameters = with_stated_sizes(parameters, mass, arm, notes)
     rotors = placed_rotors(parameters)
     require_sizes(rotors, parameters)
     if arm is not None or are_ratios(rotors):
@@ -318,7 +376,7 @@ def read_airframe(
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
-    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
+    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:  # that torque holds for all rotors
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)

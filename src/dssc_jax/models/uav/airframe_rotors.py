@@ -57,7 +57,7 @@ class PlacedRotor(NamedTuple):
 
 
 def are_similar(values: list[float]) -> bool:
-    """Whether the values differ little enough from their mean to count as equal."""
+    """Whether the values differ from their mean by at most the share ``SIMILAR`` of it, and so count as equal."""
     mean = sum(values) / len(values)
     return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
 
@@ -69,52 +69,79 @@ def require_common(values: list[float], subject: str) -> None:
         raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {values_text}")
 
 
-def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe; raises ConfigError."""
-    count = parameters.get("CA_ROTOR_COUNT", 0.0)
+def rotor_count(parameters: Mapping[str, float]) -> int:
+    """The number of rotors of a multirotor with fixed rotors that push one way; raises ConfigError for others."""
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
     for name, reason in REFUSED.items():
         if parameters.get(name, 0.0):
             raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count not in range(4, MOST_ROTORS + 1):
         rule = f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}"
         reason = ": fewer fixed rotors than 4 cannot hold thrust and three moments" if count < 4 else ""
         raise ConfigError("CA_ROTOR_COUNT", f"{rule}{reason}")
-    unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
+    return int(count)
+
+
+def require_places(parameters: Mapping[str, float], count: int) -> None:
+    """Require a horizontal coordinate of each of ``count`` rotors, if one has any; raises ConfigError."""
+    unplaced = []
+    for i in range(count):
+        if f"CA_ROTOR{i}_PX" not in parameters and f"CA_ROTOR{i}_PY" not in parameters:
+            unplaced.append(i)
     if 0 < len(unplaced) < count:
         names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
         rule = f"must be set, to 0 for a rotor at the centre: CA_ROTOR_COUNT is {count:g}, and the file gives no place"
         raise ConfigError(names, rule)
-    rotors = []
-    for i in range(int(count)):
-        ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
-        px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
-        if not (ax or ay or az):
-            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", "must not all be 0")
-        moment = parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT)
-        rotors.append(PlacedRotor((px, -py + 0.0, -pz + 0.0), (ax, -ay + 0.0, -az + 0.0), moment))
-    require_common([parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT) for i in range(int(count))], "CA_ROTORi_CT")
+
+
+def placed_rotor(parameters: Mapping[str, float], index: int) -> PlacedRotor:
+    """Rotor ``index``, from 0, turned from PX4's axes (forward, right, down) to the model's (forward, left, up).
+
+    Raises:
+        ConfigError: Its axis is zero.
+    """
+    name = f"CA_ROTOR{index}"
+    ax, ay, az = (parameters.get(f"{name}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
+    px, py, pz = (parameters.get(f"{name}_P{c}", 0.0) for c in "XYZ")
+    if not (ax or ay or az):
+        raise ConfigError(f"{name}_AX, _AY, _AZ", "must not all be 0")
+    return PlacedRotor(
+        place=(px, -py + 0.0, -pz + 0.0),  # -0.0 becomes 0.0
+        axis=(ax, -ay + 0.0, -az + 0.0),
+        moment=parameters.get(f"{name}_KM", MOMENT_COEFFICIENT),
+    )
+
+
+def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
+    """The rotors that CA_ROTOR_COUNT and CA_ROTORi_ describe; raises ConfigError."""
+    count = rotor_count(parameters)
+    require_places(parameters, count)
+    rotors = [placed_rotor(parameters, i) for i in range(count)]
+    require_common([parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT) for i in range(count)], "CA_ROTORi_CT")
     if all(math.hypot(*rotor.place) < ROUNDED_TO_ZERO for rotor in rotors):
         raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
     return rotors
 
 
 def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
-    """The entries of the vehicle that place its rotors: those of a circle for equal rotors on one, else a list."""
+    """The entries of the vehicle that place its rotors: angles for equal rotors on a level circle, else a list."""
     moments = [rotor.moment for rotor in rotors]
-    is_upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
-    distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
+    places = [rotor.place for rotor in rotors]
+    axes = [rotor.axis for rotor in rotors]
+    is_upright = all(x == 0.0 and y == 0.0 and z > 0.0 for x, y, z in axes)
+    distances = [math.hypot(x, y) for x, y, _ in places]
     arm = sum(distances) / len(distances)
     mean_moment = sum(map(abs, moments)) / len(moments)
     is_regular = are_similar(distances) and are_similar([abs(moment) for moment in moments])
-    is_level = all(rotor.place[2] == 0.0 for rotor in rotors)
-    signs = [-math.copysign(1.0, moment) for moment in moments]
+    is_level = all(z == 0.0 for _, _, z in places)
+    signs = [-math.copysign(1.0, moment) for moment in moments]  # of the drag torque, s_i
     if is_upright and is_regular and is_level:
         return {
             "arm": arm,
             "torque_coefficient": mean_moment,
-            "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
+            "rotor_angles": [math.atan2(y, x) for x, y, _ in places],
             "spins": signs,
         }
     rotor_entries = []
@@ -125,17 +152,19 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
-    """The vehicle of a table; raises ConfigError with PX4's names if it cannot hover or command all axes.
+    """The vehicle of a table, which must be able to hover and to command all axes.
 
     Args:
         table: The table ``[plant.vehicle]``.
         parameters: PX4's parameters from which the table was made.
+
+    Raises:
+        ConfigError: It cannot; the message has PX4's names of the parameters.
     """
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
-    rotor_list = tuple(
-        Rotor(**{"torque_coefficient": table["torque_coefficient"], **entry}) for entry in table.get("rotor", ())
-    )
-    vehicle = QUADROTOR._replace(**values, rotor=rotor_list)
+    common = {"torque_coefficient": table["torque_coefficient"]}  # of rotors that state none
+    rotors = tuple(Rotor(**(common | entry)) for entry in table.get("rotor", ()))
+    vehicle = QUADROTOR._replace(**values, rotor=rotors)
     try:
         flying_allocation(vehicle)
     except ConfigError as error:
@@ -161,5 +190,10 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
 
 def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors in metres: ratios of a generic airframe times the arm lengths SIH_L_PITCH and SIH_L_ROLL."""
-    forward, lateral = parameters["SIH_L_PITCH"], parameters["SIH_L_ROLL"]
-    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * lateral, 0.0)) for rotor in rotors]
+    forward = parameters["SIH_L_PITCH"]
+    lateral = parameters["SIH_L_ROLL"]
+    placed = []
+    for rotor in rotors:
+        x, y, _ = rotor.place
+        placed.append(rotor._replace(place=(x * forward, y * lateral, 0.0)))
+    return placed

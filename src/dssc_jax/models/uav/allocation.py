@@ -20,23 +20,29 @@ SMALLEST_VALUE = 1e-9
 
 
 class Thrusts(NamedTuple):
-    """Commanded thrusts f_i [N], and whether any is at a limit."""
+    """Commanded thrusts f_i of the rotors [N], and whether a wanted thrust was beyond a limit (``limited``)."""
 
     commanded: tuple[Scalar, ...]
     limited: Scalar
 
 
 def geometry(vehicle: Vehicle) -> np.ndarray:
-    """The matrix from thrusts to (f, M_x, M_y, M_z), (4, n_r), nominal: laws at their medians."""
+    """The matrix from the rotors' thrusts to net thrust and moments (f, M_x, M_y, M_z), shape (4, n_r).
+
+    It is nominal: laws count with their medians.
+    """
     if vehicle.rotor:
-        return effects(vehicle)[[2, 3, 4, 5]]
+        return effects(vehicle)[2:]  # without the two components of the force across body z
     plain = vehicle._replace(arm=nominal(vehicle.arm), torque_coefficient=nominal(vehicle.torque_coefficient))
     x, y = plain.arm * np.array(plain.directions(), dtype=float)
     return np.stack([np.ones(vehicle.rotors), y, -x, np.asarray(plain.spins) * plain.torque_coefficient])
 
 
 def effects(vehicle: Vehicle) -> np.ndarray:
-    """The matrix from thrusts to force and moment of rotors anywhere, (6, n_r), nominal: laws at their medians."""
+    """The matrix from the thrusts of rotors anywhere to force and moment, shape (6, n_r).
+
+    Its rows are F_x, F_y, F_z, M_x, M_y, M_z in body axes. It is nominal: laws count with their medians.
+    """
     coefficients = [nominal(value) for value in vehicle.torque_coefficients]
     columns = []
     for rotor, coefficient in zip(vehicle.rotor, coefficients, strict=True):
@@ -47,24 +53,36 @@ def effects(vehicle: Vehicle) -> np.ndarray:
 
 
 def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """The inverse of the same net thrust and moments with the least force across body z, and then the least norm.
+    """The allocation of the same net thrust and moments with the least force across body z, and then the least norm.
 
-    Where the rotors can produce all six components of force and moment, this is the pseudo-inverse of all six with no
-    side force wanted, as PX4 allocates.
+    Thrusts that change neither net thrust nor moments are free; they are chosen to cancel the side force. Where the
+    rotors can produce all six components of force and moment, this is the pseudo-inverse of all six with no side force
+    wanted, as PX4 allocates.
+
+    Args:
+        inverse: The pseudo-inverse of the matrix of :func:`geometry`, shape (n_r, 4).
+        vehicle: The vehicle; rotors on a circle have no side force.
     """
     if not vehicle.rotor:
         return inverse
     matrix = effects(vehicle)
-    side = matrix[:2]
+    side = matrix[:2]  # F_x and F_y
     if not side.any():
         return inverse
     _, values, rows = np.linalg.svd(matrix[2:])
-    free = rows[int(np.sum(values > SMALLEST_VALUE * values[0])) :].T
+    rank = int(np.sum(values > SMALLEST_VALUE * values[0]))
+    free = rows[rank:].T  # the thrusts that change neither net thrust nor moments
     return inverse - free @ np.linalg.pinv(side @ free, rcond=SMALLEST_VALUE) @ side @ inverse
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor; raises ConfigError where they are not independent."""
+    """The nominal allocation: for each rotor the row from net thrust and moments (f, M_x, M_y, M_z) to its thrust f_i.
+
+    Entries that are 0 up to rounding are 0.
+
+    Raises:
+        ConfigError: The rotors cannot command thrust, roll, pitch and yaw independently.
+    """
     matrix = geometry(vehicle)
     require_independent_axes(vehicle, matrix)
     inverse = without_side_force(np.linalg.pinv(matrix), vehicle)
@@ -73,7 +91,11 @@ def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
 
 
 def flying_allocation(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """The rows (f, M) -> f_i of a checked vehicle that can hover; raises ConfigError with what it cannot do."""
+    """The nominal allocation of :func:`pseudo_inverse` for a vehicle that must be able to fly.
+
+    Raises:
+        ConfigError: Fields of the vehicle contradict each other, or it cannot hover or command all axes.
+    """
     check_vehicle(vehicle)
     allocation = pseudo_inverse(vehicle)
     require_hover(vehicle, np.array(allocation))
@@ -89,7 +111,15 @@ def allocate(
 ) -> Thrusts:
     """Thrusts for the wanted net thrust [N] and moment [N m], each limited to [0, limit].
 
-    ``desaturation`` says what is given up where a rotor would exceed its limits.
+    Args:
+        inverse: The allocation, shape (n_r, 4).
+        thrust: Wanted net thrust [N].
+        moment: Wanted moment, body axes [N m].
+        limit: Largest thrust of a rotor [N].
+        desaturation: What is given up where a rotor would exceed its limits.
+
+    Returns:
+        The thrusts, and whether a rotor would have exceeded a limit.
     """
     unlimited = [dot(row, (thrust, *moment)) for row in inverse]
     kept = unlimited if desaturation is Desaturation.CLIP else desaturated(inverse, thrust, moment, limit, desaturation)

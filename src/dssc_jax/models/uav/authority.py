@@ -18,7 +18,10 @@ SMALLEST_PART = 1e-6  # smallest entry of a combination of axes with which an ax
 
 
 def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
-    """The combinations of axes that are the same for all thrusts: vectors of length 1, shape (4 - rank, 4).
+    """The combinations of net thrust and moments that no thrusts of the rotors can change.
+
+    They are vectors of length 1 over (f, M_x, M_y, M_z), shape (4 - rank, 4); there are none if the rotors command all
+    four independently.
 
     Args:
         matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r); its rows are scaled to length 1.
@@ -30,7 +33,7 @@ def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
 
 
 def dependent_axes(matrix: np.ndarray) -> list[str]:
-    """The axes that cannot be commanded independently of each other; a single axis cannot be commanded at all.
+    """Names of the axes that cannot be commanded independently of each other; one name: it cannot be commanded at all.
 
     Args:
         matrix: Matrix from thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
@@ -45,7 +48,7 @@ def dependent_axes(matrix: np.ndarray) -> list[str]:
 
 
 def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
-    """Require rotors that command thrust, roll, pitch and yaw independently.
+    """Require rotors that can command thrust, roll, pitch and yaw independently.
 
     Args:
         vehicle: The vehicle.
@@ -61,17 +64,21 @@ def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
         lack = f"the rotors cannot command {dependent[0]}"
     else:
         lack = f"the rotors cannot command {', '.join(dependent[:-1])} and {dependent[-1]} independently of each other"
-    if "yaw" not in dependent:
-        remedy = "check the rotors' places, which must span both directions"
-    elif not matrix[3].any():
-        remedy = "no rotor has a moment about body z: give torque_coefficient, or tilt axes across the arms"
-    elif np.all(matrix[3] > 0.0) or np.all(matrix[3] < 0.0):
-        remedy = "all turn the same way: let half of them turn the other way, or tilt axes across the arms"
-    else:
-        remedy = "check which rotors turn which way; on a circle neighbours turn opposite ways"
+    lacks_yaw = "yaw" in dependent
+    remedy = yaw_remedy(matrix) if lacks_yaw else "check the rotors' places, which must span both directions"
     rank = len(AXES) - len(unchanged_combinations(matrix))
-    field = "spins" if "yaw" in dependent else "rotor_angles"
+    field = "spins" if lacks_yaw else "rotor_angles"
     raise ConfigError("rotor" if vehicle.rotor else field, f"{lack} (rank {rank} of 4): {remedy}")
+
+
+def yaw_remedy(matrix: np.ndarray) -> str:
+    """Advice for a vehicle that cannot command its yaw, from the matrix from thrusts to (f, M_x, M_y, M_z)."""
+    yaw_moments = matrix[3]
+    if not yaw_moments.any():
+        return "no rotor has a moment about body z: give torque_coefficient, or tilt axes across the arms"
+    if np.all(yaw_moments > 0.0) or np.all(yaw_moments < 0.0):
+        return "all turn the same way: let half of them turn the other way, or tilt axes across the arms"
+    return "check which rotors turn which way; on a circle neighbours turn opposite ways"
 
 
 def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
@@ -85,7 +92,7 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
         ConfigError: A rotor would have to pull, or to exceed its limit.
     """
     weight = nominal(vehicle.mass) * GRAVITY
-    thrusts = weight * allocation[:, 0]
+    thrusts = weight * allocation[:, 0]  # in hover: the weight for net thrust, and no moments
     field = "rotor" if vehicle.rotor else "rotor_angles"
     is_used = np.abs(allocation).max(axis=1) > SMALLEST_SHARE * np.abs(allocation).max()
     pulling_rotors = np.flatnonzero(is_used & (thrusts < SMALLEST_SHARE * weight))
@@ -113,7 +120,10 @@ def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
 
 
 def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, float]:
-    """The largest angular accelerations in hover [rad/s^2], in both directions, with no rotor at a limit, by axis.
+    """The largest angular acceleration about each axis [rad/s^2] that is possible in hover in both directions.
+
+    The keys are ``roll``, ``pitch`` and ``yaw``. Net thrust and the other two moments stay as in hover, and no rotor
+    exceeds its limits.
 
     Args:
         vehicle: Mass, inertia and largest thrust; laws count with their medians.
@@ -121,11 +131,12 @@ def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, fl
     """
     weight = nominal(vehicle.mass) * GRAVITY
     hover = weight * inverse[:, 0]
-    room = np.minimum(hover, vehicle.nominal_thrust_limit - hover)
+    room = np.minimum(hover, vehicle.nominal_thrust_limit - hover)  # by which a thrust may fall and rise
     accelerations = {}
     body = [nominal(value) for value in vehicle.body_inertia]
-    hubs = [nominal(vehicle.rotor_inertia_xy)] * 2 + [nominal(vehicle.rotor_inertia_z)]
-    for place, axis in enumerate(AXES[1:]):
+    transverse = nominal(vehicle.rotor_inertia_xy)
+    hubs = [transverse, transverse, nominal(vehicle.rotor_inertia_z)]
+    for place, axis in enumerate(AXES[1:]):  # without thrust, the first column of the allocation
         inertia = body[place] + vehicle.rotors * hubs[place]
         column = np.abs(inverse[:, place + 1])
         is_used = column > SMALLEST_SHARE * column.max()

@@ -18,7 +18,7 @@ from dssc_jax.models.uav.vehicle import Vehicle
 
 
 class Battery(NamedTuple):
-    """A battery whose voltage at rest is linear in its charge, and 0 V without charge."""
+    """A battery whose voltage without load is linear in its charge, and 0 V when no charge is left."""
 
     capacity: Annotated[Scalar, Quantity("A s", "charge Q of the full battery; 1 A h is 3600 A s", above=0.0)]
     resistance: Annotated[Scalar, Quantity("ohm", "internal resistance R, with cables", at_least=0.0)]
@@ -29,7 +29,7 @@ class Battery(NamedTuple):
 
 
 class Supply(NamedTuple):
-    """Voltage r, relative to that of the full battery, and current I [A] of a battery."""
+    """What a battery supplies: its voltage r relative to the full battery's, and its current I [A]."""
 
     voltage: Scalar
     current: Scalar
@@ -37,15 +37,15 @@ class Supply(NamedTuple):
 
 def require_voltages(battery: Battery) -> Battery:
     """The battery itself, whose empty voltage must be below the full one; raises ConfigError."""
-    empty = extent(battery.empty_voltage)[1]
-    full = extent(battery.full_voltage)[0]
+    _, empty = extent(battery.empty_voltage)  # the highest value of its law
+    full, _ = extent(battery.full_voltage)  # and the lowest
     if not empty < full:
         raise ConfigError("battery.empty_voltage", f"must be below full_voltage = {full:g} V, got up to {empty:g} V")
     return battery
 
 
 def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence[Scalar]) -> Scalar:
-    """Electrical power P of the rotors at full voltage [W].
+    """Electrical power P that the rotors would take at full voltage [W].
 
     Args:
         vehicle: The coefficients of the rotors.
@@ -60,7 +60,7 @@ def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence
 
 
 def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
-    """Voltage and current of a battery under the load of the rotors, whose power goes with the cube of the voltage.
+    """Voltage and current of a battery that drives the rotors, whose power goes with the cube of the voltage.
 
     Args:
         battery: The battery.

@@ -10,16 +10,19 @@ from dssc_jax.models.uav.rotors import RotorMotion
 
 
 def voltage_of(condition: Condition | None) -> Scalar:
-    """The voltage after events, relative to the voltage without them."""
+    """The voltage after events, relative to the voltage without them; 1 if no event changes it."""
     return 1.0 if condition is None or condition.voltage is None else condition.voltage
 
 
 def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
-    """The motion of rotors after events: speeds go with the root of the effectiveness, and with the voltage.
+    """The motion of rotors after events, in which each speed is lower by a factor.
 
-    Thrust goes with the square of the speed, hence the root.
+    The factor is the root of the rotor's effectiveness, because thrust goes with the square of the speed, times the
+    voltage. None: the study has no events of the vehicle.
     """
-    if condition is None or (not condition.effectiveness and condition.voltage is None):
+    if condition is None:
+        return motion
+    if not condition.effectiveness and condition.voltage is None:
         return motion
     shares = condition.effectiveness or (1.0,) * len(motion.speeds)
     return scaled_motion(motion, [root_abs(share) * voltage_of(condition) for share in shares])
@@ -34,7 +37,12 @@ def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion
 
 
 def wind_at(wind: Vec3, height: Scalar, condition: Condition | None) -> Vec3:
-    """The wind at a height [m], with the shears that events have added [m/s]."""
-    for shear in condition.shears if condition is not None else ():
+    """The wind at a height [m], with the shears that events have added [m/s].
+
+    None: the study has no events of the vehicle.
+    """
+    if condition is None:
+        return wind
+    for shear in condition.shears:
         wind = wind + shear.gradient * (height - shear.height)
     return wind

@@ -30,7 +30,11 @@ NONZERO = 1e-3
 
 @jax.tree_util.register_static
 class Desaturation(StrEnum):
-    """Each thrust clipped by itself, or PX4's sequential desaturation with one of the modes of MC_AIRMODE."""
+    """How thrusts are kept within their limits.
+
+    ``clip`` clips each thrust by itself. The others are PX4's sequential desaturation in the modes of MC_AIRMODE: they
+    name the axes for which net thrust may be raised.
+    """
 
     CLIP = "clip"
     AIRMODE_DISABLED = "airmode_disabled"
@@ -39,14 +43,19 @@ class Desaturation(StrEnum):
 
 
 class Direction(NamedTuple):
-    """A column of the allocation: thrust of each rotor per unit, and whether the rotor counts along it."""
+    """A column of the allocation, along which thrusts are moved.
+
+    Args:
+        entries: Thrust of each rotor per unit of net thrust or moment.
+        strong: Whether each rotor's share is large enough for the rotor to be desaturated along the direction.
+    """
 
     entries: tuple[float, ...]
     strong: tuple[bool, ...]
 
 
 class Directions(NamedTuple):
-    """The four columns of the allocation."""
+    """The four columns of the allocation: the directions of net thrust, roll, pitch and yaw."""
 
     thrust: Direction
     roll: Direction
@@ -69,31 +78,44 @@ class Scales(NamedTuple):
 
 
 def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
-    """The scales of an allocation, (n_r, 4), whose rows are (f, M_x, M_y, M_z) -> f_i with z up."""
+    """PX4's scales of an allocation, shape (n_r, 4), whose rows are (f, M_x, M_y, M_z) -> f_i with z up."""
     thrust, roll, pitch, yaw = np.array(inverse, dtype=float).T
-    lifting = np.abs(thrust)[np.abs(thrust) > 0.0].mean()
-    return Scales(float(lifting), max(root_mean(roll), root_mean(pitch)), float((-yaw).max()))
+    shares = np.abs(thrust)
+    return Scales(
+        thrust=float(shares[shares > 0.0].mean()),
+        turning=max(root_mean(roll), root_mean(pitch)),
+        yaw=float((-yaw).max()),  # PX4's z points down
+    )
 
 
 def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
-    """The columns of an allocation, (n_r, 4), with the strength of each rotor on PX4's scale."""
+    """The columns of an allocation, shape (n_r, 4), each with the rotors that are strong along it on PX4's scale."""
     scales = scales_of(inverse)
     directions = []
     columns = np.array(inverse, dtype=float).T
     for column, scale in zip(columns, (scales.thrust, scales.turning, scales.turning, scales.yaw), strict=True):
-        is_strong = np.abs(column) >= WEAK * scale if scale > 0.0 else np.abs(column) >= WEAK
+        least_share = WEAK * scale if scale > 0.0 else WEAK
+        is_strong = np.abs(column) >= least_share
         directions.append(Direction(tuple(column.tolist()), tuple(is_strong.tolist())))
     return Directions(*directions)
 
 
 def root_mean(column: np.ndarray) -> float:
-    """Root of the sum of squares over half the number of the rotors that have a part in the direction."""
+    """The root mean square of a column of the allocation over its rotors, times the root of 2.
+
+    Only rotors count that have a part in the direction.
+    """
     size = np.abs(column)
-    return float(np.sqrt(np.sum(column**2) / (np.sum(size > NONZERO * size.max()) / 2.0)))
+    count = np.sum(size > NONZERO * size.max())
+    return float(np.sqrt(np.sum(column**2) / (count / 2.0)))
 
 
 def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> Scalar:
-    """The step along a direction that undoes as much as possible of what exceeds [0, limit]."""
+    """The step along a direction that undoes as much as possible of what exceeds [0, limit].
+
+    A rotor beyond a limit returns to it by the step (limit - thrust)/entry. The result is the sum of the most negative
+    and the most positive of these steps.
+    """
     low: Scalar = 0.0
     high: Scalar = 0.0
     for f, entry, strong in zip(thrusts, direction.entries, direction.strong, strict=True):
@@ -106,7 +128,10 @@ def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -
 
 
 def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list[Scalar]:
-    """The thrusts after a step along a direction."""
+    """The thrusts after a step along a direction.
+
+    ``gain`` is the length of the step, in units of net thrust [N] or moment [N m].
+    """
     return [f + gain * entry for f, entry in zip(thrusts, direction.entries, strict=True)]
 
 
@@ -117,7 +142,10 @@ def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Sc
 
 
 def reduced_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
-    """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust."""
+    """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust.
+
+    It is meant for the direction of net thrust alone.
+    """
     gain = gain_along(direction, thrusts, limit)
     allowed = gain <= 0.0
     first = moved(direction, thrusts, jnp.where(allowed, gain, 0.0))
@@ -143,13 +171,14 @@ def desaturated(
     along = directions_of(inverse)
     with_yaw = mode is Desaturation.AIRMODE_ROLL_PITCH_YAW
     turning = moment if with_yaw else Vec3(moment.x, moment.y, 0.0)
+    # yaw joins last, so that it is given up first, except in the mode that raises net thrust for yaw, too
     thrusts: list[Scalar] = [dot(row, (thrust, *turning)) for row in inverse]
-    if with_yaw:
+    if with_yaw:  # net thrust may rise for all axes
         thrusts = desaturated_along(along.thrust, thrusts, limit)
         return desaturated_along(along.yaw, thrusts, limit)
-    if mode is Desaturation.AIRMODE_ROLL_PITCH:
+    if mode is Desaturation.AIRMODE_ROLL_PITCH:  # net thrust may rise for roll and pitch
         thrusts = desaturated_along(along.thrust, thrusts, limit)
-    else:
+    else:  # net thrust may only fall; roll and pitch give up what is left
         thrusts = reduced_along(along.thrust, thrusts, limit)
         thrusts = desaturated_along(along.roll, thrusts, limit)
         thrusts = desaturated_along(along.pitch, thrusts, limit)

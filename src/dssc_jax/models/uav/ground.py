@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
-from dssc_jax.models.uav.vehicle import GRAVITY
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 SINK = 0.01
 """Depth by which the feet of a standing vehicle sink in if no stiffness is given [m]; assumed."""
@@ -47,18 +47,18 @@ class Contact(NamedTuple):
 
 
 def prepared_ground(ground: Ground, mass: Scalar) -> Ground:
-    """The ground with stiffness and damping of a foot, by default those for the nominal mass.
+    """The ground with the stiffness and the damping of a foot, by default those that suit the nominal mass [kg].
 
     The default stiffness lets a standing vehicle sink in by :data:`SINK`; the default damping is critical.
     """
-    share = nominal(mass) / len(FEET)
+    share = nominal(mass) / len(FEET)  # mass on a foot
     stiffness = ground.stiffness if ground.stiffness is not None else share * GRAVITY / SINK
     damping = ground.damping if ground.damping is not None else 2.0 * (nominal(stiffness) * share) ** 0.5
     return ground._replace(stiffness=stiffness, damping=damping)
 
 
 def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate: Vec3) -> Contact:
-    """Force and torque of the ground on all feet.
+    """Force and torque of the ground on the vehicle, the sum over its four feet; 0 where no foot touches.
 
     Args:
         ground: The plane and the feet, from :func:`prepared_ground`.
@@ -72,11 +72,11 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
     force = Vec3(0.0, 0.0, 0.0)
     torque = Vec3(0.0, 0.0, 0.0)
     for x, y in FEET:
-        foot = Vec3(x * ground.gear_width, y * ground.gear_width, -ground.gear_height)
+        foot = Vec3(x * ground.gear_width, y * ground.gear_width, -ground.gear_height)  # r_j, body axes
         depth = ground.height - position.z - (rotation @ foot).z
-        speed = velocity + rotation @ rate.cross(foot)
+        speed = velocity + rotation @ rate.cross(foot)  # v_j, inertial
         normal_force = jnp.maximum(ground.stiffness * depth - ground.damping * speed.z, 0.0)
-        push = jnp.where(depth > 0.0, normal_force, 0.0)
+        push = jnp.where(depth > 0.0, normal_force, 0.0)  # N
         sliding = jnp.sqrt(speed.x * speed.x + speed.y * speed.y + SLOW * SLOW)
         friction_factor = -ground.friction * push / sliding
         part = Vec3(friction_factor * speed.x, friction_factor * speed.y, push)
@@ -86,17 +86,41 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
 
 
 def lift_factor(ground: Ground, height: Scalar) -> Scalar:
-    """Thrust near the ground over that far from it, for the height of the centre of mass [m]."""
+    """Thrust near the ground over the thrust far from it, for a height z of the centre of mass [m].
+
+    All rotors count as being at the height of the centre of mass.
+    """
     radius = ground.rotor_radius
     assert radius is not None
     share = radius / (4.0 * jnp.maximum(height - ground.height, LOWEST_HEIGHT * radius))
     return 1.0 / (1.0 - share * share)
 
 
+def rotor_thrusts(
+    vehicle: Vehicle, ground: Ground | None, height: Scalar, speeds: tuple[Scalar, ...]
+) -> tuple[Scalar, ...]:
+    """Thrusts of the rotors at their speeds [N], with the effect of the ground.
+
+    Args:
+        vehicle: The thrust coefficients of the rotors.
+        ground: The ground; None: there is none. Without a radius of the rotors it has no effect.
+        height: Height z of the centre of mass [m].
+        speeds: Speed of each rotor [rad/s].
+    """
+    thrusts = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    if ground is None or ground.rotor_radius is None:
+        return thrusts
+    factor = lift_factor(ground, height)
+    return tuple(factor * f for f in thrusts)
+
+
 def lowest_foot(ground: Ground, rotation: Mat3) -> Scalar:
-    """Height of the lowest foot over the centre of mass [m], which is negative for an upright vehicle."""
-    tilted = ground.gear_width * (jnp.abs(rotation.c.x) + jnp.abs(rotation.c.y))
-    return -ground.gear_height * rotation.c.z - tilted
+    """Height of the lowest foot over the centre of mass [m], which is negative for an upright vehicle.
+
+    ``rotation`` is R, body to inertial; its last row has the heights of the body axes' ends.
+    """
+    lowered_by_tilt = ground.gear_width * (jnp.abs(rotation.c.x) + jnp.abs(rotation.c.y))
+    return -ground.gear_height * rotation.c.z - lowered_by_tilt
 
 
 def has_crashed(
@@ -116,7 +140,7 @@ def has_crashed(
         acceleration: Vertical acceleration of the centre of mass [m/s^2].
         dt: Duration of the sample [s].
     """
-    gap = height + foot - ground.height
+    gap = height + foot - ground.height  # of the lowest foot, at the sample
     limit = ground.fastest_landing
     touches = (gap > 0.0) & (gap + climb * dt + 0.5 * acceleration * dt * dt <= 0.0)
     falls = touches & (climb * climb - 2.0 * acceleration * gap > limit * limit)

@@ -27,6 +27,7 @@ from dssc_jax.models.uav.inner_loops.sampled import (
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.trim import trim
+from dssc_jax.models.uav.vehicle import Vehicle
 
 SMALL_BUMP = 1e-3
 """Largest change of a rotor's thrust that a takeover may cause, as a fraction of the largest thrust."""
@@ -91,47 +92,61 @@ class EstimationError(NamedTuple):
 
 
 def estimator_of(params: UavParams) -> Estimator | None:
-    """The estimator; None: the controllers see the true state."""
+    """The estimator of the vehicle's motion; None: there is none, and the controllers see the true state."""
     return None if isinstance(params.estimator, NoEstimator) else params.estimator
 
 
 def sampled_loop(params: UavParams) -> SampledInnerLoop | None:
-    """The sampled inner loop; None: it is the article's."""
+    """The sampled inner loop; None: the inner loop is the article's, which is continuous in time."""
     gains = params.inner_loop
     return None if isinstance(gains, InnerGains) else gains
 
 
 def required_loop(params: UavParams) -> SampledInnerLoop:
-    """The sampled inner loop of parameters that have one."""
+    """The sampled inner loop of parameters that must have one."""
     loop = sampled_loop(params)
     assert loop is not None
     return loop
 
 
 def trim_of(params: UavParams, wind: Vec3 | None) -> Trim | None:
-    """The equilibrium in which the integrals start; None: that of still air, or none."""
-    return trim(params, wind) if wind is not None and starts_settled(params) else None
+    """The equilibrium in a wind [m/s] in which the integrals start.
+
+    None: there is no wind, or the integrals do not start settled.
+    """
+    if wind is None or not starts_settled(params):
+        return None
+    return trim(params, wind)
 
 
 def software_start(params: UavParams, state: UavState, wind: Vec3 | None) -> HeldLoop:
-    """A sampled inner loop at the start in a wind [m/s]; None: there is none."""
+    """State and results of a sampled inner loop at the start, in a wind [m/s]; None: there is no wind."""
     return held_start(params, state, trim_of(params, wind))
 
 
 def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> HeldLoop:
-    """A sampled inner loop in a trim; None: in hover in still air."""
+    """State and results of a sampled inner loop that holds an equilibrium; None: the hover in still air."""
     loop = required_loop(params)
     software = loop.init(params.craft, readings_of(state), params.first_carrying)
     if trimmed is None:
-        return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
-    return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, 0.0)
+        return HeldLoop(software, params.first_thrust, params.first_thrusts, limited=0.0)
+    return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, limited=0.0)
 
 
 def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], dt: float) -> tuple[HeldLoop, Scalar]:
     """A sampled inner loop that goes on with rotor thrusts [N] of another software, in steady flight at its readings.
 
+    The net thrust and moment of the rotors become the equilibrium that the integrals hold.
+
+    Args:
+        params: The prepared parameters.
+        state: The vehicle's state at the takeover.
+        thrusts: Thrusts of the rotors that the other software commands [N].
+        dt: T_s of the loop [s].
+
     Returns:
-        Its state, and whether the next thrusts have the same effect; they do not beyond its limits.
+        State and results of the inner loop, and 1 if its next thrusts have the same effect as those of the other
+        software, else 0; they have not where they would be beyond its limits.
     """
     craft = params.craft
     readings = readings_of(state)
@@ -141,6 +156,7 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], 
     angles = Angles(*angles_of(readings.attitude.matrix()))
     software = loop.trimmed(craft, software, Trim(angles, wrench.thrust, wrench.moment, thrusts))
     before = state._replace(inner=HeldLoop(software, wrench.thrust, thrusts, 0.0))
+    # commands that keep the velocity, with a yaw rate of 0; no disturbances, wind or named inputs
     drive = PlantInput((*readings.velocity, 0.0), (0.0,) * 4, None, ())
     following = software_tick(params, software_sample(params, before, drive, dt), loop.period).inner
     carried = True
@@ -151,7 +167,7 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], 
 
 
 def first_integrals(params: UavParams) -> tuple[str, ...]:
-    """Names of the numbers at which the integrals of velocity start; none without integral action."""
+    """Names of the numbers of the study at which the integrals of velocity start; () without integral action."""
     gains = params.inner_loop
     if isinstance(gains, InnerGains) and nominal(gains.kp_velocity) == 0.0:
         return ()
@@ -159,7 +175,7 @@ def first_integrals(params: UavParams) -> tuple[str, ...]:
 
 
 def starts_settled(params: UavParams) -> bool:
-    """Whether the integrals start in the equilibrium of the draw."""
+    """Whether the inner loop's integrals start in the equilibrium of the draw, and not at the study's numbers alone."""
     return params.inner_loop.start is Start.SETTLED
 
 
@@ -170,22 +186,22 @@ def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
 
 
 def software_period(params: UavParams) -> float | None:
-    """Time between two ticks of a sampled inner loop [s]."""
+    """Time between two ticks of the sampled inner loop [s]; None: the inner loop is not sampled."""
     loop = sampled_loop(params)
     return None if loop is None else loop.period
 
 
 def readings_of(state: UavState) -> Readings:
-    """What the inner loop measures: the true motion, or with the error of the last estimate."""
-    if state.error == ():
+    """What the inner loop measures: the true motion, or the motion with the error of the last estimate added."""
+    if state.error == ():  # no estimator
         return Readings(state.velocity, state.attitude, state.rate)
     error = state.error
     return Readings(state.velocity + error.velocity, product(error.attitude, state.attitude), state.rate + error.rate)
 
 
 def estimated_state(params: UavParams, state: UavState) -> UavState:
-    """The state as the controllers see it, without an error."""
-    if state.error == ():
+    """The state as the controllers see it: the estimated motion in place of the true one, and no error beside it."""
+    if state.error == ():  # no estimator
         return state
     readings = readings_of(state)
     position = state.position + state.error.position
@@ -195,12 +211,12 @@ def estimated_state(params: UavParams, state: UavState) -> UavState:
 
 
 def motion_of(state: UavState) -> Motion:
-    """The true motion."""
+    """The vehicle's true motion: position, velocity, attitude and angular rate."""
     return Motion(state.position, state.velocity, state.attitude, state.rate)
 
 
 def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple[UavState, State]:
-    """The state with the error of an estimate, and the estimator's memory."""
+    """The state with the error of the estimate in an estimator's memory, and this memory."""
     motion = motion_of(state)
     estimate = memory.estimate
     error = EstimationError(
@@ -214,14 +230,14 @@ def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple
 
 
 def required_estimator(params: UavParams) -> Estimator:
-    """The estimator of parameters that have one."""
+    """The estimator of parameters that must have one."""
     estimator = estimator_of(params)
     assert estimator is not None
     return estimator
 
 
 def start_estimate(params: UavParams, state: UavState, key: jax.Array) -> tuple[UavState, State]:
-    """The first estimate."""
+    """The state with the error of the first estimate, and the estimator's memory at t = 0."""
     estimator = required_estimator(params)
     return with_estimate(estimator, state, estimator.start(motion_of(state), Random(key)))
 
@@ -229,13 +245,16 @@ def start_estimate(params: UavParams, state: UavState, key: jax.Array) -> tuple[
 def renew_estimate(
     params: UavParams, state: UavState, memory: State, key: jax.Array, k: Scalar, dt: float
 ) -> tuple[UavState, State]:
-    """The estimate at sample k."""
+    """The state with the error of the estimate at sample k, and the estimator's memory after it."""
     estimator = required_estimator(params)
     return with_estimate(estimator, state, estimator.step(memory, motion_of(state), Random(key), k, dt))
 
 
 def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
-    """Velocity control of a sampled inner loop."""
+    """Velocity control of a sampled inner loop.
+
+    It runs once in each sample of the outer loop, and its demand is held for the ticks in the sample.
+    """
     command, yaw_command = velocity_commands(drive)
     software = required_loop(params).sample(
         params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
@@ -244,7 +263,11 @@ def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: f
 
 
 def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
-    """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
+    """Attitude and rate control of a sampled inner loop, and the allocation to the rotors.
+
+    It runs at each tick. The moment that the rotors do not give, because one is at a limit, is fed back to the inner
+    loop, whose integrals it stops.
+    """
     craft = params.craft
     software, demand = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
     thrusts = allocate(params.allocation, demand.thrust, demand.moment, params.rotor_limit, params.desaturation)
@@ -255,17 +278,20 @@ def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     return state._replace(inner=HeldLoop(software, demand.thrust, thrusts.commanded, limited))
 
 
+def rotor_places(vehicle: Vehicle) -> tuple[list[tuple[float, ...]], list[Scalar]]:
+    """The nominal place of each rotor [m], and the sign of its drag torque: 1 if it turns clockwise from above."""
+    if vehicle.rotor:
+        places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
+        return places, [rotor.direction for rotor in vehicle.rotor]
+    arm = nominal(vehicle.arm)
+    x, y = vehicle.directions()
+    return [(arm * a, arm * b, 0.0) for a, b in zip(x, y, strict=True)], list(vehicle.spins)
+
+
 def rotor_sentences(params: UavParams) -> tuple[str, ...]:
     """Sentences for the generated code's README: the commands, the axes, and each rotor's place and turning sense."""
     vehicle = params.vehicle
-    if vehicle.rotor:
-        places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
-        senses = [rotor.direction for rotor in vehicle.rotor]
-    else:
-        arm = nominal(vehicle.arm)
-        x, y = vehicle.directions()
-        places = [(arm * a, arm * b, 0.0) for a, b in zip(x, y, strict=True)]
-        senses = list(vehicle.spins)
+    places, senses = rotor_places(vehicle)
     sentences = [
         "Commands are `u_p` of each channel: velocities along x, y, z [m/s] and the rate of yaw [rad/s].",
         "World axes are x, y, z up, body axes forward, left, up. From NED and FRD: (x, y, z) = (east, north, -down), "

@@ -18,14 +18,14 @@ from dssc_jax.models.uav.inner_loops.sampled import Craft
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.presets import VEHICLES
 from dssc_jax.models.uav.rotors import wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+from dssc_jax.models.uav.vehicle import GRAVITY, Rotor, Vehicle
 
 EQUAL_SHARE = 1e-9
 """Difference of a rotor's share of the weight in hover from that of equal rotors, which is rounding."""
 
 
 class Believed(NamedTuple):
-    """Nominal values of the inner loop; absent numbers are the vehicle's own, or the medians of their laws."""
+    """What the inner loop believes of the vehicle; an absent number is the vehicle's own, or the median of its law."""
 
     mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
     inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
@@ -33,7 +33,7 @@ class Believed(NamedTuple):
 
 
 class InnerModel(NamedTuple):
-    """The inner loop's model of the vehicle: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
+    """The vehicle as the inner loop believes it: mass M [kg], diagonal of its inertia J [kg m^2], k_T [N s^2/rad^2]."""
 
     mass: Scalar
     inertia: Vec3
@@ -41,15 +41,19 @@ class InnerModel(NamedTuple):
 
 
 class UavParams(NamedTuple):
-    """Parameters of the UAV.
+    """Parameters of the UAV: the vehicle, its software, and its state at the start.
 
-    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or those of the equilibrium
+    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or as in the equilibrium
     in the wind if the integrals start settled.
 
-    The fields after ``battery`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
-    (f, M) -> f_i; ``moments``, rows f_i -> M; ``hover_shares``, each rotor's share of the weight in hover, of rotors on
-    a circle only where they differ; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a circle
-    share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
+    The fields after ``battery`` follow from the vehicle's nominal values before tracing:
+
+    * ``allocation``: rows from net thrust and moments (f, M) to the thrust f_i of each rotor;
+    * ``moments``: rows from the thrusts f_i to the moments M_x, M_y, M_z;
+    * ``hover_shares``: each rotor's share of the weight in hover; () for equal shares of rotors on a circle;
+    * ``believed_rotors``: the k_T that the inner loop believes of each rotor with a given place; () for rotors on a
+      circle, which share the one of ``believed``;
+    * ``rotor_limit``: a rotor's largest thrust as the inner loop knows it [N].
     """
 
     vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
@@ -77,7 +81,7 @@ class UavParams(NamedTuple):
 
     @property
     def inner_model(self) -> InnerModel:
-        """The nominal values, complete after :func:`prepare`."""
+        """The values that the inner loop believes, complete after :func:`prepare`."""
         mass, inertia, thrust_coefficient = self.believed
         assert mass is not None
         assert inertia is not None
@@ -86,7 +90,7 @@ class UavParams(NamedTuple):
 
     @property
     def believed_coefficients(self) -> tuple[Scalar, ...]:
-        """The nominal k_T of each rotor, complete after :func:`prepare` [N s^2/rad^2]."""
+        """The k_T of each rotor that the inner loop believes, complete after :func:`prepare` [N s^2/rad^2]."""
         return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
 
     @property
@@ -101,19 +105,20 @@ class UavParams(NamedTuple):
     def carrying_thrust(self) -> Scalar:
         """The wanted net thrust at which the draw hovers at its place, complete after :func:`prepare` [N].
 
-        It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
+        It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground:
+        rotors that are commanded to carry the believed weight give another lift, and the thrust scales with it.
         """
         rotors = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
-        lift = wrench(
-            self.vehicle, tuple(f * actual / believed_coefficient for f, actual, believed_coefficient in rotors)
-        ).thrust
+        thrusts = tuple(f * actual / believed for f, actual, believed in rotors)
+        lift = wrench(self.vehicle, thrusts).thrust
         if self.ground is not None and self.ground.rotor_radius is not None:
-            lift = lift * lift_factor(self.ground, self.position[2])
+            _, _, height = self.position
+            lift = lift * lift_factor(self.ground, height)
         return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / lift)
 
     @property
     def first_thrust(self) -> Scalar:
-        """The wanted net thrust at the start, complete after :func:`prepare` [N]."""
+        """The net thrust that the inner loop wants at the start, complete after :func:`prepare` [N]."""
         return self.inner_loop.first_thrust(self.craft, self.first_carrying)
 
     @property
@@ -125,7 +130,7 @@ class UavParams(NamedTuple):
     @property
     def first_thrusts(self) -> tuple[Scalar, ...]:
         """Commanded thrusts of the rotors at the start, complete after :func:`prepare` [N]."""
-        share = self.first_thrust / (self.inner_model.mass * GRAVITY)
+        share = self.first_thrust / (self.inner_model.mass * GRAVITY)  # of the believed weight
         return tuple(share * f for f in self.hover_thrusts)
 
     @property
@@ -136,7 +141,11 @@ class UavParams(NamedTuple):
 
 
 def prepare(params: UavParams) -> UavParams:
-    """Check the vehicle, and derive allocation and nominal values from its numbers; raises ConfigError."""
+    """The parameters with the numbers that follow from the nominal vehicle, after a check of the vehicle.
+
+    Raises:
+        ConfigError: The vehicle cannot fly, a place or velocity has not three values, or a rule of a part is broken.
+    """
     vehicle = params.vehicle
     try:
         allocation = flying_allocation(vehicle)
@@ -145,18 +154,7 @@ def prepare(params: UavParams) -> UavParams:
     for name in ("position", "velocity", "body_rate"):
         if len(getattr(params, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
-    nominal_vehicle = vehicle._replace(
-        body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
-        rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
-        rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
-    )
-    vehicle_values = Believed(
-        nominal(vehicle.mass), tuple(nominal_vehicle.inertia), nominal(vehicle.thrust_coefficient)
-    )
-    stated_values = {name: value for name, value in params.believed._asdict().items() if value is not None}
-    believed = vehicle_values._replace(**stated_values)
-    if len(stated_values.get("inertia", (0, 0, 0))) != 3:
-        raise ConfigError("believed.inertia", f"needs three values, got {stated_values['inertia']}")
+    believed = completed_belief(params.believed, vehicle)
     if params.inner_loop.start is Start.SETTLED:
         require_known_equilibrium(params)
     return params._replace(
@@ -171,34 +169,71 @@ def prepare(params: UavParams) -> UavParams:
     )
 
 
+def completed_belief(believed: Believed, vehicle: Vehicle) -> Believed:
+    """What the inner loop believes, with the vehicle's nominal values where none are stated; raises ConfigError."""
+    stated_values = {name: value for name, value in believed._asdict().items() if value is not None}
+    if believed.inertia is not None and len(believed.inertia) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {believed.inertia}")
+    nominal_vehicle = vehicle._replace(
+        body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
+        rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
+        rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
+    )
+    vehicle_values = Believed(
+        mass=nominal(vehicle.mass),
+        inertia=tuple(nominal_vehicle.inertia),
+        thrust_coefficient=nominal(vehicle.thrust_coefficient),
+    )
+    return vehicle_values._replace(**stated_values)
+
+
 def require_known_equilibrium(params: UavParams) -> None:
-    """Require that the weight alone settles the integrals, without a moment or a voltage; raises ConfigError."""
+    """Require a vehicle whose weight alone settles the integrals at the start, without a moment or a battery.
+
+    Rotors at given places add a moment where they differ from what the inner loop believes: where their numbers have
+    laws, or where the believed thrust coefficient is stated.
+
+    Raises:
+        ConfigError: The vehicle has a battery, or such rotors.
+    """
     rule = "'settled' is the equilibrium of the weight, and"
     remedy = "set 'zero', and give velocity_integral and rate_integral numbers or laws"
     if params.battery is not None:
         raise ConfigError("inner_loop.start", f"{rule} the thrust depends on a battery: {remedy}")
-    uneven = params.vehicle.rotor and (params.believed.thrust_coefficient is not None)
-    for rotor in params.vehicle.rotor:
-        numbers = (*rotor.position, *rotor.axis, rotor.thrust_coefficient, rotor.torque_coefficient)
-        uneven = uneven or any(low != high for low, high in map(extent, (x for x in numbers if x is not None)))
-    if uneven:
+    rotors = params.vehicle.rotor
+    differs = bool(rotors) and params.believed.thrust_coefficient is not None
+    if differs or any(map(has_law, rotors)):
         raise ConfigError("inner_loop.start", f"{rule} rotors that differ from what is believed add a moment: {remedy}")
+
+
+def has_law(rotor: Rotor) -> bool:
+    """Whether a number of a rotor has a law, so that it differs from draw to draw."""
+    for number in (*rotor.position, *rotor.axis, rotor.thrust_coefficient, rotor.torque_coefficient):
+        if number is None:  # a coefficient of the vehicle, which all rotors share
+            continue
+        low, high = extent(number)
+        if low != high:
+            return True
+    return False
 
 
 def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
     """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle."""
-    shares = tuple(row[0] for row in allocation)
-    equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
-    return () if equal and not vehicle.rotor else shares
+    shares = tuple(row[0] for row in allocation)  # the column of the net thrust
+    are_equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
+    is_circle = not vehicle.rotor
+    return () if is_circle and are_equal else shares
 
 
 def believed_rotors(params: UavParams) -> tuple[float, ...]:
-    """The nominal k_T of rotors anywhere: that of ``[plant.believed]`` for all, or each rotor's own."""
+    """The k_T that the inner loop believes of each rotor with a given place [N s^2/rad^2]; () for rotors on a circle.
+
+    It is the one that ``[plant.believed]`` states, or else each rotor's own nominal value.
+    """
     vehicle = params.vehicle
     if not vehicle.rotor:
         return ()
-    believed_coefficient = params.believed.thrust_coefficient
-    return tuple(
-        nominal(value if believed_coefficient is None else believed_coefficient)
-        for value in vehicle.thrust_coefficients
-    )
+    stated_coefficient = params.believed.thrust_coefficient
+    if stated_coefficient is not None:
+        return (nominal(stated_coefficient),) * vehicle.rotors
+    return tuple(map(nominal, vehicle.thrust_coefficients))

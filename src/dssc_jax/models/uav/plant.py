@@ -22,7 +22,7 @@ from dssc_jax.models.uav.allocation import Thrusts, allocate
 from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
 from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
-from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor, lowest_foot
+from dssc_jax.models.uav.ground import contact, has_crashed, lowest_foot, rotor_thrusts
 from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
@@ -68,47 +68,56 @@ def settle(params: UavParams, state: UavState, wind: Vec3) -> UavState:
 
 
 def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
-    """The state at the start, in a trim or in hover in still air."""
+    """The state at the start, in an equilibrium; None: the hover in still air."""
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if params.vehicle.motor_lag is not None:
         thrusts = params.first_thrusts if trimmed is None else trimmed.rotor
-        first = zip(thrusts, params.believed_coefficients, strict=True)
-        speeds = tuple(root_abs(f / coefficient) for f, coefficient in first)
-    level = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
-    phi = level.phi if params.roll is None else params.roll
-    theta = level.theta if params.pitch is None else params.pitch
+        rotors = zip(thrusts, params.believed_coefficients, strict=True)
+        speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
+    angles = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
+    phi = angles.phi if params.roll is None else params.roll
+    theta = angles.theta if params.pitch is None else params.pitch
     attitude = turned(Angles(phi, theta, params.yaw))
-    integrals: State = ()
-    gains = params.inner_loop
-    if isinstance(gains, InnerGains):
-        if trimmed is None:
-            integrals = Integrals(gains.first_velocity_integral(params.craft, params.first_carrying), 0.0)
-        else:
-            integrals = gains.trimmed(params.craft, trimmed)
     state = UavState(
         position=Vec3(*params.position),
         velocity=Vec3(*params.velocity),
         attitude=attitude,
         rate=Vec3(*params.body_rate),
-        inner=integrals,
+        inner=first_integrals_of_article(params, trimmed),
         speeds=speeds,
     )
-    if estimator_of(params) is not None:
-        state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
+    if estimator_of(params) is not None:  # no error until the first estimate
+        no_turn = Quaternion(1.0, 0.0, 0.0, 0.0)
+        state = state._replace(error=EstimationError(zero, zero, no_turn, zero, nees=0.0))
     if params.battery is not None:
         state = state._replace(charge=params.battery.charge)
-    return state if sampled_loop(params) is None else state._replace(inner=held_start(params, state, trimmed))
+    if sampled_loop(params) is None:
+        return state
+    return state._replace(inner=held_start(params, state, trimmed))
+
+
+def first_integrals_of_article(params: UavParams, trimmed: Trim | None) -> Integrals | tuple[()]:
+    """The integrals of the article's inner loop at the start; () for a sampled inner loop, which has its own.
+
+    They hold an equilibrium; None: the hover in still air.
+    """
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return ()
+    if trimmed is not None:
+        return gains.trimmed(params.craft, trimmed)
+    return Integrals(velocity=gains.first_velocity_integral(params.craft, params.first_carrying), yaw=0.0)
 
 
 class RotorCommands(NamedTuple):
-    """Results of the inner loop and the allocation.
+    """What the inner loop and the allocation demand.
 
     Args:
         thrust: Demanded net thrust [N].
         rotors: Commanded thrusts of the rotors.
-        bounded: Whether the inner loop bounds the lift.
-        slope: Derivative of the inner loop's state; 0 for a sampled one.
+        bounded: Whether the wanted lift is at its lower bound.
+        slope: Derivative of the inner loop's state; zeros for a sampled one, whose state is held.
     """
 
     thrust: Scalar
@@ -118,15 +127,21 @@ class RotorCommands(NamedTuple):
 
 
 def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> RotorCommands:
-    """Inner loop and allocation; those of a sampled inner loop are held."""
+    """The commands that inner loop and allocation give the rotors at the present state.
+
+    The article's inner loop is evaluated. The commands of a sampled one are held since its last tick; the rotors keep
+    their own limit, which the software may know as another.
+    """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held_loop = state.inner
         limit = params.vehicle.thrust_limit
         thrusts = tuple(jnp.minimum(f, limit) for f in held_loop.rotor)
-        rotors = Thrusts(thrusts, held_loop.limited > 0.5)
         return RotorCommands(
-            held_loop.thrust, rotors, held_loop.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held_loop)
+            thrust=held_loop.thrust,
+            rotors=Thrusts(thrusts, held_loop.limited > 0.5),  # a flag of 0.0 or 1.0, as the next one
+            bounded=held_loop.software.bounded > 0.5,
+            slope=jax.tree.map(lambda leaf: 0.0, held_loop),
         )
     model = params.inner_model
     readings = readings_of(state)
@@ -141,12 +156,12 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 
 class Turning(NamedTuple):
-    """Motion of the rotors.
+    """The motion of the rotors, and what supplies it.
 
     Args:
         commanded: Motion that the commands ask for.
         actual: Motion with the battery's voltage and the rotors' faults.
-        supply: Voltage and current of the battery.
+        supply: Voltage and current of the battery; 1 and 0 without a battery.
     """
 
     commanded: RotorMotion
@@ -155,35 +170,36 @@ class Turning(NamedTuple):
 
 
 def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> Turning:
-    """The motion of the rotors, with the battery and with what events have made of them."""
+    """The motion of the rotors at the present state: as commanded, and with the battery and the events' changes."""
     commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     actual = conditioned_motion(commanded, drive.condition)
     if params.battery is None:
-        return Turning(commanded, actual, Supply(1.0, 0.0))
+        return Turning(commanded, actual, Supply(voltage=1.0, current=0.0))
     power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
     battery_supply = supply(params.battery, state.charge, power)
-    return Turning(commanded, scaled_motion(actual, (battery_supply.voltage,) * len(actual.speeds)), battery_supply)
+    factors = (battery_supply.voltage,) * len(actual.speeds)
+    return Turning(commanded, scaled_motion(actual, factors), battery_supply)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
-    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
+    """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics.
+
+    Forces and torques of rotors, drag and ground add up, and move a rigid body with or without additional masses.
+    """
     vehicle = params.vehicle
+    ground = params.ground
     commands = rotor_commands(params, state, drive)
     rotor_state = turning_rotors(params, state, drive, commands)
     motion = rotor_state.actual
     speeds = motion.speeds
-    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
-    ground = params.ground
-    if ground is not None and ground.rotor_radius is not None:
-        factor = lift_factor(ground, state.position.z)
-        lift = tuple(factor * f for f in lift)
-    thrust, moment, side_force = wrench(vehicle, lift)
+    thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, ground, state.position.z, speeds))
     rotation = state.attitude.matrix()
     wind = wind_at(drive.wind, state.position.z, drive.condition)
     drag_effect = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
-    force = drag_effect.force
-    if side_force:
-        force = force + rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    force = drag_effect.force  # all forces but thrust and weight, inertial
+    if side_force:  # () where all rotors point along body z
+        x, y = side_force
+        force = force + rotation @ Vec3(x, y, 0.0)
     torque = moment + drag_effect.torque + rotor_torque(vehicle, state.rate, motion)
     if ground is not None:
         contact_effect = contact(ground, state.position, state.velocity, rotation, state.rate)
@@ -196,9 +212,13 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
         slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    constant_error = jax.tree.map(lambda leaf: 0.0, state.error)
-    discharge = () if params.battery is None else -rotor_state.supply.current / params.battery.capacity
-    return UavState(*slope, commands.slope, rotor_state.commanded.accelerations, constant_error, discharge)
+    return UavState(
+        *slope,  # of position, velocity, attitude and rate
+        inner=commands.slope,
+        speeds=rotor_state.commanded.accelerations,
+        error=jax.tree.map(lambda leaf: 0.0, state.error),  # an estimate's error is held between samples
+        charge=() if params.battery is None else -rotor_state.supply.current / params.battery.capacity,
+    )
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -207,7 +227,7 @@ def project(params: UavParams, state: UavState) -> UavState:
 
 
 def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Measurement, ...]:
-    """Position and yaw with their rates, which do not depend on the input; yaw in (-pi, pi]."""
+    """Position and yaw of the four channels with their rates, which do not depend on the input; yaw in (-pi, pi]."""
     del drive
     rotation = state.attitude.matrix()
     angle_rates = euler_rates(trig_of(rotation), state.rate)
@@ -217,7 +237,7 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
 
 
 def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
-    """Attitude and limits at a sample."""
+    """The vehicle's report at a sample: attitude, rotors, limits, wind, battery, and the errors of an estimate."""
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
@@ -251,7 +271,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
 
 
 def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
-    """The signals that the vehicle reports, with the errors of an estimate where there is one."""
+    """The signals that the vehicle reports, with the errors of an estimate if the vehicle has an estimator."""
     quantities = quantities_of(UavInfo)
     if estimator_of(params) is not None:
         quantities |= quantities_of(EstimateErrors)
@@ -264,7 +284,10 @@ def has_flipped(params: UavParams, state: UavState) -> Scalar:
 
 
 def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar, dt: Scalar) -> Scalar | bool:
-    """Whether the vehicle flies into the ground in the sample that begins here; False where there is none."""
+    """Whether the vehicle flies into the ground in the sample that begins with this state; False without a ground.
+
+    Its vertical acceleration at the sample tells how fast a foot touches.
+    """
     ground = params.ground
     if ground is None:
         return False
@@ -274,7 +297,10 @@ def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
-    """k_p of each channel: the velocity loops' proportional gains [1/s]."""
+    """The high-frequency gain k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s].
+
+    For the article's inner loop these are the proportional gains of its velocity loops.
+    """
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         return gains.input_gain(params.craft)
@@ -283,7 +309,10 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def smoothness(params: UavParams) -> Smoothness:
-    """Where the vehicle has a derivative; a sampled inner loop, an estimator and a battery are not linearised."""
+    """Where the vehicle has a derivative: except at limits of its rotors and its lift.
+
+    A vehicle with a battery, an estimator or a sampled inner loop is not linearised.
+    """
     if params.battery is not None:
         return not_smooth("has a battery, which is never at rest; leave [plant.battery] out")
     if estimator_of(params) is not None:

@@ -42,9 +42,11 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
 
     All ranges are assumed.
 
-    Hover throttle is the share of the largest thrust that carries the weight. Torque over thrust of a propeller is a
-    few per cent of its diameter. The radius of gyration is that about a horizontal axis. Mass over the square of the
-    arm is some 13 kg/m^2 of a Crazyflie, 30 to 60 of larger vehicles; grams or millimetres leave its range.
+    * Hover throttle is the share of the largest thrust that carries the weight.
+    * Torque over thrust of a propeller is a few per cent of its diameter.
+    * The radius of gyration is taken about a horizontal axis.
+    * Mass over the square of the arm is some 13 kg/m^2 for a Crazyflie, and 30 to 60 kg/m^2 for larger vehicles; a mass
+      in grams or an arm in millimetres leaves the range.
     """
     mass = nominal(vehicle.mass)
     arm = distance_of_rotors(vehicle)
@@ -74,7 +76,7 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
 
 
 def distance_of_rotors(vehicle: Vehicle) -> float:
-    """Mean distance of the rotors from body z [m]."""
+    """Mean distance of the rotors from the vertical body axis z [m]; laws count with their medians."""
     if not vehicle.rotor:
         return nominal(vehicle.arm)
     places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
@@ -82,11 +84,11 @@ def distance_of_rotors(vehicle: Vehicle) -> float:
 
 
 def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
-    """A warning for each number outside of its usual range, if it follows from a field that the study gives.
+    """The warnings: a sentence for each number outside of its usual range that follows from a field the study gives.
 
     Args:
         vehicle: The vehicle.
-        fields: Names of the fields that the study gives; the others are those of a known vehicle.
+        fields: Names of the fields that the study gives; the others are a known vehicle's.
     """
     lines = []
     for number in usual_ranges(vehicle):

@@ -9,7 +9,7 @@ from dssc_jax.models.uav.vehicle import GRAVITY
 
 
 class BodyState(NamedTuple):
-    """State of a rigid body.
+    """Position, velocity and attitude of a rigid body, and its angular velocity; also their rates of change.
 
     Args:
         position: p, inertial, z up [m].
@@ -27,14 +27,14 @@ class BodyState(NamedTuple):
 def body_derivative(
     state: BodyState, mass: Scalar, inertia: Vec3, thrust: Scalar, drag: Vec3, torque: Vec3, rotation: Mat3
 ) -> BodyState:
-    """The derivative of the body's state, the right-hand side of (1).
+    """The derivative of a rigid body's state, the right-hand side of (1).
 
     Args:
         state: The body's state.
         mass: M [kg].
         inertia: Diagonal of J [kg m^2].
         thrust: Net thrust f along body z [N].
-        drag: F_drag, inertial [N].
+        drag: All other forces but the weight, such as F_drag, inertial [N].
         torque: All torques, body frame [N m].
         rotation: R of the state's attitude.
     """
@@ -55,7 +55,7 @@ def loaded_derivative(
 ) -> BodyState:
     """The derivative of the body's state with additional masses, which move the centre of mass.
 
-    The state is that of the point O, the centre of mass without them. With the total mass M, the centre of mass
+    The state belongs to the point O, the centre of mass without them. With the total mass M, the centre of mass
     c = sum m r/M and the inertia J_c about it, Newton and Euler give
     R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and J_c Omega' = tau - c x F - Omega x J_c Omega.
 
@@ -65,13 +65,14 @@ def loaded_derivative(
         inertia: Diagonal of its inertia about O [kg m^2].
         load: The additional masses.
         force: All forces but the weight, body frame [N].
-        torque: All torques about O but that of the weight, body frame [N m].
+        torque: All torques about O but the weight's, body frame [N m].
         rotation: R of the state's attitude.
     """
     total = mass + load.mass
     c = load.first / total
-    xx, yy, zz = load.square
-    yz, zx, xy = load.product
+    xx, yy, zz = load.square  # sum m x^2, ..
+    yz, zx, xy = load.product  # sum m y z, ..
+    # J_c by Steiner's rule: J of body and load about O, less that of the total mass at c
     diagonal = Vec3(
         inertia.x + yy + zz - total * (c.y * c.y + c.z * c.z),
         inertia.y + zz + xx - total * (c.z * c.z + c.x * c.x),
@@ -82,9 +83,10 @@ def loaded_derivative(
     jzx = total * c.z * c.x - zx
     tensor = Mat3(Vec3(diagonal.x, jxy, jzx), Vec3(jxy, diagonal.y, jyz), Vec3(jzx, jyz, diagonal.z))
     moment = torque - c.cross(force) - state.rate.cross(tensor @ state.rate)
-    columns = (tensor.b.cross(tensor.c), tensor.c.cross(tensor.a), tensor.a.cross(tensor.b))  # a symmetric matrix
+    # J_c^-1 moment: the columns of the inverse are the cross products of the rows over the determinant
+    columns = (tensor.b.cross(tensor.c), tensor.c.cross(tensor.a), tensor.a.cross(tensor.b))
     determinant = tensor.a.dot(columns[0])
     rate_dot = (columns[0] * moment.x + columns[1] * moment.y + columns[2] * moment.z) / determinant
-    lever = rate_dot.cross(c) + state.rate.cross(state.rate.cross(c))
+    lever = rate_dot.cross(c) + state.rate.cross(state.rate.cross(c))  # acceleration of c relative to O
     acceleration = rotation @ (force / total - lever) - Vec3(0.0, 0.0, GRAVITY)
     return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)

@@ -18,7 +18,10 @@ class RotorMotion(NamedTuple):
 def rotor_motion(
     vehicle: Vehicle, thrusts: tuple[Scalar, ...], thrust_coefficients: tuple[Scalar, ...], speeds: tuple[Scalar, ...]
 ) -> RotorMotion:
-    """Speeds of the rotors for commanded thrusts.
+    """The motion of the rotors that commanded thrusts ask for.
+
+    Without a motor lag the rotors turn at the commanded speeds at once. With a lag, their speeds are states, which
+    approach the commanded speeds.
 
     Args:
         vehicle: Motor lag.
@@ -45,20 +48,26 @@ class Wrench(NamedTuple):
 
 
 def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
-    """Force sum f_i a_i and moment sum p_i x (f_i a_i) + s_i c_tau,i f_i a_i of rotors anywhere.
+    """The net force sum f_i a_i and moment sum p_i x (f_i a_i) + s_i c_tau,i f_i a_i of all rotors.
 
-    Those on a circle have a_i = e3, and the moment of :func:`net`.
+    A rotor has the thrust f_i along its axis a_i, the place p_i and the sign s_i of its drag torque. Rotors on a circle
+    have a_i = e3.
+
+    Args:
+        vehicle: The rotors.
+        thrusts: f_i of each rotor [N].
     """
     if not vehicle.rotor:
         return Wrench(*net(vehicle, thrusts))
     rows = [effect_of(rotor, c) for rotor, c in zip(vehicle.rotor, vehicle.torque_coefficients, strict=True)]
-    x, y, z, *moments = (dot(column, thrusts) for column in zip(*rows, strict=True))
+    columns = zip(*rows, strict=True)
+    x, y, z, *moments = (dot(column, thrusts) for column in columns)
     upright = all(is_zero(row[0]) and is_zero(row[1]) for row in rows)
     return Wrench(z, Vec3(*moments), () if upright else (x, y))
 
 
 def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
-    """Force [1] and moment [m] of a rotor per thrust, in body axes: six numbers."""
+    """Force [1] and moment [m] of a rotor per thrust, in body axes: F_x, F_y, F_z, M_x, M_y, M_z."""
     axis = rotor.unit_axis
     lever_moment = Vec3(*rotor.position).cross(axis)
     drag_torque = axis * (rotor.direction * torque_coefficient)
@@ -66,7 +75,10 @@ def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
 
 
 def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
-    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i of rotors on a circle."""
+    """Net thrust f = sum f_i [N] and moment [N m] of rotors on a circle.
+
+    The moment is M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i, with the places p_bi of the rotors.
+    """
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     moment = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
@@ -74,10 +86,10 @@ def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
 
 
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:
-    """tau_dist = -d/dt(h e3) - Omega x (h e3) with h = I_z sum thetadot_i [N m].
+    """The torque of spinning rotors with vertical axes on the body, tau_dist = -d/dt(h e3) - Omega x (h e3) [N m].
 
-    The article prints the opposite sign; with s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h
-    e3).
+    h = I_z sum thetadot_i is their angular momentum about body z. The article prints the opposite sign; with
+    s_i = -sgn(thetadot_i) only the sign used here conserves R (J Omega + h e3).
 
     Args:
         rate: Body rate Omega [rad/s].
@@ -104,10 +116,19 @@ def rotor_torque(vehicle: Vehicle, rate: Vec3, motion: RotorMotion) -> Vec3:
         return gyroscopic_torque(rate, vehicle.rotor_inertia_z, -dot(vehicle.spins, motion.speeds), spin_up)
     momentum = turning_sum(vehicle, motion.speeds)
     torque = -rate.cross(momentum)
-    return torque - turning_sum(vehicle, motion.accelerations) if motion.accelerations else torque
+    if not motion.accelerations:  # (): without a motor lag
+        return torque
+    return torque - turning_sum(vehicle, motion.accelerations)
 
 
 def turning_sum(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> Vec3:
-    """I_z sum thetadot_i a_i for speeds |thetadot_i| [rad/s]; the rate of change for their rates [rad/s^2]."""
+    """The angular momentum I_z sum thetadot_i a_i of all rotors, body axes [kg m^2/s].
+
+    Args:
+        vehicle: The rotors.
+        speeds: |thetadot_i| of each rotor [rad/s]. With the rates of the speeds [rad/s^2] in their place, the result is
+            the rate of change of the angular momentum.
+    """
     axes = [rotor.unit_axis * -rotor.direction for rotor in vehicle.rotor]
-    return Vec3(*(dot(column, speeds) for column in zip(*axes, strict=True))) * vehicle.rotor_inertia_z
+    columns = zip(*axes, strict=True)  # the x, y and z of all axes
+    return Vec3(*(dot(column, speeds) for column in columns)) * vehicle.rotor_inertia_z

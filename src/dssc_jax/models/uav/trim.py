@@ -16,7 +16,7 @@ from dssc_jax.core.numerics import as_arrays, dot, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.ground import lift_factor
+from dssc_jax.models.uav.ground import rotor_thrusts
 from dssc_jax.models.uav.inner_loops.sampled import Trim, body_angles, turned
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.rotors import wrench
@@ -35,7 +35,7 @@ class Guess(NamedTuple):
 
 
 def trim(params: UavParams, wind: Vec3) -> Trim:
-    """The equilibrium of a draw at its initial position and yaw in a steady wind.
+    """The equilibrium of a draw that holds its initial position and yaw in a steady wind.
 
     Args:
         params: The prepared parameters.
@@ -43,6 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def substitution(_: Scalar, guess: Guess) -> Guess:
+        """One round of the loop, whose index does not matter."""
         return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
@@ -53,25 +54,33 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
 
 
 def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
-    """Thrusts of the rotors that the inner loop commands, without their limits [N]."""
+    """The rotors' thrusts that the inner loop commands for a guess of thrust and moment, without their limits [N]."""
     return tuple(dot(row, (guess.thrust, *guess.moment)) for row in params.allocation)
 
 
 def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
-    """The next guess of a fixed-point iteration, nearer to the balance of forces and moments."""
+    """The next guess of the substitution, nearer to the balance of forces and moments.
+
+    Thrust and moment of a guess are what the inner loop wants; the rotors of the draw give others. The next thrust is
+    the required force times the ratio of wanted and given thrust. The next moment takes away what the moments of rotors
+    and drag leave over, times the same ratio.
+
+    Args:
+        params: The prepared parameters.
+        wind: Velocity of the air, inertial [m/s].
+        guess: The guess before.
+    """
     vehicle = params.vehicle
     rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
     speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
-    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
-    if params.ground is not None and params.ground.rotor_radius is not None:
-        factor = lift_factor(params.ground, params.position[2])
-        lift = tuple(factor * f for f in lift)
-    thrust, moment, side_force = wrench(vehicle, lift)
+    _, _, height = params.position
+    thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, params.ground, height, speeds))
     rotation = turned(body_angles(guess.upward, params.yaw)).matrix()
     drag_effect = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
     required_force = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - drag_effect.force
-    if side_force:
-        required_force = required_force - rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    if side_force:  # () where all rotors point along body z
+        x, y = side_force
+        required_force = required_force - rotation @ Vec3(x, y, 0.0)
     size = root_abs(required_force.dot(required_force))
-    share = guess.thrust / thrust
+    share = guess.thrust / thrust  # wanted over given thrust
     return Guess(required_force / size, share * size, guess.moment - (moment + drag_effect.torque) * share)

@@ -24,7 +24,7 @@ class Rotor(NamedTuple):
     """A rotor at any place and in any direction.
 
     The thrust is f a along the axis a, and the drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
-    clockwise when one looks against its thrust. A coefficient that is None is that of the vehicle.
+    clockwise when one looks against its thrust. A coefficient that is None is the vehicle's.
     """
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "place from the centre of mass, body axes")]
@@ -76,7 +76,7 @@ class Vehicle(NamedTuple):
 
     @property
     def thrust_coefficients(self) -> tuple[Scalar, ...]:
-        """k_T of each rotor [N s^2/rad^2]."""
+        """Thrust coefficient k_T of each rotor [N s^2/rad^2]; a rotor without a value has the vehicle's."""
         common = self.thrust_coefficient
         if not self.rotor:
             return (common,) * self.rotors
@@ -85,7 +85,7 @@ class Vehicle(NamedTuple):
 
     @property
     def torque_coefficients(self) -> tuple[Scalar, ...]:
-        """c_tau of each rotor [m]."""
+        """Torque over thrust c_tau of each rotor [m]; a rotor without a value has the vehicle's."""
         common = self.torque_coefficient
         if not self.rotor:
             return (common,) * self.rotors
@@ -94,7 +94,10 @@ class Vehicle(NamedTuple):
 
     @property
     def inertia(self) -> Vec3:
-        """J = diag(n_r I_xy + I_bx, n_r I_xy + I_by, n_r I_z + I_bz) [kg m^2]."""
+        """Diagonal of the inertia J of structure and rotor hubs [kg m^2].
+
+        J = diag(n_r I_xy + I_bx, n_r I_xy + I_by, n_r I_z + I_bz).
+        """
         transverse = self.rotors * self.rotor_inertia_xy
         bx, by, bz = self.body_inertia
         return Vec3(transverse + bx, transverse + by, self.rotors * self.rotor_inertia_z + bz)
@@ -106,25 +109,29 @@ class Vehicle(NamedTuple):
 
     @property
     def has_drag(self) -> bool:
-        """Whether a drag coefficient is positive, for at least one value of its law."""
-        return any(extent(drag)[1] > 0.0 for drag in (*self.structure_drag, self.propeller_drag))
+        """Whether the vehicle has a drag: whether a coefficient is positive for at least one value of its law."""
+        for coefficient in (*self.structure_drag, self.propeller_drag):
+            _, largest = extent(coefficient)
+            if largest > 0.0:
+                return True
+        return False
 
     @property
     def nominal_thrust_limit(self) -> float:
-        """f_max that the inner loop assumes [N]; laws count with their medians."""
+        """Largest thrust f_max of a rotor that the inner loop assumes [N]; laws count with their medians."""
         if self.max_thrust is None:
             return 2.0 * nominal(self.mass) * GRAVITY / self.rotors
         return nominal(self.max_thrust)
 
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """x and y of every rotor for an arm of length 1; values that are 0 up to rounding are 0."""
-        x = tuple(cleaned(math.cos(angle)) for angle in self.rotor_angles)
-        y = tuple(cleaned(math.sin(angle)) for angle in self.rotor_angles)
+        """x and y of every rotor on a circle, for an arm of length 1; values that are 0 up to rounding are 0."""
+        x = tuple(without_rounding(math.cos(angle)) for angle in self.rotor_angles)
+        y = tuple(without_rounding(math.sin(angle)) for angle in self.rotor_angles)
         return x, y
 
 
-def cleaned(value: float) -> float:
-    """The value, or 0 if it is 0 up to rounding."""
+def without_rounding(value: float) -> float:
+    """The value, or 0 if it is below ``ROUNDED_TO_ZERO``, as the cosine of a right angle is."""
     return 0.0 if abs(value) < ROUNDED_TO_ZERO else value
 
 
@@ -158,7 +165,7 @@ HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
 
 
 def check_circle(vehicle: Vehicle) -> None:
-    """Require at least four rotors on a circle and a sign for each; raises ConfigError."""
+    """Require at least four rotors on a circle, each with the sign 1 or -1 of its drag torque; raises ConfigError."""
     if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
         raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
     if any(abs(s) != 1.0 for s in vehicle.spins):
@@ -166,7 +173,11 @@ def check_circle(vehicle: Vehicle) -> None:
 
 
 def check_rotors(vehicle: Vehicle) -> None:
-    """Require places, axes and signs of at least four rotors; raises ConfigError."""
+    """Require at least four rotors in the list, each with a place, an axis that is not zero, and a sign.
+
+    Raises:
+        ConfigError: A rotor lacks one of these, there are too few, or the arm has a law, which would have no effect.
+    """
     if vehicle.rotors < 4:
         raise ConfigError("rotor", f"needs four rotors at least, got {vehicle.rotors}")
     low, high = extent(vehicle.arm)
@@ -184,7 +195,12 @@ def check_rotors(vehicle: Vehicle) -> None:
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Check the rules between fields, for every value in the supports of the laws; raises ConfigError."""
+    """Check the rules between a vehicle's fields, for all values of their laws.
+
+    Raises:
+        ConfigError: Rotors do not fit, the moments of inertia break the triangle inequality, or the vehicle cannot lift
+            its weight.
+    """
     for name in ("body_inertia", "structure_drag"):
         if len(getattr(vehicle, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(vehicle, name))}")
@@ -192,14 +208,16 @@ def check_vehicle(vehicle: Vehicle) -> None:
         check_rotors(vehicle)
     else:
         check_circle(vehicle)
-    limits = [extent(value) for value in vehicle.body_inertia]
+    lowest, highest = zip(*map(extent, vehicle.body_inertia), strict=True)
     for i, axis in enumerate("xyz"):
-        opposite = sum(limits[j][0] for j in range(3) if j != i)
-        if limits[i][1] > opposite:
+        others = sum(lowest[j] for j in range(3) if j != i)
+        if highest[i] > others:
             rule = f"must keep the triangle inequality: I_{axis} <= the sum of the others"
-            raise ConfigError("body_inertia", f"{rule}; {limits[i][1]:g} > {opposite:g}")
+            raise ConfigError("body_inertia", f"{rule}; {highest[i]:g} > {others:g}")
     if vehicle.max_thrust is not None:
-        lift = vehicle.rotors * extent(vehicle.max_thrust)[0]
-        weight = extent(vehicle.mass)[1] * GRAVITY
+        least_thrust, _ = extent(vehicle.max_thrust)
+        _, largest_mass = extent(vehicle.mass)
+        lift = vehicle.rotors * least_thrust
+        weight = largest_mass * GRAVITY
         if lift <= weight:
             raise ConfigError("max_thrust", f"hover needs n_r f_max > M g = {weight:g} N, got {lift:g} N")

@@ -34,7 +34,7 @@ class BoundedWindParams(NamedTuple):
 
 
 class BoundedWindState(NamedTuple):
-    """State of the wind: its value at the last sample [m/s], the time of that [s], and the extreme ahead [m/s]."""
+    """The wind at the last sample [m/s], the time ``since`` then [s], and the extreme towards which it moves [m/s]."""
 
     wind: Vec3
     since: Scalar
@@ -42,7 +42,7 @@ class BoundedWindState(NamedTuple):
 
 
 def bounded_limits(params: BoundedWindParams) -> WindBounds:
-    """The bounds of the wind, with the default of the vertical one."""
+    """The bounds of the wind: the parameters, with the default bound of the vertical wind where it is absent."""
     vertical = VERTICAL_SHARE * params.speed if params.vertical is None else params.vertical
     return WindBounds(params.speed, vertical, params.rate)
 
@@ -70,7 +70,7 @@ def towards(wind: Vec3, target: Vec3, distance: Scalar) -> Vec3:
         distance: Length of the move [m/s], for the horizontal vector and for the vertical component each.
     """
     way = target - wind
-    horizontal = travelled_share(Vec3(way.x, way.y, 0.0).norm(), distance)
+    horizontal = travelled_share(Vec3(way.x, way.y, 0.0).norm(), distance)  # share of the way
     vertical = travelled_share(jnp.abs(way.z), distance)
     # weights that sum to 1: the result stays within the bounds of its ends, to rounding
     return Vec3(
@@ -87,8 +87,9 @@ def travelled_share(length: Scalar, distance: Scalar) -> Scalar:
 
 
 def bounded_init(params: BoundedWindParams, key: jax.Array) -> BoundedWindState:
-    """The state at t = 0: at a random extreme."""
-    start = extreme(params, *uniforms(key, 2))
+    """The state at t = 0: the wind is at a random extreme, and stays there until it switches."""
+    turn, side = uniforms(key, 2)
+    start = extreme(params, turn, side)
     return BoundedWindState(start, 0.0, start)
 
 
@@ -97,7 +98,7 @@ def bounded_step(
 ) -> BoundedWindState:
     """The state at the next sample, where the wind may switch to another random extreme.
 
-    The probability of a switch, 1 - exp(-dt/period), is that of an event of a Poisson process within the sample.
+    Switches are the events of a Poisson process: a sample has at least one with the probability 1 - exp(-dt/period).
     """
     turn, side, chance = uniforms(key, 3)
     switches = chance < -jnp.expm1(-dt / params.period)

@@ -28,7 +28,7 @@ ROOT3 = math.sqrt(3.0)
 
 
 class DrydenParams(NamedTuple):
-    """Dryden turbulence of the low-altitude model with a mean wind.
+    """The mean wind and the height of Dryden turbulence by the low-altitude model.
 
     ``altitude`` sets mean wind, intensities and scale lengths; they do not follow the vehicle. ``airspeed`` converts
     lengths to times: the vehicle passes through a frozen field at that speed (about the wind speed in hover).
@@ -73,13 +73,13 @@ class Transverse(NamedTuple):
 
 
 class DrydenState(NamedTuple):
-    """Turbulence over a sample.
+    """The turbulence over a sample, relative to its intensities.
 
     Args:
-        u: u over its intensity.
-        v: Filter of v.
-        w: Filter of w.
-        on: Share of the sample with wind.
+        u: Turbulence u along the mean wind over its intensity.
+        v: Filter of the turbulence v across it.
+        w: Filter of the vertical turbulence w.
+        on: Share of the sample that lies after the wind's beginning, in [0, 1].
     """
 
     u: Scalar
@@ -109,11 +109,14 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
 
 
 def decayed_sinh_excess(h: Scalar) -> Scalar:
-    """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow."""
+    """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow.
+
+    Below h = 1 it is exp(-h) h^3/6 times the series 1 + h^2/(4 5) (1 + h^2/(6 7) (1 + ...)).
+    """
     small = jnp.minimum(h, 1.0)
     square = small * small
     series = 1.0
-    for n in range(16, 2, -2):
+    for n in range(16, 2, -2):  # n = 16, 14, .., 4: from the innermost bracket outwards
         series = 1.0 + square / (n * (n + 1)) * series
     direct = -0.5 * jnp.expm1(-2.0 * h) - h * jnp.exp(-h)
     return jnp.where(h < 1.0, jnp.exp(-h) * small * square / 6.0 * series, direct)
@@ -165,7 +168,7 @@ def transverse_step(state: Transverse, h: Scalar, n1: Scalar, n2: Scalar) -> Tra
 def dryden_init(params: DrydenParams, key: jax.Array) -> DrydenState:
     """The state at t = 0, drawn from the stationary law, so that there is no transient."""
     n = standard_normals(key, 5)
-    return DrydenState(n[0], transverse_init(n[1], n[2]), transverse_init(n[3], n[4]), 0.0)
+    return DrydenState(u=n[0], v=transverse_init(n[1], n[2]), w=transverse_init(n[3], n[4]), on=0.0)
 
 
 def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Scalar, dt: Scalar) -> DrydenState:
@@ -179,18 +182,18 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
     """
     law = dryden_law(params)
     n = standard_normals(key, 5)
-    h_uv = params.airspeed * dt / law.length_uv
-    h_w = params.airspeed * dt / law.length_w
+    h_uv = params.airspeed * dt / law.length_uv  # length of the sample in units of L_u/V
+    h_w = params.airspeed * dt / law.length_w  # and of L_w/V
     return DrydenState(
-        jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
-        transverse_step(state.v, h_uv, n[1], n[2]),
-        transverse_step(state.w, h_w, n[3], n[4]),
-        elapsed_share(params.at, t, dt),
+        u=jnp.exp(-h_uv) * state.u + jnp.sqrt(-jnp.expm1(-2.0 * h_uv)) * n[0],
+        v=transverse_step(state.v, h_uv, n[1], n[2]),
+        w=transverse_step(state.w, h_w, n[3], n[4]),
+        on=elapsed_share(params.at, t, dt),
     )
 
 
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
-    """The wind, mean and turbulence, in inertial axes [m/s]."""
+    """The wind, mean and turbulence, in inertial axes [m/s]; it is constant over the sample."""
     law = dryden_law(params)
     longitudinal = law.mean + law.sigma_uv * state.u
     lateral = law.sigma_uv * state.v.output

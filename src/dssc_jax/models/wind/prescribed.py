@@ -83,13 +83,17 @@ def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBound
         slopes: Vectors of which w' is always a weighted mean [m/s^2]; None: the wind may jump.
     """
     speed, vertical = largest_norms(winds)
-    return WindBounds(speed, vertical, None if slopes is None else max(largest_norms(slopes)))
+    rate = None if slopes is None else max(largest_norms(slopes))
+    return WindBounds(speed, vertical, rate)
 
 
 def largest_norms(vectors: Iterable[Vec3]) -> tuple[float, float]:
     """The largest horizontal norm and the largest vertical magnitude of some vectors of plain numbers."""
-    columns = [(math.hypot(float(vector.x), float(vector.y)), abs(float(vector.z))) for vector in vectors]
-    horizontal, vertical = zip(*columns, strict=True)
+    horizontal = []
+    vertical = []
+    for x, y, z in vectors:
+        horizontal.append(math.hypot(float(x), float(y)))
+        vertical.append(abs(float(z)))
     return max(horizontal), max(vertical)
 
 
@@ -109,33 +113,36 @@ def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Sc
 
 
 def constant_bounds(params: ConstantWindParams) -> WindBounds:
-    """The bounds of the wind: its norms; unless it blows from t = 0 on, it jumps."""
+    """The bounds of the wind: its own norms, and no rate if it begins after t = 0, where it jumps."""
     wind = Vec3(params.x, params.y, params.z)
-    return enclosing([wind], [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None)
+    slopes = [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None
+    return enclosing([wind], slopes)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
-    """Require a row for each time, and strictly rising times; raises ConfigError."""
+    """The parameters themselves, whose times must have a row each and rise strictly; raises ConfigError."""
     rows = len(params.times)
     if rows == 0:
         raise ConfigError("times", "needs at least one time, got none")
     for name in ("x", "y", "z"):
-        if len(getattr(params, name)) != rows:
-            count = len(getattr(params, name))
+        count = len(getattr(params, name))
+        if count != rows:
             raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {count}")
     for i, (previous_extent, next_extent) in enumerate(pairwise(map(extent, params.times)), start=1):
-        if not next_extent[0] > previous_extent[1]:
-            bounds = f"must be > {previous_extent[1]:g}, the one before, got {next_extent[0]:g}"
-            rule = f"times must increase strictly: {bounds}"
-            raise ConfigError(f"times.{i}", rule)
+        _, latest_before = previous_extent
+        earliest, _ = next_extent
+        if not earliest > latest_before:
+            bounds = f"must be > {latest_before:g}, the one before, got {earliest:g}"
+            raise ConfigError(f"times.{i}", f"times must increase strictly: {bounds}")
     return params
 
 
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """The mean wind over [t, t + dt); at each instant, the last row that has begun counts."""
     wind = Vec3(0.0, 0.0, 0.0)
-    covered_share = 0.0
-    for at, x, y, z in reversed(list(zip(*params, strict=True))):
+    covered_share = 0.0  # share of the sample to which later rows belong
+    rows = list(zip(params.times, params.x, params.y, params.z, strict=True))
+    for at, x, y, z in reversed(rows):
         remaining_share = elapsed_share(at, t, dt) - covered_share
         share = jnp.where(remaining_share < 0.0, 0.0, remaining_share)  # at 0 with the slope, as a row that has ended
         wind = wind + Vec3(x, y, z) * share
@@ -145,7 +152,7 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
 
 def piecewise_bounds(params: PiecewiseParams) -> WindBounds:
     """The bounds of the wind: the largest norms of the rows, between which it jumps."""
-    return enclosing(map(Vec3, params.x, params.y, params.z), None)
+    return enclosing(map(Vec3, params.x, params.y, params.z), slopes=None)
 
 
 def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
@@ -163,7 +170,7 @@ def gust_bounds(params: GustParams) -> WindBounds:
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
-    """Require at least one knot; raises ConfigError."""
+    """The parameters themselves, which must have at least one knot in x, y or z; raises ConfigError."""
     if not (params.x or params.y or params.z):
         raise ConfigError("x", "needs at least one knot in x, y or z, got none")
     return params
@@ -178,7 +185,8 @@ def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
 def spline_bounds(params: SplineWindParams) -> WindBounds:
     """The bounds of the wind from its knots.
 
-    A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval.
+    A cubic B-spline is always a weighted mean of its knots, and its slope a weighted mean of the differences of
+    consecutive knots, divided by the interval. Before and after its knots it goes to 0, hence the padding.
     """
     count = max(len(params.x), len(params.y), len(params.z))
     columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
@@ -189,7 +197,8 @@ def spline_bounds(params: SplineWindParams) -> WindBounds:
 
 def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
     """Knots, filled up with zeros to a count, and with another zero at both ends."""
-    return [0.0, *knots, *[0.0] * (count - len(knots)), 0.0]
+    missing = [0.0] * (count - len(knots))
+    return [0.0, *knots, *missing, 0.0]
 
 
 CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind, bounds=constant_bounds)

@@ -42,11 +42,14 @@ def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
 
 def first_wind(records: tuple[HeldRecord, ...], key: jax.Array) -> Vec3:
     """The state before the first sample: the wind of a held record at t = 0 [m/s]."""
-    return wind_at(pieces_of(records), (), 0.0)
+    return wind_at(pieces_of(records), state=(), t=0.0)
 
 
 def wind_mean(records: tuple[HeldRecord, ...], state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
-    """The mean of a held record over [t, t + dt), so that a jump within a sample does not reduce the order."""
+    """The mean of a held record over the sample [t, t + dt) [m/s].
+
+    A jump within the sample therefore does not reduce the integrator's order.
+    """
     x, y, z = records
     return Vec3(held_mean(x, t, dt), held_mean(y, t, dt), held_mean(z, t, dt))
 
@@ -58,27 +61,32 @@ def pieces_of(records: tuple[HeldRecord, ...]) -> tuple[Pieces, ...]:
 
 def held_bounds(records: tuple[HeldRecord, ...]) -> WindBounds:
     """Bounds of a wind that holds its values and jumps between them: the largest norms of the values."""
-    return enclosing(coefficient_rows(pieces_of(records), 0), None)
+    values = coefficient_rows(pieces_of(records), power=0)
+    return enclosing(values, slopes=None)
 
 
 def line_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
     """Bounds of a wind that goes in straight lines: the largest norms of the values and of the slopes between them."""
-    return enclosing(coefficient_rows(pieces, 0), coefficient_rows(pieces, 1))
+    return enclosing(coefficient_rows(pieces, power=0), coefficient_rows(pieces, power=1))
 
 
 def coefficient_rows(pieces: tuple[Pieces, ...], power: int) -> list[Vec3]:
-    """The coefficients of one power of time in all pieces, as a vector of the three components for each piece."""
-    columns = [np.asarray(component.coefficients)[:, power].tolist() for component in pieces]
-    return [Vec3(*row) for row in zip(*columns, strict=True)]
+    """The coefficients of one power of time: a vector of the three components for each piece.
+
+    Power 0 has the values at which the pieces begin [m/s], and power 1 their slopes there [m/s^2].
+    """
+    x, y, z = (np.asarray(component.coefficients)[:, power].tolist() for component in pieces)
+    return list(map(Vec3, x, y, z))
 
 
 def recorded_wind(rule: Interpolation) -> Wind:
-    """The wind that interpolates a record of three components by a rule; with ``hold`` it is constant over each sample.
+    """Make the wind that interpolates a record of three components by a rule; with ``hold`` it is constant in a sample.
 
     A cubic spline overshoots the recorded values, so it has no bounds.
     """
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
+        """The three components as piecewise cubic functions of time; raises ConfigError."""
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
     if rule == Interpolation.HOLD:

@@ -1,44 +1,48 @@
-"""The map from bounds of all signals in a region to the bounds that follow from them, in floating point.
+"""The map y -> h + M y from bounds y of all signals to the bounds that follow from them, in floating point.
 
-The bounds go in through what deviates from the middle loop, and come out through its responses.
+The loop is a linear middle loop plus deviations (method 2 of docs/proofs.md). Bounds of the signals bound the
+deviations, and the middle loop's responses to the deviations give new bounds of the signals.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.proofs.problem import Box, ProofProblem
+from dssc_jax.proofs.problem import Box, ProofProblem, middle
 from dssc_jax.proofs.search.gains import start_ratio
+from dssc_jax.proofs.search.held_plant import held_matrices
 from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.law_spread import Deviation, LawSpread
 from dssc_jax.proofs.search.sampled_loop import (
+    LoopPoint,
     Step,
     box_middle,
-    held_matrices,
-    middle,
     signal_sizes,
     start_corners,
     step_of,
 )
 
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
-"""Places of the signals in a list of bounds; the states follow."""
+"""Places in a list of bounds: of sigma - s, sigma, e, command + d_r, u_eq - d_r - f, and of the first state of z."""
 CORNER_ROOM = 1.2
-"""Widening of what Phi and Gamma at the corners of a box deviate by, for what lies between."""
+"""Factor that widens the deviations of Phi and Gamma at the corners of a box, for plants between the corners."""
 
 
 class BoundsMap(NamedTuple):
-    """The affine map from bounds of the signals in one region to the bounds that follow from them.
+    """The affine map y -> h + M y from bounds of the signals in one region to the bounds that follow from them.
 
-    It is bounds -> forced (+ peaks, with the start) + matrix @ bounds.
+    h is ``forced`` where only the upper limits count, and ``forced + peaks`` from the start on.
 
     Args:
         step: One sample of the middle loop.
         spread: The law in the region: the gains of the middle loop, and the deviations from it.
-        forced: Bounds of the responses to disturbance, reference and deviations of a constant bound, (signals,).
-        peaks: Bounds of the responses to the starts, (signals,).
-        matrix: Bounds of the responses to deviations that are proportional to the bounds, (signals, signals).
-        command: Row over the bounds, and a constant, that bound the true command, (signals + 1,).
+        forced: Bounds of the responses to disturbance, reference and the constant parts of the deviations,
+            shape (signals,).
+        peaks: Bounds of the responses to the starts, shape (signals,).
+        matrix: M, bounds of the responses to the parts of the deviations that grow with the bounds,
+            shape (signals, signals).
+        command: Coefficients of the bound of |command + d_r|: of each signal's bound, and a constant at the end,
+            shape (signals + 1,).
     """
 
     step: Step
@@ -52,6 +56,9 @@ class BoundsMap(NamedTuple):
 def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap | None:
     """The map of bounds to bounds for a law in a region; None if the middle loop is not stable.
 
+    The deviations enter z+ = A z + B w + b_v omega_v + b_u omega_u + omega. Each of them is bounded by a row of
+    coefficients of the signals' bounds, with a constant at the end.
+
     Args:
         problem: The problem, with bounds of the disturbance.
         box: Intervals of k_p, a_p and 1/mu.
@@ -60,61 +67,75 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     is_integrated = spread.is_integrated
     point = box_middle(box, spread.gains)
     step = step_of(problem, point, box, is_integrated=is_integrated)
-    n = step.a.shape[0]
-    t = problem.sample_time
     if spectral_radius(step.a) >= 1.0:
         return None
-    e, _, sigma, change = step.rows
-    slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))
-    equivalent = np.eye(n)[n - 2] + slide_p * change + slide_i * sigma
-    if is_integrated:
-        equivalent = equivalent + point.gains.k_p * np.eye(n)[n - 1]
-    rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
-    share = (box["k_p"][1] - point.k_p) / point.k_p
-    v_column = np.eye(n)[n - 2] - step.push
-    jump = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
-    inputs = np.concatenate([step.b, jump[:, None], v_column[:, None], step.push[:, None], np.eye(n)], axis=1)
+    unit = np.eye(step.a.shape[0])
+    share = (box["k_p"][1] - point.k_p) / point.k_p  # dk_p/k_p
+    v_column = unit[-2] - step.push  # b_v: a change of v (or q) changes the state itself and, through -v, the command
+    jump = problem.sample_time * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
+    inputs = np.concatenate([step.b, jump[:, None], v_column[:, None], step.push[:, None], unit], axis=1)
+    inputs_of_constant_size = step.b.shape[1] + 1  # the columns of w and of the jump; the omegas follow
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
-    result = responses(step.a, rows, inputs, np.stack(starts, axis=1))
-    if result is None:
+    rows = signal_rows(step, spread, point)
+    middle_responses = responses(step.a, rows, inputs, np.stack(starts, axis=1))
+    if middle_responses is None:
         return None
-    m = rows.shape[0]
-    w = step.b.shape[1] + 1
-    integral_deviation = deviation_row(spread.integral, m)
-    command_deviation = deviation_row(spread.command, m)
-    command = np.eye(m + 1)[COMMAND] + integral_deviation + command_deviation
-    sizes = np.zeros((2 + n, m + 1))
-    sizes[0] = integral_deviation
-    sizes[1] = command_deviation + share * command
-    sizes[2:] = held_deviations(problem, box, point.k_p, command)
-    effects = result.sums[:, w:] @ sizes
-    forced = result.sums[:, :w].sum(axis=1) + effects[:, m]
+    signals = rows.shape[0]
+    integral_deviation = deviation_row(spread.integral, signals)  # |omega_v|
+    command_deviation = deviation_row(spread.command, signals)
+    command = np.eye(signals + 1)[COMMAND] + integral_deviation + command_deviation
+    deviations = np.concatenate(
+        [
+            integral_deviation[None],
+            (command_deviation + share * command)[None],  # |omega_u|
+            held_deviations(problem, box, command),  # |omega_i| of each state
+        ]
+    )
+    effects = middle_responses.sums[:, inputs_of_constant_size:] @ deviations
     return BoundsMap(
-        step=step, spread=spread, forced=forced, peaks=result.peaks, matrix=effects[:, :m], command=command
+        step=step,
+        spread=spread,
+        forced=middle_responses.sums[:, :inputs_of_constant_size].sum(axis=1) + effects[:, signals],
+        peaks=middle_responses.peaks,
+        matrix=effects[:, :signals],
+        command=command,
     )
 
 
+def signal_rows(step: Step, spread: LawSpread, point: LoopPoint) -> np.ndarray:
+    """Rows that give the signals from the state z of the middle loop, in the order of their places, (signals, n)."""
+    e, _, sigma, change = step.rows
+    unit = np.eye(step.a.shape[0])
+    # u_eq = v + (1 + tau_av/T_s) (v+ - v), where the slide gains hold the factor 1 + tau_av/T_s
+    slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))
+    equivalent = unit[-2] + slide_p * change + slide_i * sigma
+    if spread.is_integrated:
+        equivalent = equivalent + point.gains.k_p * unit[-1]  # v = q + (phi_1/sigma) s
+    return np.concatenate([[change, sigma, e, step.command, equivalent], unit])
+
+
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
-    """The bound of a deviation as a row over the bounds of the signals, and a constant, (signals + 1,)."""
+    """The bound of a deviation as coefficients of the signals' bounds, and a constant at the end, (signals + 1,)."""
     row = np.zeros(signals + 1)
     row[CHANGE], row[SIGMA], row[signals] = deviation
     return row
 
 
-def held_deviations(problem: ProofProblem, box: Box, k_p: float, command: np.ndarray) -> np.ndarray:
-    """What the deviations of Phi and Gamma from the box's middle add to each state, (n, signals + 1).
+def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.ndarray:
+    """Bounds of |omega_i| = k_p dGamma_i |command| + sum of dPhi_ij |z_j|, what each state deviates by in a sample.
+
+    dPhi and dGamma are the distances of Phi and Gamma at the ends of a_p and 1/mu from those in the middle of the box.
 
     Args:
         problem: The problem.
         box: Intervals of k_p, a_p and 1/mu.
-        k_p: k_p of the middle loop [1/s].
-        command: Row over the bounds, and a constant, that bound the true command, (signals + 1,).
+        command: Coefficients of the bound of |command + d_r|, shape (signals + 1,).
 
     Returns:
-        Rows over the bounds of the signals, and constants.
+        Coefficients of the signals' bounds, and a constant at the end, for each state, shape (n, signals + 1).
     """
     n = command.size - 1 - STATES
-    result = np.zeros((n, command.size))
+    largest = np.zeros((n, command.size))
     phi, gamma = held_matrices(problem, middle(box["a_p"]), middle(box.get("rate", (0.0, 0.0))))
     chi = phi.shape[0]
     for a_p in set(box["a_p"]):
@@ -123,5 +144,5 @@ def held_deviations(problem: ProofProblem, box: Box, k_p: float, command: np.nda
             deviation = np.zeros((n, command.size))
             deviation[:chi, STATES : STATES + chi] = np.abs(corner_phi - phi)
             deviation[:chi] += box["k_p"][1] * np.abs(corner_gamma - gamma)[:, None] * command
-            result = np.maximum(result, deviation)
-    return CORNER_ROOM * result
+            largest = np.maximum(largest, deviation)
+    return CORNER_ROOM * largest

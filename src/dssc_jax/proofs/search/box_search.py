@@ -1,4 +1,4 @@
-"""The search for a proof: boxes of uncertain numbers, and in each a region, a set in it and a residual.
+"""The search for a proof in one box of uncertain numbers: bounds that imply themselves, or invariant sets.
 
 Nothing that is found here counts as proved before :mod:`dssc_jax.proofs.verifier.verdict` has accepted it.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search import bounds_map
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
-from dssc_jax.proofs.search.gains import gain_hull, region_of
+from dssc_jax.proofs.search.gains import NEAR_ORIGIN, gain_hull, region_of
 from dssc_jax.proofs.search.law_spread import StageRegion
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.programs import largest_in_set
@@ -33,14 +33,16 @@ from dssc_jax.proofs.search.set_stages import (
 )
 
 SHRINKING = 8
-"""Largest number of residual stages."""
+"""Largest number of invariant sets after the first one, each within the one before."""
 LOOSE = 1.3
-"""A bound of |e| on the way, over what the loop at sigma = e = 0 reaches, from which a set is tried, too."""
+"""Ratio of the bound of |e| from the start on to the largest |e| of the loop linearised at sigma = e = 0.
+
+Above it the bound counts as loose, and an invariant set is tried, too."""
 
 
 @dataclass(frozen=True)
 class Proof:
-    """The proof in one box: the first stage holds the start and keeps sliding, the others shrink to the residual.
+    """The proof in one box: stages whose regions shrink from one that holds every start to the residual.
 
     Args:
         box: Intervals of k_p, a_p and 1/mu.
@@ -51,40 +53,54 @@ class Proof:
     stages: Sequence[SetStage | BoundsStage]
 
     def to_dict(self) -> dict[str, object]:
-        """The proof as JSON's types, with the arrays of numbers as lists."""
+        """The proof as a table of JSON's types, as a certificate holds it."""
         return asdict(self)
 
 
 class Failure(NamedTuple):
-    """A box for which no proof is found, and what keeps the search from one."""
+    """A box for which no proof is found, and the step of a proof that fails there."""
 
     box: Box
     reason: Obstacle
 
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search a proof for every plant of a box: bounds that imply themselves, or else invariant sets to begin with."""
+    """Search one proof that holds for every plant of a box.
+
+    Bounds that imply themselves are tried first, since they are cheap and tight. Where they fail from the start on or
+    are loose, the proof begins with invariant sets.
+    """
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, Obstacle.SLIDING)
     start_result = from_start(problem, box)
     if not isinstance(start_result, Obstacle):
         stage, allowed_problem = start_result
-        limits = StageRegion(*(stage.bounds[i] for i in (bounds_map.SIGMA, bounds_map.ERROR, bounds_map.CHANGE)))
+        limits = StageRegion(
+            sigma=stage.bounds[bounds_map.SIGMA],
+            e=stage.bounds[bounds_map.ERROR],
+            change=stage.bounds[bounds_map.CHANGE],
+        )
         proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed_problem)])
         return tighter_start(problem, proof)
-    if any(problem.by_state):  # of which the sets know no bound
-        return Failure(box, Obstacle.SLIDING if start_result == Obstacle.SLIDING else Obstacle.GAIN)
+    needs_more_command = start_result == Obstacle.SLIDING  # bounds imply themselves, but u_eq may exceed rho
+    if any(problem.by_state):  # invariant sets cannot bound a disturbance that depends on the state
+        return Failure(box, Obstacle.SLIDING if needs_more_command else Obstacle.GAIN)
     result = proof_by_sets(problem, box)
-    if isinstance(result, Failure) and start_result == Obstacle.SLIDING:  # bounds imply themselves, but exceed rho
+    if isinstance(result, Failure) and needs_more_command:
         return Failure(box, Obstacle.SLIDING)
     return result
 
 
 def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
-    """A proof that begins with an invariant set instead, if bounds of |e| are loose on the way and a set's is smaller.
+    """Replace a proof whose bound of |e| from the start on is loose by one that begins with an invariant set.
 
-    A set costs more time, so that it is only tried where the bound of |e| exceeds by ``LOOSE`` what the loop at sigma =
-    e = 0 reaches.
+    A set costs more time. So it is tried only if the bound of |e| exceeds by the factor ``LOOSE`` what the loop
+    linearised at sigma = e = 0 reaches. It is taken if its bound from the start on is smaller and its last bound not
+    worse by more than ``ENOUGH`` allows.
+
+    Args:
+        problem: The problem.
+        proof: A proof that begins with bounds that imply themselves.
     """
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
@@ -98,41 +114,51 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
-    """The bound of |e| at the samples that a stage shows [m]."""
+    """The bound of |e| [m] at the samples, in which a stage keeps the loop or to which it brings it."""
     if isinstance(stage, BoundsStage):
         return stage.bounds[bounds_map.ERROR]
     return largest_in_set(np.array(stage.p), setting.origin.rows[E])
 
 
 def smallest_error(proof: Proof, setting: Setting) -> float:
-    """The smallest bound of |e| at the samples that a stage of a proof shows [m]."""
+    """The smallest bound of |e| [m] at the samples of all stages: where a proof lets |e| end."""
     return min(reached_error(stage, setting) for stage in proof.stages)
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search a proof that begins with an invariant set which holds the start.
+    """Search a proof that begins with an invariant set which holds every start.
 
-    In the conservative form the coordinate is phi_1 where K_P varies much over the first region, else u_av. If that
-    does not lead to a proof, the other coordinate is tried.
+    In the conservative form the integrator's state may be written as v or as q = v - phi_1. q is better where K_P
+    varies much over the region, so it is tried first there; if one of them leads to no proof, the other is tried.
     """
     if problem.form == "implicit":
         return proof_in_coordinate(problem, box, is_integrated=False)
-    is_wide = False
-    if (setting := setting_of(problem, box)) is not None:
-        excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
-        is_finite = bool(np.all(np.isfinite(excursions)))
-        is_wide = is_finite and len(region_of(problem, excursions[0], excursions[1]).pieces) > 1
-    result = proof_in_coordinate(problem, box, is_integrated=is_wide)
+    gains_vary = gains_vary_on_the_way(problem, box)
+    result = proof_in_coordinate(problem, box, is_integrated=gains_vary)
     if isinstance(result, Failure) and result.reason != Obstacle.ORIGIN:
-        alternative = proof_in_coordinate(problem, box, is_integrated=not is_wide)
+        alternative = proof_in_coordinate(problem, box, is_integrated=not gains_vary)
         return result if isinstance(alternative, Failure) else alternative
     return result
 
 
-def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
-    """Search invariant sets, each within the one before, until bounds imply themselves in the last one's region.
+def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
+    """Whether K_P varies so much over what the loop reaches from its starts that this region needs several pieces."""
+    setting = setting_of(problem, box)
+    if setting is None:
+        return False
+    sigma, e = (excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E))
+    return bool(np.isfinite(sigma) and np.isfinite(e)) and len(region_of(problem, sigma, e).pieces) > 1
 
-    ``is_integrated`` tells whether the coordinate is phi_1 in place of u_av.
+
+def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
+    """Search invariant sets, each within the one before, until bounds imply themselves in the last set.
+
+    Such bounds are tighter than any set, so they end the proof where they exist.
+
+    Args:
+        problem: The problem.
+        box: Intervals of k_p, a_p and 1/mu.
+        is_integrated: Whether the state z contains q = v - phi_1 in place of v.
     """
     if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
         return Failure(box, Obstacle.ORIGIN)
@@ -147,6 +173,7 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
         change = INFLATION * largest_in_set(p, setting.origin.rows[CHANGE])
         if residual_stages := towards_residual(problem, box, StageRegion(sigma, e, change), e, problem):
             return Proof(box, [*stages, *residual_stages])
+        # the first set after the start's tries several rates lambda; the sets after it keep the best of them
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
         if (next_stage := smaller_set(setting, sigma, e, shares)) is None:
             break
@@ -155,16 +182,19 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """The two parts of a box, cut across the side along which the loop's eigenvalues at sigma = e = 0 change most.
+    """Cut a box in two, across the interval along which the loop's eigenvalues change most.
 
-    The cut is at the geometric mean of positive ends, else in the middle.
+    These are the eigenvalues of the loop linearised at sigma = e = 0. The cut is at the geometric mean of positive
+    ends, otherwise in the middle.
     """
-    gains = gain_hull(problem, 1e-9, 1e-9)
+    gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
 
     def eigenvalues(box: Box) -> np.ndarray:
+        """Eigenvalues of one sample in the middle of a box, sorted, shape (n,)."""
         return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
     def eigenvalue_change(name: str) -> float:
+        """How far the eigenvalues move, in all, from one end of an uncertain number to the other."""
         low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
         return float(np.abs(high - low).sum())
 
@@ -175,10 +205,11 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
 
 def volume(box: Box, problem: ProofProblem) -> float:
-    """Share of the problem's box, with 1/mu on a logarithmic scale."""
+    """Share of the problem's box that a smaller box takes, 0 to 1; 1/mu counts on a logarithmic scale."""
     share = 1.0
-    for name, (low, high) in problem.box.items():
-        if low < high:
+    for name, (lowest, highest) in problem.box.items():
+        if lowest < highest:
+            low, high = box[name]
             scale = np.log if name == "rate" else float
-            share *= (scale(box[name][1]) - scale(box[name][0])) / (scale(high) - scale(low))
+            share *= (scale(high) - scale(low)) / (scale(highest) - scale(lowest))
     return float(share)

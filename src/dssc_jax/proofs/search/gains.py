@@ -1,4 +1,10 @@
-"""The gains that the loop can have in a region of sigma and e, in floating point."""
+"""The gains that the sampled loop can have in a region |sigma| <= S, |e| <= E, in floating point.
+
+    v+ = v + K_P (sigma - s) + T_s K_I sigma,    K_P = 1/(k_o tau_av),    K_I = K_P/tau_m,    K_N = 1/(k_n tau_m)
+
+The gains follow from the state-dependent functions k_o, tau_av, tau_m. Their extremes are taken from a grid of points;
+the verifier encloses them rigorously in :mod:`dssc_jax.proofs.verifier.gain_enclosures`.
+"""
 
 from itertools import pairwise, product
 from typing import Any, NamedTuple
@@ -12,25 +18,32 @@ from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.search.sampled_loop import functions_of
 
 GRID = 129
+"""Number of sizes of sigma at which the gains are evaluated, with either sign."""
+NEAR_ORIGIN = 1e-9
+"""Smallest bound of |sigma| [m/s] and of |e| [m] for a region, as close to sigma = e = 0 as the gains are taken."""
 MARGIN = 0.06
-"""Widening of each interval, relative, so that the verifier's enclosures fit in."""
+"""Widening of an interval at each end, as a share of its width, so that the verifier's enclosure fits in."""
 GAIN_NAMES = ("k_p", "k_i", "k_n", "slide_p", "slide_i")
+"""K_P, K_I [1/s] and K_N, then K_P (1 + tau_av/T_s) and T_s K_I (1 + tau_av/T_s), the gains of u_eq."""
 MOST_PIECES = 12
 """Largest number of pieces of a region."""
 PIECE_RATIO = 1.2
-"""Ratio of the largest to the smallest K_P in a piece."""
+"""Ratio of the largest to the smallest K_P that a piece of a region may have."""
 KNOWN_INTEGRALS = ("approx_sta_1", "approx_sta_2", "square_root", "field")
 """Functions of sigma alone with k_o tau_av = alpha (|sigma|^(1/2) + beta), whose integral phi_1 is known."""
 Hull = dict[str, Interval]
+"""Interval of each gain, by its name."""
 GainArrays = dict[str, jax.Array]
+"""Each gain at several points, by its name."""
 
 
 def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Hull:
-    """Intervals of the gains that the loop can have in a region of sigma and e, by name.
+    """Intervals of the gains in a region of sigma and e, by name, widened for the verifier's enclosures.
 
-    They are K_P, K_I and K_N, and K_P and T_s K_I times 1 + tau_av/T_s (``slide_p``, ``slide_i``). In the conservative
-    form, and for ``KNOWN_INTEGRALS``, phi_1/sigma (``mean``) is among them; in the conservative form also d phi_1/d e
-    times 1 + tau_av/T_s (``slide_e``).
+    * :data:`GAIN_NAMES` are always there.
+    * ``mean``: phi_1/sigma; in the conservative form, and in the implicit one for ``KNOWN_INTEGRALS``.
+    * ``slide_e``: (d phi_1/d e)(1 + tau_av/T_s); in the conservative form only.
+    * ``by_e``: the largest |d phi_1/d e|/|sigma|, without width; in the conservative form only.
 
     Args:
         problem: The problem, with the functions and the sampled form.
@@ -44,11 +57,12 @@ def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float =
 
 
 class GainPoints(NamedTuple):
-    """Points of a region, and the gains there.
+    """The gains at points of a region.
 
     Args:
-        sigma: sigma [m/s] at each point.
-        columns: Each gain at the points; of ``slide_p`` and ``slide_e`` in the conservative form only the ends.
+        sigma: sigma [m/s] at each point, shape (points,).
+        columns: Values of each gain, by the names of :func:`gain_hull`, shape (points,) each. In the conservative form
+            ``slide_p`` and ``slide_e`` have the two ends of their interval instead, and ``by_e`` one largest value.
     """
 
     sigma: np.ndarray
@@ -58,34 +72,45 @@ class GainPoints(NamedTuple):
 def gain_points(
     problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0
 ) -> GainPoints:
-    """The gains at points of a region, whose arguments are those of :func:`gain_hull`."""
-    sizes = np.linspace(np.sqrt(sigma_from), np.sqrt(sigma), GRID) ** 2
-    if not sigma_from:
-        sizes[1:] = sigma * np.geomspace(1e-9, 1.0, GRID - 1)
-    values = np.concatenate([-sizes[::-1], sizes])
-    if problem.functions["kind"] == "vgsta":
-        positive = np.linspace(e_from, e, GRID // 2 + 1)
-        errors = np.concatenate([-positive[::-1], positive])
-    else:
-        errors = np.array([e])
-    sigma_grid, error_grid = np.meshgrid(values, errors)
+    """The gains on a grid of a region of sigma and e; the arguments are those of :func:`gain_hull`."""
+    sigma_grid, error_grid = np.meshgrid(sigma_values(sigma_from, sigma), error_values(problem, e_from, e))
     s = sigma_grid.ravel()
-    x = error_grid.ravel()
     nominal = problem.nominal
-    pole = 1.0 / nominal.k if nominal is not None and nominal.predictor_term else 0.0
+    predictor_gain = 1.0 / nominal.k if nominal is not None and nominal.predictor_term else 0.0  # K_N tau_m
     with jax.enable_x64(True):
-        numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(pole)
-        gains = conservative_gains if problem.form == "conservative" else implicit_gains
         functions = functions_of(problem)
-        columns = gains(functions, jnp.asarray(s), jnp.asarray(x), *numbers)
+        arguments = functions, jnp.asarray(s), jnp.asarray(error_grid.ravel()), jnp.float64(problem.l0)
+        gains = conservative_gains if problem.form == "conservative" else implicit_gains
+        columns = gains(*arguments, jnp.float64(problem.sample_time), jnp.float64(predictor_gain))
         if problem.form == "implicit" and problem.functions["kind"] in KNOWN_INTEGRALS:
-            columns["mean"] = mean_gains(functions, jnp.asarray(s), jnp.asarray(x), numbers[0])
+            columns["mean"] = mean_gains(*arguments)
     return GainPoints(s, {name: np.asarray(column) for name, column in columns.items()})
 
 
+def sigma_values(smallest: float, largest: float) -> np.ndarray:
+    """Values of sigma [m/s] with smallest <= |sigma| <= largest, of either sign, shape (2 GRID,).
+
+    They are equally spaced in |sigma|^(1/2). From 0 on they are geometric, since the functions change fastest there.
+    """
+    sizes = np.linspace(np.sqrt(smallest), np.sqrt(largest), GRID) ** 2
+    if not smallest:
+        sizes[1:] = largest * np.geomspace(1e-9, 1.0, GRID - 1)
+    return np.concatenate([-sizes[::-1], sizes])
+
+
+def error_values(problem: ProofProblem, smallest: float, largest: float) -> np.ndarray:
+    """Values of e [m] with smallest <= |e| <= largest; one is enough where the functions do not depend on e."""
+    if problem.functions["kind"] != "vgsta":  # Table 1
+        return np.array([largest])
+    positive = np.linspace(smallest, largest, GRID // 2 + 1)
+    return np.concatenate([-positive[::-1], positive])
+
+
 @jax.jit
-def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The gains of the implicit form at points (sigma, e), (points,) each, by name.
+def implicit_gains(
+    functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, predictor_gain: Scalar
+) -> GainArrays:
+    """The gains :data:`GAIN_NAMES` of the implicit form at points (sigma, e), by name, shape (points,) each.
 
     Args:
         functions: The state-dependent functions.
@@ -93,26 +118,39 @@ def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Sc
         e: e [m], (points,).
         l0: Error pole [1/s].
         t: T_s [s].
-        pole: 1/k_n where the nominal control has its term 1/tau_m; else 0.
+        predictor_gain: 1/k_n where the nominal control has its term 1/tau_m; else 0.
     """
     k_o, tau_av, tau_m = functions.at(s, e, l0)
-    proportional = 1.0 / (k_o * tau_av)
-    reach = 1.0 + tau_av / t
-    integral = proportional / tau_m
-    values = (proportional, integral, pole / tau_m, reach * proportional, reach * t * integral)
-    return dict(zip(GAIN_NAMES, jnp.broadcast_arrays(*values, s)[:-1], strict=True))
+    proportional = 1.0 / (k_o * tau_av)  # K_P
+    integral = proportional / tau_m  # K_I
+    reach = 1.0 + tau_av / t  # factor of v+ - v in u_eq = v + (1 + tau_av/T_s) (v+ - v)
+    gains = {
+        "k_p": proportional,
+        "k_i": integral,
+        "k_n": predictor_gain / tau_m,
+        "slide_p": reach * proportional,
+        "slide_i": reach * t * integral,
+    }
+    return {name: jnp.broadcast_to(gain, s.shape) for name, gain in gains.items()}
 
 
 @jax.jit
 def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Array:
-    """phi_1/sigma at points (sigma, e), (points,)."""
+    """phi_1/sigma, the mean of K_P over [0, sigma], at points (sigma, e), shape (points,)."""
     return jnp.broadcast_to(functions.law(s, e, functions.at(s, e, l0)).gain, s.shape)
 
 
 def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> np.ndarray:
-    """Largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| at |sigma| = ``size`` for |sigma - s| <= ``change``.
+    """R(sigma), how far the implicit form's increment of v is from the change of phi_1 over a sample, (points,).
 
-    K_P falls with |sigma| and is convex in it: near 0 the largest is that of sigma = 0, elsewhere that of s next to 0.
+    It is the largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| over |sigma - s| <= C. K_P falls with |sigma|
+    and is convex in it. So for |sigma| < C the largest is at most that of sigma = 0, and elsewhere that of s = sigma -
+    C, the end next to 0.
+
+    Args:
+        problem: The problem, with functions of sigma alone.
+        size: |sigma| at each point [m/s], shape (points,).
+        change: C, the largest change of sigma in a sample [m/s].
     """
     points = np.concatenate([[0.0, change], size, np.maximum(size - change, 0.0)])
     with jax.enable_x64(True):
@@ -120,46 +158,55 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
         l0 = jnp.float64(problem.l0)
         mean = mean_gains(functions, jnp.asarray(points), jnp.zeros(points.size), l0)
         k_o, tau_av, _ = functions.at(jnp.asarray(points), jnp.zeros(points.size), l0)
-        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), points.size)
+        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), points.size)  # K_P, the slope of phi_1
     phi_1 = np.asarray(mean) * points
-    inner = slope[0] * change - phi_1[1]
-    phi_at_end, phi_at_begin = np.split(phi_1[2:], 2)
-    outer = phi_at_end - phi_at_begin - slope[2 : 2 + size.size] * change
-    return np.where(size < change, inner, outer)
+    slope_at_zero = slope[0]
+    phi_at_change = phi_1[1]
+    slope_at_end = slope[2 : 2 + size.size]
+    phi_at_end, phi_at_begin = np.split(phi_1[2:], 2)  # at |sigma| and at |sigma| - C
+    near_zero = slope_at_zero * change - phi_at_change
+    elsewhere = phi_at_end - phi_at_begin - slope_at_end * change
+    return np.where(size < change, near_zero, elsewhere)
 
 
 @jax.jit
-def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The gains of the conservative form at points (sigma, e), by name; the arguments are those of the implicit form's.
+def conservative_gains(
+    functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, predictor_gain: Scalar
+) -> GainArrays:
+    """The gains of the conservative form at points (sigma, e), by the names of :func:`gain_hull`.
 
     K_P and d phi_1/d e are means over a sample, whereas tau_av belongs to its end. So their products ``slide_p`` and
-    ``slide_e`` are given by their ends over all points.
+    ``slide_e`` are bounded by the products of their extremes over all points. The arguments are those of
+    :func:`implicit_gains`.
     """
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
-    gains = implicit_gains(functions, s, e, l0, t, pole)
+    gains = implicit_gains(functions, s, e, l0, t, predictor_gain)
     reach = 1.0 + at.tau_av / t
-    integral = law.gain * law.rate
-    low = jnp.min(gains["k_p"])
-    high = jnp.max(gains["k_p"])
-    slide_p = jnp.stack([low * jnp.min(reach), high * jnp.max(reach)])
-    mean = jnp.broadcast_to(law.gain, s.shape)
-    _, by_e = jax.jvp(lambda x: functions.law(s, x, functions.at(s, x, l0)).gain * s, (e,), (jnp.ones_like(e),))
-    largest = jnp.max(jnp.abs(by_e)) * jnp.max(reach)
+    integral = law.gain * law.rate  # phi_2/sigma, in place of K_I
+    slide_p = jnp.stack([jnp.min(gains["k_p"]) * jnp.min(reach), jnp.max(gains["k_p"]) * jnp.max(reach)])
+
+    def phi_1(error: jax.Array) -> jax.Array:
+        """phi_1(sigma, e) at all points, as a function of e."""
+        return functions.law(s, error, functions.at(s, error, l0)).gain * s
+
+    _, by_e = jax.jvp(phi_1, (e,), (jnp.ones_like(e),))  # d phi_1/d e
+    slide_e = jnp.max(jnp.abs(by_e)) * jnp.max(reach)
     return gains | {
         "k_i": jnp.broadcast_to(integral, s.shape),
         "slide_i": jnp.broadcast_to(reach * t * integral, s.shape),
         "slide_p": slide_p,
-        "by_e": jnp.max(jnp.abs(by_e / jnp.where(s == 0.0, 1.0, s)))[None],
-        "slide_e": jnp.stack([-largest, largest]),
-        "mean": mean,
+        "by_e": jnp.max(jnp.abs(by_e / jnp.where(s == 0.0, 1.0, s)))[None],  # by_e vanishes at sigma = 0
+        "slide_e": jnp.stack([-slide_e, slide_e]),
+        "mean": jnp.broadcast_to(law.gain, s.shape),
     }
 
 
 def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
-    """The interval of -v/sigma_0 at the start, or of -q/sigma_0, without d_r and f.
+    """The interval of -v/sigma_0 (or -q/sigma_0) before the first sample, apart from d_r + f.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2.
+    Before it u_av = 0. So the start ``zero`` has v = q = 0 with s = 0. The others have s = sigma_0, hence q =
+    -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so its v and q are (T_s/2) phi_2 lower.
 
     Args:
         problem: The problem.
@@ -167,10 +214,11 @@ def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
     """
     if problem.start == "zero":
         return 0.0, 0.0
-    ends = [e_dot + problem.l0 * e for e, e_dot in product(*problem.initial[:2])]
-    sigma_low, sigma_high = magnitudes_of((min(ends), max(ends)))
-    e_low, e_high = magnitudes_of(problem.initial[0])
-    hull = gain_hull(problem, max(sigma_high, 1e-9), max(e_high, 1e-9), sigma_low, e_low)
+    errors, speeds, *_ = problem.initial  # of e, e' and eta
+    first_sigmas = [e_dot + problem.l0 * e for e, e_dot in product(errors, speeds)]
+    sigma_low, sigma_high = magnitudes_of((min(first_sigmas), max(first_sigmas)))
+    e_low, e_high = magnitudes_of(errors)
+    hull = gain_hull(problem, max(sigma_high, NEAR_ORIGIN), max(e_high, NEAR_ORIGIN), sigma_low, e_low)
     low, high = hull["mean"] if is_integrated else (0.0, 0.0)
     if problem.start == "midpoint":
         low += 0.5 * problem.sample_time * hull["k_i"][0]
@@ -179,13 +227,16 @@ def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
 
 
 def magnitudes_of(pair: Interval) -> Interval:
-    """The interval of |x| for x in an interval."""
-    sizes = abs(pair[0]), abs(pair[1])
-    return (min(sizes) if pair[0] * pair[1] > 0.0 else 0.0), max(sizes)
+    """The interval of |x| for x in an interval; it begins at 0 if the ends have no common sign."""
+    low, high = pair
+    smallest = min(abs(low), abs(high)) if low * high > 0.0 else 0.0
+    return smallest, max(abs(low), abs(high))
 
 
 class Region(NamedTuple):
-    """A region of sigma and e with its gains, cut into pieces of |sigma| that are equal in |sigma|^(1/2).
+    """A region of sigma and e, cut into pieces of |sigma| in each of which the gains vary less.
+
+    The pieces are equal in |sigma|^(1/2).
 
     Args:
         sigma: Bound of |sigma| [m/s].
@@ -203,17 +254,22 @@ class Region(NamedTuple):
 
 
 def region_of(problem: ProofProblem, sigma: float, e: float) -> Region:
-    """The region with these bounds of |sigma| [m/s] and |e| [m], in as many pieces as K_P varies by ``PIECE_RATIO``."""
+    """The region with bounds of |sigma| [m/s] and |e| [m], in so many pieces that K_P varies little in each.
+
+    On a logarithmic scale of K_P a piece has the length of ``PIECE_RATIO`` on average.
+    """
     hull = gain_hull(problem, sigma, e)
     low, high = hull["k_p"]
-    ratio = high / low if 0.0 < low < high < np.inf else 1.0  # elsewhere the functions are not positive
+    is_positive = 0.0 < low < high < np.inf  # one piece where K_P is constant, or the functions are not positive
+    ratio = high / low if is_positive else 1.0
     count = int(np.clip(np.ceil(np.log(ratio) / np.log(PIECE_RATIO)), 1, MOST_PIECES))
-    ends = [sigma * (i / count) ** 2 for i in range(count + 1)]
-    return Region(sigma, e, hull, ends[1:], [gain_hull(problem, high, e, low) for low, high in pairwise(ends)])
+    cuts = [sigma * (i / count) ** 2 for i in range(count + 1)]
+    pieces = [gain_hull(problem, sigma=end, e=e, sigma_from=begin) for begin, end in pairwise(cuts)]
+    return Region(sigma, e, hull, ends=cuts[1:], pieces=pieces)
 
 
 def with_room(values: np.ndarray) -> Interval:
-    """The interval of some values, widened by ``MARGIN`` for the verifier; that of a constant stays a number."""
+    """The interval of some values, widened by ``MARGIN`` for the verifier's enclosure; equal values get no room."""
     low = float(values.min())
     high = float(values.max())
     room = MARGIN * (high - low) + (1e-12 * abs(high) if low < high else 0.0)

@@ -6,18 +6,19 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 SIDE = 32
-"""Root of the number of samples that are summed at a time."""
+"""Square root of the number of samples in a block; A^(SIDE i + k) is the product of A^(SIDE i) and A^k."""
 MOST_SAMPLES = 400_000
 TAIL_LEFT_OUT = 1e-5
-"""Share of a sum at which its tail is left out."""
+"""Share of a sum of absolute values below which the rest of the sum is left out."""
 
 
 class Responses(NamedTuple):
-    """Responses of z+ = A z.
+    """How much inputs and starts can move the signals of z+ = A z + B w.
 
     Args:
-        sums: Sums of the absolute impulse responses, (signals, inputs).
-        peaks: Peaks of the responses to the starts, the largest of all starts, (signals,).
+        sums: Sum over all samples of |response| to a unit impulse (the l1 norm), shape (signals, inputs). An input
+            that stays within 1 moves the signal by this at most.
+        peaks: Largest |response| over all samples and starts, shape (signals,).
     """
 
     sums: np.ndarray
@@ -25,19 +26,24 @@ class Responses(NamedTuple):
 
 
 def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.ndarray) -> Responses | None:
-    """The responses of z+ = A z; None if they last longer than ``MOST_SAMPLES``, or are not finite.
+    """Simulate z+ = A z from impulses and starts until the responses have decayed.
 
-    Samples are computed in blocks of ``SIDE``^2, as products of rows A^k and columns A^(i SIDE) z.
+    Samples are computed in blocks of ``SIDE``^2: sample SIDE i + k of a signal is (row A^k) (A^(SIDE i) z).
 
     Args:
-        a: A, (n, n).
-        rows: Rows of the signals, (m, n).
-        inputs: Columns of the inputs, (n, q).
-        starts: Columns of the starts, (n, starts).
+        a: A, shape (n, n).
+        rows: Rows of the signals over z, shape (m, n).
+        inputs: Column of each input, shape (n, q).
+        starts: States z_0 in which the system may start, as columns, shape (n, starts).
+
+    Returns:
+        None if the responses last longer than ``MOST_SAMPLES``, or are not finite.
     """
-    n, q, m = a.shape[0], inputs.shape[1], rows.shape[0]
-    row_powers = [rows]
-    jump_powers = [np.eye(n)]
+    n = a.shape[0]
+    q = inputs.shape[1]
+    m = rows.shape[0]
+    row_powers = [rows]  # row A^k
+    jump_powers = [np.eye(n)]  # A^(SIDE i)
     jump = np.linalg.matrix_power(a, SIDE)
     for _ in range(SIDE - 1):
         row_powers.append(row_powers[-1] @ a)
@@ -45,43 +51,50 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     block_jump = jump @ jump_powers[-1]
     short_rows = np.concatenate(row_powers)
     long_jumps = np.concatenate(jump_powers)
-    decay_share = 1.0 - spectral_radius(block_jump)
+    decay_share = 1.0 - spectral_radius(block_jump)  # what the slowest mode loses in a block
     z = np.concatenate([inputs, starts], axis=1)
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.shape[1]))
     for _ in range(MOST_SAMPLES // SIDE**2):
         block = short_rows @ (long_jumps @ z).reshape(SIDE, n, -1)
         block = np.abs(block, out=block).reshape(SIDE**2, m, -1)
-        block_sums = block.sum(axis=0)[:, :q]  # of all columns, which lie together
+        block_sums = block.sum(axis=0)[:, :q]  # summing all columns is faster, since they are contiguous
         sums = sums + block_sums
         peaks = np.maximum(peaks, block[..., q:].max(axis=0))
         if not np.all(np.isfinite(block_sums)):
             return None
         z = block_jump @ z
-        tails = np.abs(rows @ z[:, q:])
+        # the later blocks add about block_sums/decay_share, a geometric series
         sums_converge = np.all(block_sums <= TAIL_LEFT_OUT * decay_share * sums)
-        if sums_converge and np.all(tails <= np.maximum(1e-3 * peaks, 1e-300)):
+        next_values = np.abs(rows @ z[:, q:])
+        peaks_have_passed = np.all(next_values <= np.maximum(1e-3 * peaks, 1e-300))
+        if sums_converge and peaks_have_passed:
             return Responses(sums, peaks.max(axis=1, initial=0.0))
     return None
 
 
 def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
-    """The decay of z+ = A z: the share of V that is lost in a sample, and P of V = z'Pz, (n, n).
+    """A V = z'Pz that falls along z+ = A z, by which the verifier bounds the tails of the responses.
 
-    V falls half as fast as the slowest mode of ``a`` allows. P follows from two Lyapunov equations, the second one in
-    coordinates in which the solution of the first is the unit matrix.
+    The state may shrink half as fast as its slowest mode does, so that V has room. P solves a Lyapunov equation in
+    coordinates z = S x, where the states that a unit input in every direction excites have size 1; this keeps P well
+    conditioned.
+
+    Args:
+        a: A, stable, shape (n, n).
+
+    Returns:
+        The share of V that is lost in a sample, and P, shape (n, n).
     """
-    n = a.shape[0]
-    radius = spectral_radius(a)
-    contraction = 0.5 * (1.0 + radius)
-    gramian = solve_discrete_lyapunov(a / contraction, np.eye(n))
-    scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
+    contraction = 0.5 * (1.0 + spectral_radius(a))  # of the state in a sample; V shrinks by its square
+    gramian = solve_discrete_lyapunov(a / contraction, np.eye(a.shape[0]))
+    scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))  # S
     inverse = np.linalg.inv(scale)
-    scaled_p = solve_discrete_lyapunov((inverse @ a @ scale / contraction).T, np.eye(n))
+    scaled_p = solve_discrete_lyapunov((inverse @ a @ scale / contraction).T, np.eye(a.shape[0]))
     p = inverse.T @ scaled_p @ inverse
     return float(1.0 - contraction**2), 0.5 * (p + p.T)
 
 
 def spectral_radius(a: np.ndarray) -> float:
-    """The largest modulus of the eigenvalues of a matrix, (n, n)."""
+    """The largest modulus of a matrix's eigenvalues; z+ = A z is stable if it is below 1."""
     return np.max(np.abs(np.linalg.eigvals(a)))

@@ -1,9 +1,9 @@
-"""Deviations of the control law from a linear one in a region of sigma and e, in floating point.
+"""How far the control law deviates from a linear one in a region of sigma and e, in floating point.
 
-With the coordinate v the gains deviate from those of the middle loop. With q = v - phi_1 the functions phi_1, phi_2
-and the nominal control's n do: either by the spread of their ratios to sigma, or by the largest distance from straight
-lines. The first is smaller near sigma = 0, where it vanishes with sigma; the second over a wide region. The increment
-of v in the implicit form is not quite that of phi_1, which adds to what deviates.
+There are three ways to bound it. With the state v, the gains K_P, K_I, K_N deviate from those of the middle loop. With
+q = v - phi_1, the functions phi_1, phi_2 and n = sigma/(k_n tau_m) deviate from straight lines: by so many |sigma|, or
+by a constant. The bound in |sigma| is smaller near sigma = 0, the constant over a wide region. In the implicit form the
+increment of v is not quite the change of phi_1, which adds the deviation R(sigma). docs/proofs.md has the inequalities.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.problem import Interval, ProofProblem, middle
 from dssc_jax.proofs.search.gains import (
     GAIN_NAMES,
     KNOWN_INTEGRALS,
@@ -24,21 +24,22 @@ from dssc_jax.proofs.search.gains import (
     increment_errors,
     with_room,
 )
-from dssc_jax.proofs.search.sampled_loop import functions_of, middle
+from dssc_jax.proofs.search.sampled_loop import functions_of
 
 SLOPE_STEPS = 40
-"""Steps of the search for a slope; each cuts the interval by a third."""
+"""Steps of the search for the slope of a straight line; each cuts the slope's interval by a third."""
 ROOT_CELLS = 40
+"""Number of cells of |sigma|^(1/2) for ratios of slopes."""
 ERROR_CELLS = 10
-"""Cells of |sigma|^(1/2) and of |e| for ratios of slopes, fewer than the verifier's."""
+"""Number of cells of |e| for ratios of slopes."""
 RATIO_ROOM = 1.05
-"""Widening of a ratio of slopes."""
+"""Factor that widens the excess of a ratio of slopes over 1, so that the verifier's enclosure fits in."""
 SLOPE_ROUNDING = 1e-12
-"""Widening of a largest distance, in sizes of the function."""
+"""Widening of a largest distance from a straight line for rounding, as a share of the line's largest value."""
 
 
 class StageRegion(NamedTuple):
-    """Bounds at the samples that make a region.
+    """A region in which the gains of the law are taken: bounds at the samples.
 
     Args:
         sigma: Bound of |sigma| [m/s].
@@ -52,7 +53,10 @@ class StageRegion(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """The coefficients of a bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of a term's deviation."""
+    """A bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of how far a term is from its linear one.
+
+    s is sigma at the sample before. ``constant`` is in the unit of the term, m/s; the other two have none.
+    """
 
     change: float
     sigma: float
@@ -64,13 +68,13 @@ class LawSpread(NamedTuple):
 
     Args:
         is_integrated: Whether the coordinate is q = v - phi_1; otherwise it is v.
-        gains: Interval of each gain, by its name in :data:`GAIN_NAMES`. With the coordinate q, phi_1/sigma stands in
-            place of K_P.
-        integral: Deviation of the increment of the coordinate in a sample.
-        command: Deviation of the command besides.
-        slide: Deviation of the equivalent control; in the conservative form without the part that :func:`slide_hull`
-            bounds.
-        slide_e: Factor of the change of e in a sample, which e adds to the equivalent control.
+        gains: Interval of each gain, by its name in :data:`GAIN_NAMES`; the middle loop has the middle of each. With
+            q, phi_1/sigma stands in place of K_P.
+        integral: omega_v, deviation of the increment of v or q in a sample.
+        command: omega_u, deviation of the command apart from what it takes over from v or q.
+        slide: Deviation of the equivalent control u_eq; in the conservative form without the part that
+            :func:`slide_hull` bounds.
+        slide_e: Factor of the change of e in a sample with which e adds to u_eq [m/s per m].
     """
 
     is_integrated: bool
@@ -82,67 +86,79 @@ class LawSpread(NamedTuple):
 
 
 def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
-    """The control law in a region, once for each way in which its deviations can be bounded.
+    """The control law in a region, once for each way in which its deviation from a linear one can be bounded.
 
-    These ways are gains that deviate (implicit form only), ratios phi/sigma that deviate, and distances from straight
-    lines. In the implicit form the last two need functions whose integral phi_1 is known.
+    The implicit form has gains that deviate, always; with a known integral phi_1 it has q as well. The conservative
+    form has q only.
     """
     points = gain_points(problem, region.sigma, region.e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
     half_width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
-    t = problem.sample_time
-    implicit = problem.form == "implicit"
-    by_gains = []
-    if implicit:
-        by_gains.append(
-            LawSpread(
-                is_integrated=False,
-                gains={name: hull[name] for name in GAIN_NAMES},
-                integral=Deviation(half_width["k_p"], t * half_width["k_i"], 0.0),
-                command=Deviation(0.0, half_width["k_n"], 0.0),
-                slide=Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
-                slide_e=0.0,
-            )
-        )
-        if problem.functions["kind"] not in KNOWN_INTEGRALS:
-            return by_gains
+    is_implicit = problem.form == "implicit"
+    spreads = [gain_spread(problem, hull, half_width)] if is_implicit else []
+    if is_implicit and problem.functions["kind"] not in KNOWN_INTEGRALS:
+        return spreads
     size = np.abs(points.sigma)
-    errors = increment_errors(problem, size, region.change) if implicit else np.zeros(size.size)
+    errors = increment_errors(problem, size, region.change) if is_implicit else np.zeros(size.size)
     change_ratio = (1.0 + MARGIN) * float(errors.max()) / region.change
-    by_ratio = LawSpread(
+    by_ratio = ratio_spread(problem, hull, half_width, change_ratio)
+    return [*spreads, by_ratio, function_spread(points, by_ratio, half_width, problem.sample_time, errors)]
+
+
+def gain_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]) -> LawSpread:
+    """The law in v+ = v + K_P (sigma - s) + T_s K_I sigma, where each gain deviates by half of its interval's width."""
+    return LawSpread(
+        is_integrated=False,
+        gains={name: hull[name] for name in GAIN_NAMES},
+        integral=Deviation(half_width["k_p"], problem.sample_time * half_width["k_i"], 0.0),
+        command=Deviation(0.0, half_width["k_n"], 0.0),
+        slide=Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
+        slide_e=0.0,
+    )
+
+
+def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float], change_ratio: float) -> LawSpread:
+    """The law in q+ = q + T_s phi_2, where phi_1/sigma, phi_2/sigma and K_N deviate by half of their interval's width.
+
+    Args:
+        problem: The problem.
+        hull: Interval of each gain in the region.
+        half_width: Half of each interval's width.
+        change_ratio: R(0)/C, by which |sigma - s| adds to q in the implicit form; 0 in the conservative one.
+    """
+    is_implicit = problem.form == "implicit"
+    slide_change = half_width["slide_p"] if is_implicit else 0.0  # slide_hull bounds it in the conservative form
+    return LawSpread(
         is_integrated=True,
         gains={name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        integral=Deviation(change_ratio, t * half_width["k_i"], 0.0),
+        integral=Deviation(change_ratio, problem.sample_time * half_width["k_i"], 0.0),
         command=Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
-        slide=Deviation(half_width["slide_p"] if implicit else 0.0, half_width["mean"] + half_width["slide_i"], 0.0),
-        slide_e=0.0 if implicit else hull["slide_e"][1],
+        slide=Deviation(slide_change, half_width["mean"] + half_width["slide_i"], 0.0),
+        slide_e=0.0 if is_implicit else hull["slide_e"][1],
     )
-    return [*by_gains, by_ratio, function_spread(points, by_ratio, half_width, t, errors)]
 
 
 def function_spread(
     points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float, errors: np.ndarray
 ) -> LawSpread:
-    """The control law in a region, with the functions' distances from the straight lines that are nearest to them.
+    """The law in q, where phi_1, phi_2 and n deviate by a constant from the straight lines nearest to them.
 
     Args:
         points: Gains at points of the region.
-        by_ratio: The law whose deviations are those of the ratios phi/sigma.
-        half_width: Half widths of the gains' intervals.
+        by_ratio: The law whose deviations are bounded in |sigma|; what is the same is taken from it.
+        half_width: Half of the width of each gain's interval.
         t: T_s [s].
-        errors: Bound, at each point, of what the increment of v deviates by from that of phi_1.
+        errors: R(sigma), what the increment of v differs by from the change of phi_1, shape (points,).
     """
     size = np.abs(points.sigma)
-    columns = points.columns
-    slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
-    ratio_of_command = columns["mean"] + columns["k_n"]
-    mean_distance = largest_distance(size, columns["mean"], slopes["mean"])
-    integral_distance = largest_distance(size, columns["k_i"], slopes["k_i"], errors / t)
-    command_distance = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
-    gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
+    mean, k_i, k_n = (points.columns[name] for name in ("mean", "k_i", "k_n"))  # phi_1, phi_2 and n over sigma
+    k_1, k_2, k_3 = (nearest_slope(size, ratio) for ratio in (mean, k_i, k_n))
+    integral_distance = largest_distance(size, k_i, k_2, errors / t)  # of phi_2, plus R/T_s
+    command_distance = largest_distance(size, mean + k_n, k_1 + k_3)  # of phi_1 + n
+    mean_distance = largest_distance(size, mean, k_1)  # of phi_1
     return LawSpread(
         is_integrated=True,
-        gains=gains,
+        gains=by_ratio.gains | {"k_p": (k_1, k_1), "k_i": (k_2, k_2), "k_n": (k_3, k_3)},
         integral=Deviation(0.0, 0.0, t * integral_distance),
         command=Deviation(0.0, 0.0, command_distance),
         slide=Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
@@ -150,32 +166,37 @@ def function_spread(
     )
 
 
-SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
-"""The gain of the middle loop that each slope becomes."""
-
-
 def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: np.ndarray | float = 0.0) -> float:
-    """The largest |ratio - slope| |sigma| + offset over points with |sigma| = ``size``, a little widened."""
+    """The largest |f(sigma) - slope sigma| + offset over some points, widened for the verifier's enclosure.
+
+    Args:
+        size: |sigma| at the points, shape (points,).
+        ratio: f(sigma)/sigma there, shape (points,).
+        slope: Slope of the straight line.
+        offset: What adds to the distance, a number or shape (points,).
+    """
     distance = float(np.max(np.abs(ratio - slope) * size + offset))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
     return (1.0 + MARGIN) * distance + rounding
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
-    """The slope of the straight line through 0 that is nearest to the function ratio sigma.
+    """The slope of the straight line through 0 with the least largest distance from a function f(sigma).
 
-    The largest distance is convex in the slope, so that cutting thirds off an interval finds it.
+    The largest distance is convex in the slope, so that cutting thirds off an interval finds the least.
 
     Args:
-        size: |sigma| at points.
-        ratio: The function over sigma there.
+        size: |sigma| at some points, shape (points,).
+        ratio: f(sigma)/sigma there, shape (points,).
     """
     low = float(ratio.min())
     high = float(ratio.max())
     for _ in range(SLOPE_STEPS):
         lower_slope = low + (high - low) / 3.0
         upper_slope = high - (high - low) / 3.0
-        if np.max(np.abs(ratio - lower_slope) * size) <= np.max(np.abs(ratio - upper_slope) * size):
+        distance_of_lower = np.max(np.abs(ratio - lower_slope) * size)
+        distance_of_upper = np.max(np.abs(ratio - upper_slope) * size)
+        if distance_of_lower <= distance_of_upper:
             high = upper_slope
         else:
             low = lower_slope
@@ -188,10 +209,11 @@ def middle_gains(spread: LawSpread) -> list[float]:
 
 
 def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
-    """The interval of the gain of sigma - s in the equivalent control.
+    """The interval of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control; it has no unit.
 
-    With a constant k_o, tau_av K_P is 1/k_o times a ratio of slopes of phi_1 at points within a sample, which varies
-    less than its factors.
+    In the conservative form K_P is a mean over the sample, whereas tau_av belongs to its end. With a constant k_o,
+    tau_av = 1/(k_o g) with the slope g of phi_1. So tau_av K_P is 1/k_o times a ratio of slopes at points within one
+    sample, which varies less than the product of the extremes.
 
     Args:
         problem: The problem.
@@ -200,19 +222,21 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
         error_change: Bound of the change of e in a sample [m].
     """
     hull = gain_hull(problem, *region)
+    by_extremes = hull["slide_p"]
     functions = problem.functions
     if problem.form == "implicit" or "k_o" not in functions or functions["kind"] == "constant":
-        return hull["slide_p"]
+        return by_extremes
     ratio = slope_ratio(problem, region, change, error_change)
-    averaged_gain = 1.0 / (functions["k_o"] * problem.sample_time)
-    low = hull["k_p"][0] + averaged_gain / ratio
-    high = hull["k_p"][1] + averaged_gain * ratio
-    widest = hull["slide_p"]
-    return (low, high) if high - low < widest[1] - widest[0] else widest
+    averaging_gain = 1.0 / (functions["k_o"] * problem.sample_time)  # tau_av K_P/T_s where the slopes agree
+    k_p_low, k_p_high = hull["k_p"]
+    by_ratio = (k_p_low + averaging_gain / ratio, k_p_high + averaging_gain * ratio)
+    return min(by_extremes, by_ratio, key=lambda interval: interval[1] - interval[0])
 
 
 def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> float:
-    """The largest ratio of the slopes d phi_1/d sigma at two points within a sample, on a grid of cells.
+    """The largest ratio of the slopes d phi_1/d sigma at two points that the loop can pass within one sample.
+
+    Each cell of a grid of sigma and e is compared with all cells that are near enough.
 
     Args:
         problem: The problem.
@@ -226,13 +250,13 @@ def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: floa
     with jax.enable_x64(True):
         s, x = jnp.meshgrid(jnp.asarray(size), jnp.asarray(errors), indexing="ij")
         k_o, tau_av, _ = functions_of(problem).at(s, x, jnp.float64(problem.l0))
-        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), s.shape)
-    cells = int(np.ceil(error_change * ERROR_CELLS / e)) if e > 0.0 else 0
+        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), s.shape)  # K_P
+    error_reach = int(np.ceil(error_change * ERROR_CELLS / e)) if e > 0.0 else 0  # cells that e crosses in a sample
     largest_ratio = 1.0
     for i in range(ROOT_CELLS):
         begin = max(int(np.searchsorted(size, size[i] - change, side="right")) - 1, 0)
         end = min(int(np.searchsorted(size, size[i + 1] + change)), ROOT_CELLS)
         for j in range(ERROR_CELLS):
-            nearby_slopes = slope[begin : end + 1, max(j - cells, 0) : j + 2 + cells]
+            nearby_slopes = slope[begin : end + 1, max(j - error_reach, 0) : j + 2 + error_reach]
             largest_ratio = max(largest_ratio, float(nearby_slopes.max() / nearby_slopes.min()))
     return 1.0 + RATIO_ROOM * (largest_ratio - 1.0)

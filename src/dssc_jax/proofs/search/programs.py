@@ -1,4 +1,8 @@
-"""Semidefinite programs for a common V = z'Pz, solved by Clarabel in scaled coordinates and divided by T_s."""
+"""Semidefinite programs for a V = z'Pz that falls along every step z+ = A z + B w of a loop, solved by Clarabel.
+
+The programs are stated in coordinates z = S x in which typical states have size 1, and their inequalities are divided
+by T_s. Without both the solver is not accurate enough at short sample times.
+"""
 
 import importlib
 from collections.abc import Sequence
@@ -15,13 +19,13 @@ clarabel: Any = importlib.import_module("clarabel")  # its extension module has 
 SLACK = 1e-7
 """Smallest eigenvalue that is asked of every scaled matrix, so that rounding P does not spoil the proof."""
 TIGHT = 1e-4
-"""Room that is left in every bound, for the same reason."""
+"""Share of every bound that is left free, for the same reason."""
 TRIES = 3
-"""Number of coordinates that are tried."""
+"""Number of coordinates S in which a program is solved before it counts as unsolved."""
 FIRST_STEPS = 16
-"""Number of steps in the first program."""
+"""Number of steps in the first program of a loop."""
 ADDED = 6
-"""Number of violated steps that join a program at a time."""
+"""Largest number of violated steps that join a program before it is solved again."""
 GAP = 1e-4
 """Accuracy of a program's cost; its inequalities are met as well as Clarabel meets them by default."""
 SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
@@ -40,13 +44,13 @@ class Affine(NamedTuple):
 
 
 class BoundedRow(NamedTuple):
-    """A row whose |row z| is to stay below a bound in the set V <= 1.
+    """A signal row z whose size in the set {V <= 1} is to stay below a bound.
 
     Args:
-        row: (n,).
-        bound: The bound.
-        weight: Weight of (|row z|/bound)^2 in the cost; None: the bound may be exceeded, and the cost is the largest
-            (|row z|/bound)^2 of all such rows.
+        row: The signal as a row over z, shape (n,).
+        bound: The bound of |row z|.
+        weight: Weight of (|row z|/bound)^2 in the cost. None: the bound may be exceeded, and the largest
+            (|row z|/bound)^2 of all such rows joins the cost.
     """
 
     row: np.ndarray
@@ -58,8 +62,8 @@ class Solution(NamedTuple):
     """A set {z'Pz <= 1} that is invariant and attracts.
 
     Args:
-        p: P, (n, n).
-        multipliers: mu_j of each input, (inputs,).
+        p: P, shape (n, n).
+        multipliers: mu_j [1/s] of each input, shape (inputs,); see :func:`invariant_set`.
         rate: lambda [1/s].
     """
 
@@ -69,33 +73,40 @@ class Solution(NamedTuple):
 
 
 def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarray | None:
-    """Coordinates z = S x in which the states that starts and inputs excite have size 1, (n, n).
+    """Coordinates z = S x in which the states that starts and inputs excite have size 1.
+
+    S is a Cholesky factor of the stationary covariance of z+ = A z + noise. The noise has the directions of the inputs
+    and of the starts, and a little of all others.
 
     Args:
         step: One sample.
-        starts: States in which the loop may start, (n,) each.
-        decay: Share of a state that is lost within a sample.
+        starts: States in which the loop may start, shape (n,) each.
+        decay: Share of the slowest mode that is lost in a sample.
 
     Returns:
-        None if the loop is not stable, or excites a subspace only.
+        S, shape (n, n); None if the loop is not stable, or so little of a direction is excited that S does not exist.
     """
     n = step.a.shape[0]
     if spectral_radius(step.a) >= 1.0:
         return None
     columns = np.stack(starts, axis=1) * np.sqrt(decay)
     excitation = step.b @ step.b.T + columns @ columns.T
-    noise = excitation + 1e-9 * np.trace(excitation) * np.eye(n) if np.any(excitation) else np.eye(n)
-    gramian = solve_discrete_lyapunov(step.a, noise)
+    floor = 1e-9 * np.trace(excitation) if np.any(excitation) else 1.0
+    covariance = solve_discrete_lyapunov(step.a, excitation + floor * np.eye(n))
     try:
-        return cholesky(0.5 * (gramian + gramian.T), lower=True)
+        return cholesky(0.5 * (covariance + covariance.T), lower=True)
     except np.linalg.LinAlgError:
         return None
 
 
 def triangles(matrices: np.ndarray) -> np.ndarray:
-    """Upper triangles by columns with off-diagonal entries times sqrt(2), the form of Clarabel's cones, (entries, k).
+    """Symmetric matrices as Clarabel's cones take them: the upper triangle by columns, off-diagonals times sqrt(2).
 
-    ``matrices`` are k symmetric ones, (k, n, n), or one, (n, n).
+    Args:
+        matrices: k symmetric matrices, shape (k, n, n), or a single one, shape (n, n).
+
+    Returns:
+        One column for each matrix, shape (n (n + 1)/2, k).
     """
     columns, rows = np.tril_indices(matrices.shape[-1])  # the lower triangle by rows is the upper one by columns
     weights = np.where(rows == columns, 1.0, np.sqrt(2.0))
@@ -103,19 +114,22 @@ def triangles(matrices: np.ndarray) -> np.ndarray:
 
 
 def symmetric_of(values: np.ndarray, n: int) -> np.ndarray:
-    """The symmetric matrix with these n (n + 1)/2 entries in its upper triangle, by rows, (n, n)."""
+    """The symmetric matrix, shape (n, n), from the n (n + 1)/2 entries of its upper triangle, row by row."""
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = values
     return matrix + np.triu(matrix, 1).T
 
 
 def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) -> np.ndarray | None:
-    """The x that minimises cost'x; None if Clarabel finds no solution.
+    """Solve a semidefinite program: the x, shape (variables,), that minimises cost'x.
 
     Args:
-        cost: Cost of each variable, (variables,).
-        matrices: Matrices that must be positive semidefinite.
-        linear: Rows whose product with [x, 1] must not be negative, (rows, variables + 1).
+        cost: Cost of each variable, shape (variables,).
+        matrices: Matrices, affine in x, that must be positive semidefinite.
+        linear: Rows whose product with (x, 1) must not be negative, shape (rows, variables + 1).
+
+    Returns:
+        x; None if Clarabel finds no solution.
     """
     count = cost.size
     blocks = [-linear[:, :-1]]
@@ -131,7 +145,7 @@ def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) 
     settings.tol_gap_abs = GAP
     settings.tol_gap_rel = GAP
     solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((count, count)),
+        sparse.csc_matrix((count, count)),  # no quadratic cost
         cost,
         sparse.csc_matrix(np.concatenate(blocks)),
         np.concatenate(offsets),
@@ -147,10 +161,11 @@ class SetPrograms(NamedTuple):
 
     Args:
         sample_time: T_s [s].
-        starts: States that a set may have to hold.
-        scale: Coordinates z = scale x, (n, n).
-        spare: Share of decay and multipliers that is left to the verifier's balls.
-        active: Numbers of the steps that have bound a solution; the next program begins with them.
+        starts: States that a set may have to hold, shape (n,) each.
+        scale: S of the coordinates z = S x, shape (n, n).
+        spare: Share of the decay and of the multipliers that is left for the widths of the verifier's balls.
+        active: Indices of the steps that the last program took in. It is changed in place, so that the next program
+            begins with them.
     """
 
     sample_time: float
@@ -163,17 +178,17 @@ class SetPrograms(NamedTuple):
 def invariant_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
-    """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
+    """Find V = z'Pz such that {V <= 1} is invariant, attracts, and keeps some signals small (premise P6).
 
     For every step (A, B) and inputs |w_j| <= 1: V(z+) <= (1 - T_s lambda) V(z) + T_s sum of mu_j w_j^2, and the sum of
-    mu_j is at most lambda. Few steps bind, so that the others are left out until a solution violates them. Where a
-    solution is not accurate enough, its own P gives the coordinates of another try.
+    mu_j is at most lambda. Few steps decide the solution, so the others are left out until a solution violates them.
+    Where a solution is not accurate enough, its own P gives the coordinates S of another try.
 
     Args:
         programs: What the programs of the loop share.
-        steps: The steps at every corner.
+        steps: A and B at every corner of plant and gains.
         rate: lambda [1/s].
-        rows: Rows to bound.
+        rows: Signals to bound in the set.
         holds_start: Whether the set has to hold the starts.
 
     Returns:
@@ -185,8 +200,8 @@ def invariant_set(
         return None
     active = programs.active
     tries = 0
-    first_steps = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
-    active[:] = [i for i in active if i < len(steps)] or first_steps
+    evenly_spread = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
+    active[:] = [i for i in active if i < len(steps)] or evenly_spread
     while tries < TRIES:
         solution = solve_set(programs, [steps[i] for i in active], rate, rows, holds_start=holds_start)
         if solution is None:
@@ -194,58 +209,61 @@ def invariant_set(
         slack = decrease_slack(a, b, programs.sample_time, solution)
         if np.all(slack > 0.0):
             return solution
-        violated_steps = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active][:ADDED]
-        active += violated_steps
-        if not violated_steps:
+        new_violated_steps = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active]
+        active += new_violated_steps[:ADDED]
+        if not new_violated_steps:  # the solver was not accurate enough
             tries += 1
             programs = programs._replace(scale=np.linalg.inv(np.linalg.cholesky(solution.p)).T)
     return None
 
 
 def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: Solution) -> np.ndarray:
-    """How much V falls more than it has to at every corner, (steps,), in coordinates in which P is I.
+    """How much more V falls over each step than it has to, shape (steps,); positive if P6 holds.
+
+    With P = R R', x = R'z and inputs scaled by (T_s mu_j)^(1/2), P6 reads |x+|^2 <= (1 - T_s lambda) |x|^2 + |w|^2.
 
     Args:
-        a: A of each step, (steps, n, n).
-        b: B of each step, (steps, n, inputs).
+        a: A of each step, shape (steps, n, n).
+        b: B of each step, shape (steps, n, inputs).
         sample_time: T_s [s].
         solution: P, multipliers and rate.
 
     Returns:
-        The smallest eigenvalue of the quadratic form of z and w; -inf where an input without a multiplier acts.
+        The smallest eigenvalue of this quadratic form of (x, w); -inf where an input without a multiplier acts.
     """
-    root = np.linalg.cholesky(solution.p)
-    is_active = solution.multipliers > 0.0
-    weights = np.sqrt(sample_time * solution.multipliers[is_active])
+    root = np.linalg.cholesky(solution.p)  # R
+    has_multiplier = solution.multipliers > 0.0
+    weights = np.sqrt(sample_time * solution.multipliers[has_multiplier])
     n = root.shape[0]
-    contraction = 1.0 - sample_time * solution.rate
-    limit = np.diag([*(contraction for _ in range(n)), *(1.0 for _ in weights)])
-    scaled_step = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, is_active] / weights], axis=2)
+    limit = np.diag(np.concatenate([np.full(n, 1.0 - sample_time * solution.rate), np.ones(weights.size)]))
+    scaled_step = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, has_multiplier] / weights], axis=2)
     slack = np.linalg.eigvalsh(limit - scaled_step.transpose(0, 2, 1) @ scaled_step)[:, 0]
-    return np.where(np.any(b[:, :, ~is_active], axis=(1, 2)), -np.inf, slack)
+    other_input_acts = np.any(b[:, :, ~has_multiplier], axis=(1, 2))
+    return np.where(other_input_acts, -np.inf, slack)
 
 
 def solve_set(
     programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
-    """Solve one program of :func:`invariant_set`, whose arguments these are; None if it has no solution."""
+    """Solve the program of :func:`invariant_set` for some of its steps; None if it has no solution."""
     program = SetProgram(programs, steps, rate, rows, programs.starts if holds_start else [])
     x = minimiser(program.cost(), program.matrices(), program.inequalities())
     return None if x is None else program.solution(x)
 
 
 class SetProgram:
-    """One semidefinite program of :func:`invariant_set`.
+    """The matrices of one semidefinite program of :func:`invariant_set`.
 
-    Its variables are, in this order: the entries of P in scaled coordinates; the multiplier of each input that acts; a
-    bound of the square of each weighted row; and one bound of the squares of all other rows.
+    Its variables are, in this order: the entries of S'P S, that is of P in the coordinates z = S x; the multiplier of
+    each input that acts; for each row with a weight, a bound of its largest (|row z|/bound)^2 in the set; and, if there
+    are rows without a weight, one such bound for all of them.
 
     Args:
         programs: What the programs of the loop share.
-        steps: The steps.
+        steps: A and B of the steps over which V has to fall.
         rate: lambda [1/s].
-        rows: Rows to bound.
-        starts: States that the set has to hold.
+        rows: Signals to bound in the set.
+        starts: States that the set has to hold, shape (n,) each.
     """
 
     def __init__(
@@ -256,6 +274,7 @@ class SetProgram:
         rows: Sequence[BoundedRow],
         starts: Sequence[np.ndarray],
     ) -> None:
+        """Count the variables: which inputs act, and which rows have a weight."""
         self.sample_time = programs.sample_time
         self.scale = programs.scale
         self.inverse = np.linalg.inv(programs.scale)
@@ -265,16 +284,17 @@ class SetProgram:
         self.starts = starts
         self.n = self.scale.shape[0]
         self.entries = self.n * (self.n + 1) // 2
+        # the symmetric matrix that belongs to a unit of each entry of P
         self.basis = np.stack([symmetric_of(unit, self.n) for unit in np.eye(self.entries)])
         self.inputs = steps[0].b.shape[1]
         self.active_inputs = [j for j in range(self.inputs) if any(np.any(step.b[:, j]) for step in steps)]
         self.weighted_rows = [row for row in rows if row.weight is not None]
         self.minimax_rows = [row for row in rows if row.weight is None]
-        self.first_square = self.entries + len(self.active_inputs)
+        self.first_square = self.entries + len(self.active_inputs)  # index of the first bound of a square
         self.count = self.first_square + len(self.weighted_rows) + bool(self.minimax_rows)
 
     def cost(self) -> np.ndarray:
-        """Cost of each variable: the weights of the rows, and 1 for the largest square of all others."""
+        """Cost of each variable: a row's weight for the bound of its square; 1 for the common bound of all others."""
         cost = np.zeros(self.count)
         cost[self.first_square :] = 1.0
         for j, bounded_row in enumerate(self.weighted_rows):
@@ -282,7 +302,7 @@ class SetProgram:
         return cost
 
     def matrices(self) -> list[Affine]:
-        """The matrices that must be positive semidefinite."""
+        """The matrices that must be positive semidefinite: V falls over each step, and squares have their bounds."""
         matrices = [self.decrease(step) for step in self.steps]
         for j, bounded_row in enumerate(self.weighted_rows):
             matrices.append(self.bounded_square(self.first_square + j, bounded_row))
@@ -294,27 +314,33 @@ class SetProgram:
         """How much more than required V falls over a step, as a quadratic form of the state z and the inputs w.
 
         It is ((1 - T_s lambda) V(z) - V(z+))/T_s + sum of mu_j w_j^2; see :func:`invariant_set`. ``spare`` enlarges
-        lambda and reduces the multipliers mu_j, and SLACK is taken from all eigenvalues.
+        lambda and reduces the multipliers mu_j, and SLACK is taken from all eigenvalues. With A = I + T_s Delta and
+        B = T_s B_delta, (V(z+) - V(z))/T_s at w = 0 is the form of P Delta + Delta'P + T_s Delta'P Delta.
         """
         n = self.n
         entries = self.entries
         a = self.inverse @ step.a @ self.scale
         delta = (a - np.eye(n)) / self.sample_time
-        b = self.inverse @ step.b[:, self.active_inputs] / self.sample_time
+        b_delta = self.inverse @ step.b[:, self.active_inputs] / self.sample_time
         size = n + len(self.active_inputs)
         slopes = np.zeros((self.count, size, size))
-        basis_by_delta = self.basis @ delta
-        growth = basis_by_delta + basis_by_delta.transpose(0, 2, 1) + self.sample_time * delta.T @ basis_by_delta
+        p_delta = self.basis @ delta
+        growth = p_delta + p_delta.transpose(0, 2, 1) + self.sample_time * delta.T @ p_delta
         slopes[:entries, :n, :n] = -growth - (1.0 + self.spare) * self.rate * self.basis
-        slopes[:entries, :n, n:] = -a.T @ self.basis @ b
+        slopes[:entries, :n, n:] = -a.T @ self.basis @ b_delta
         slopes[:entries, n:, :n] = slopes[:entries, :n, n:].transpose(0, 2, 1)
-        slopes[:entries, n:, n:] = -self.sample_time * b.T @ self.basis @ b
+        slopes[:entries, n:, n:] = -self.sample_time * b_delta.T @ self.basis @ b_delta
         for j in range(len(self.active_inputs)):
             slopes[entries + j, n + j, n + j] = 1.0 - self.spare
         return Affine(-SLACK * np.eye(size), slopes)
 
     def bounded_square(self, square: int, bounded_row: BoundedRow) -> Affine:
-        """The matrix that is positive semidefinite if variable ``square`` bounds (row z/bound)^2 in the set."""
+        """The matrix [[P, c'], [c, x_square]], positive semidefinite if x_square bounds (c x)^2 in the set.
+
+        Args:
+            square: Index of the variable x_square.
+            bounded_row: The signal and its bound; c = row S/bound.
+        """
         n = self.n
         ratio = bounded_row.row @ self.scale / bounded_row.bound
         origin = np.zeros((n + 1, n + 1))
@@ -326,10 +352,10 @@ class SetProgram:
         return Affine(origin, slopes)
 
     def inequalities(self) -> np.ndarray:
-        """Rows whose product with [x, 1] must not be negative.
+        """Rows whose product with (x, 1) must not be negative, shape (rows, variables + 1).
 
-        The multipliers add up to the rate at most, the set holds the starts, no multiplier is negative, and the set
-        stays within the bounds of the weighted rows.
+        In this order: the multipliers add up to the rate at most, the set holds each start, no multiplier is negative,
+        and each weighted row stays within its bound.
         """
         multipliers = len(self.active_inputs)
         linear = np.zeros((1 + len(self.starts) + multipliers + len(self.weighted_rows), self.count + 1))
@@ -337,8 +363,8 @@ class SetProgram:
         linear[0, -1] = self.rate * (1.0 - 1e-6)
         for i, start in enumerate(self.starts):
             x = self.inverse @ start
-            weights = np.outer(x, x)
-            weights = 2.0 * weights - np.diag(np.diag(weights))
+            squares = np.outer(x, x)
+            weights = 2.0 * squares - np.diag(np.diag(squares))  # an entry off the diagonal counts twice in x'Px
             linear[1 + i, : self.entries] = -weights[np.triu_indices(self.n)]
             linear[1 + i, -1] = 1.0 - TIGHT
         first = 1 + len(self.starts)
@@ -350,7 +376,7 @@ class SetProgram:
         return linear
 
     def solution(self, x: np.ndarray) -> Solution | None:
-        """The solution that the variables give; None if it is not accurate enough to hold."""
+        """The set that the solver's variables x describe, in z; None if P or a bound fails by the solver's error."""
         scaled_p = symmetric_of(x[: self.entries], self.n)
         p = self.inverse.T @ scaled_p @ self.inverse
         is_exceeded = any(largest_in_set(p, bounded_row.row) > bounded_row.bound for bounded_row in self.weighted_rows)
@@ -365,5 +391,5 @@ class SetProgram:
 
 
 def largest_in_set(p: np.ndarray, row: np.ndarray) -> float:
-    """The largest |row z| in z'Pz <= 1."""
+    """The largest |row z| over the set {z'Pz <= 1}, (row P^-1 row')^(1/2)."""
     return float(np.sqrt(row @ np.linalg.solve(p, row)))

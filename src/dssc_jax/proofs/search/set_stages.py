@@ -1,4 +1,4 @@
-"""Sets {z'Pz <= 1} that are invariant and attract, found by semidefinite programs in one box of plants."""
+"""Sets {z'Pz <= 1} that are invariant and attract (method 1), found by semidefinite programs in one box of plants."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.proofs.problem import Box, ProofProblem
-from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, start_ratio
+from dssc_jax.proofs.problem import Box, ProofProblem, middle
+from dssc_jax.proofs.search.gains import NEAR_ORIGIN, Hull, Region, gain_hull, region_of, start_ratio
 from dssc_jax.proofs.search.impulse_responses import responses, spectral_radius
 from dssc_jax.proofs.search.law_spread import slide_hull
 from dssc_jax.proofs.search.obstacles import Obstacle
@@ -26,47 +26,47 @@ from dssc_jax.proofs.search.sampled_loop import (
     Step,
     box_middle,
     box_steps,
-    middle,
     signal_sizes,
     start_corners,
     step_of,
 )
 
 FIRST_REGION = 1.02
-"""Smallest region that is tried, in sizes of the start."""
+"""Ratio of the first region to what the loop linearised at sigma = e = 0 reaches from its starts."""
 LARGEST_REGION = 30.0
-"""Largest region that is tried, in sizes of the first one."""
+"""Ratio of the largest region that is tried to the first one."""
 MOST_REGIONS = 20
-"""Largest number of regions."""
+"""Largest number of regions that are tried."""
 CURVE_SHARE = 1e-3
-"""Share of the decay that the remainder of a polynomial in 1/mu may take."""
+"""Share of V's fall in a sample that the remainder of the polynomial in 1/mu may take."""
 MOST_DEGREE = 6
-"""Largest degree of a polynomial in 1/mu."""
+"""Largest degree of the polynomial in 1/mu."""
 REGION_ROOM = 1.03
-"""Room around the set that sizes the next region."""
+"""Ratio of the next region to the set that did not fit into the last one."""
 START_RATES = (0.3, 0.12, 0.04)
-"""Values of lambda that are tried for a set that holds the start; in the loop's slowest decay."""
+"""Values of lambda, over the decay of the loop's slowest mode, that are tried for a set that holds the start."""
 RATES = (0.3, 0.6, 0.12, 0.04)
-"""Values of lambda that are tried for a set that need not hold the start; in the loop's slowest decay."""
+"""Values of lambda, over the decay of the loop's slowest mode, that are tried for a set after the first one."""
 ENOUGH = 0.98
-"""Another set is worth its time if its |e| is at most this share of the last bound."""
+"""Ratio of a set's |e| to the last bound, up to which the set is worth its time."""
 ENOUGH_RATES = 2
-"""Number of rates with a set after which no other is tried."""
+"""Number of rates with a set after which no further rate is tried."""
 INFLATION = 1.001
-"""A set attracts; its trajectories enter this multiple of it in finite time."""
+"""Factor of a set that attracts, which every trajectory enters in finite time."""
 SPARE = 0.01
-"""Share of the decay that is left to the verifier's balls, for one plant."""
+"""Share of V's fall that is left for the widths of the verifier's balls, for one plant."""
 SPARE_OF_BOXES = 0.1
-"""Share of the decay that is left to the verifier's balls, for a box of a_p or mu."""
+"""Share of V's fall that is left for the widths of the verifier's balls, for an interval of a_p or mu."""
 CHANGE_ROOM = 8.0
-"""Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
+"""Bound of the change of sigma in a sample within a set, over its largest in the loop linearised at sigma = e = 0."""
 CHANGE_WEIGHT = 1e-3
-"""Weight of that change in the cost."""
+"""Weight of that change in the cost of a program."""
 GAIN_ROOM = 1.03
-"""Widening of what phi_1 changes by with e, for the verifier's enclosures."""
+"""Factor that widens what phi_1 changes by with e, for the verifier's enclosure."""
 SPEED_ROOM = 1.05
-"""Widening of |e'| at the samples for the time between them."""
-E, TRUE_E, SIGMA, CHANGE = range(4)  # rows of a step
+"""Factor that widens |e'| at the samples, for the time between them."""
+E, TRUE_E, SIGMA, CHANGE = range(4)
+"""Places of the signals in ``Step.rows``: the measured e, e itself, the measured sigma, and sigma - s."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +74,19 @@ class SetStage:
     """A stage of a proof: a set {z'Pz <= 1} that is invariant while sigma and e stay within a region.
 
     Args:
-        sigma: Bound of |sigma| in which the gains are selected [m/s].
-        e: Bound of |e| there [m].
+        sigma: Bound of |sigma| [m/s] in the region.
+        e: Bound of |e| [m] in the region.
         level: Bound of |d| [m/s].
         slope: Bound of |d'| [m/s^2].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
         degree: Degree of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
-        multipliers: mu_j of the inputs, with a sum of at most lambda.
+        multipliers: mu_j [1/s] of the inputs, with a sum of at most lambda.
         p: P, row by row.
-        coordinate: What z holds, ``u_av`` or, in the conservative form, ``phi_1`` for q = v - phi_1(s).
-        moved: Bound of the change of e in a sample [m], where phi_1 depends on e.
-        method: The verifier's method.
+        coordinate: Which integrator state z contains: ``u_av`` for v; in the conservative form also ``phi_1`` for q =
+            v - phi_1(s).
+        moved: Bound of the change of e in a sample [m], by which phi_1 may change through e.
+        method: Name of the method of docs/proofs.md by which the verifier checks the stage.
     """
 
     sigma: float
@@ -109,8 +110,8 @@ class Setting(NamedTuple):
         problem: The problem.
         box: Intervals of k_p, a_p and 1/mu.
         origin: One sample at the box's middle, with the gains at sigma = e = 0.
-        speed: Decay of the slowest mode [1/s].
-        is_integrated: Whether z holds q = v - phi_1(s) in place of v.
+        speed: Decay of the slowest mode of ``origin`` [1/s].
+        is_integrated: Whether z contains q = v - phi_1(s) in place of v.
         programs: Starts, coordinates and precision of the programs.
     """
 
@@ -122,9 +123,9 @@ class Setting(NamedTuple):
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
-        """One sample at every corner of plant and gains, for each piece of a region.
+        """One sample at every vertex of plant and gains, for each piece of a region: where V has to fall.
 
-        Where z holds q = v - phi_1(s), a sample needs the gains themselves; where it holds v, those of the increments.
+        With q the gains of a piece suffice. With v, :meth:`increments` widens them.
         """
         steps: list[Step] = []
         for hull in region.pieces:
@@ -133,115 +134,129 @@ class Setting(NamedTuple):
         return steps
 
     def increments(self, region: Region, hull: Hull) -> Hull:
-        """The gains of the increments of u_av in a piece ``hull`` of a region.
+        """The intervals of the gains in v+ = v + K_P (sigma - s) + T_s K_I sigma, in a piece of a region.
 
-        In the conservative form K_P is a mean over a sample, which may have begun in another piece, and K_I holds what
-        phi_1 changes by with e.
+        In the conservative form K_P is a mean over the sample, which may have begun in another piece. And K_I is
+        phi_2/sigma plus theta/T_s, where |theta sigma| bounds what phi_1 changes by through e.
+
+        Args:
+            region: The region.
+            hull: Intervals of the gains in the piece.
         """
         if self.problem.form == "implicit":
             return hull
-        reach = hull["slide_p"][1] / hull["k_p"][1]  # the largest 1 + tau_av/T_s
+        theta = GAIN_ROOM * hull["by_e"][1] * self.error_change(region)
         t = self.problem.sample_time
-        slope_change = GAIN_ROOM * hull["by_e"][1] * self.error_change(region)
-        k_i = hull["k_i"][0] - slope_change / t, hull["k_i"][1] + slope_change / t
-        slide_i = hull["slide_i"][0] - slope_change * reach, hull["slide_i"][1] + slope_change * reach
-        return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
+        reach = hull["slide_p"][1] / hull["k_p"][1]  # the largest 1 + tau_av/T_s
+        k_i_low, k_i_high = hull["k_i"]
+        slide_i_low, slide_i_high = hull["slide_i"]
+        return hull | {
+            "k_p": region.hull["k_p"],
+            "k_i": (k_i_low - theta / t, k_i_high + theta / t),
+            "slide_i": (slide_i_low - theta * reach, slide_i_high + theta * reach),
+        }
 
     def error_change(self, region: Region) -> float:
-        """Bound of the change of e in a sample [m], with room for the time between the samples."""
+        """Bound of the change of e in a sample [m], T_s sup |e'| with e' = sigma - l_0 e."""
         return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
     @property
     def degree(self) -> int:
-        """Degree of the Taylor polynomial in 1/mu whose remainder is far below what V falls by in a sample."""
+        """Degree of the Taylor polynomial in 1/mu; its remainder is far below what V falls by in a sample."""
         low, high = self.box.get("rate", (0.0, 0.0))
-        radius = 0.5 * (high - low) * self.problem.sample_time
-        falls = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
+        radius = 0.5 * (high - low) * self.problem.sample_time  # half of the width of T_s/mu
+        allowed_remainder = CURVE_SHARE * min(RATES) * self.speed * self.problem.sample_time
         for degree in range(1, MOST_DEGREE):
-            if radius ** (degree + 1) / factorial(degree + 1) <= falls:
+            remainder = radius ** (degree + 1) / factorial(degree + 1)
+            if remainder <= allowed_remainder:
                 return degree
         return MOST_DEGREE
 
     def solve(self, steps: list[Step], rows: list[BoundedRow], share: float, *, holds_start: bool) -> Solution | None:
-        """The set of one semidefinite program; None if it has no solution.
+        """Solve a semidefinite program for an invariant set; None if it has no solution.
 
         Args:
-            steps: One sample at every corner.
-            rows: Rows whose values in the set are bounded.
-            share: lambda, as a share of the slowest decay.
+            steps: One sample at every vertex.
+            rows: Signals to bound in the set.
+            share: lambda over the decay of the slowest mode.
             holds_start: Whether the set has to hold every start.
         """
         return invariant_set(self.programs, steps, share * self.speed, rows, holds_start=holds_start)
 
-    def falls(self, steps: list[Step]) -> bool:
-        """Whether some V falls at every step, at the slowest rate and without starts or bounded rows."""
+    def has_common_v(self, steps: list[Step]) -> bool:
+        """Whether some V falls over every step at the smallest lambda, with no start to hold and no row to bound."""
         return self.solve(steps, [], min(RATES), holds_start=False) is not None
 
 
 def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
-    """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty if the command has no bound.
+    """Bounds that keep the loop sliding, |u_eq - d_r - f| <= rho - sup |d_r + f| (P5); empty if there is no rho.
 
-    In the coordinate q, u_av = q + phi_1(s). There phi_1(s) - mean s counts by its bound, and so does what phi_1
-    changes by with e. In the conservative form there may be a bounded row for the change of sigma in a sample, too.
+    u_eq = v + slide_p (sigma - s) + slide_i sigma, a row over z at every pair of ends of the two gains. In the
+    conservative form slide_p depends on the change of sigma in a sample, so this change may get a bound, too.
     """
     problem = setting.problem
-    step = setting.origin
     if problem.rho is None:
         return []
-    unit = np.eye(step.a.shape[0])
-    hull = region.hull
-    room = problem.rho - signal_sizes(problem, setting.box).offset
+    step = setting.origin
     change = step.rows[CHANGE]
     sigma = step.rows[SIGMA]
-    u_av_row = unit[-2]
-    slide_p = hull["slide_p"]
-    rows = []
-    if setting.is_integrated:
+    *_, integrator, s = np.eye(step.a.shape[0])
+    room = problem.rho - signal_sizes(problem, setting.box).offset
+    if setting.is_integrated:  # v = q + phi_1(s), where phi_1(s) is near mean s
+        hull = region.hull
         mean = middle(hull["mean"])
+        v_row = integrator + mean * s
         spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
-        room -= max(spread * end for spread, end in zip(spreads, region.ends, strict=True))
-        u_av_row = u_av_row + mean * unit[-1]
-        room -= hull["slide_e"][1] * setting.error_change(region)
+        room -= max(spread * largest_s for spread, largest_s in zip(spreads, region.ends, strict=True))
+        room -= hull["slide_e"][1] * setting.error_change(region)  # what phi_1 changes by through e
     else:
-        hull = setting.increments(region, hull)
+        hull = setting.increments(region, region.hull)
+        v_row = integrator
+    slide_p = hull["slide_p"]
+    change_rows = []
     if problem.form == "conservative":
-        error_change = setting.error_change(region)
-        largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
-        slide_p = slide_hull(problem, (region.sigma, region.e), largest, error_change)
-        rows = [BoundedRow(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
+        largest_change = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
+        slide_p = slide_hull(problem, (region.sigma, region.e), largest_change, setting.error_change(region))
+        if slide_p != hull["slide_p"]:
+            change_rows = [BoundedRow(change, largest_change, CHANGE_WEIGHT)]
     corners = product(set(slide_p), set(hull["slide_i"]))
-    return rows + [BoundedRow(u_av_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+    equivalent_rows = [v_row + p * change + i * sigma for p, i in corners]
+    return change_rows + [BoundedRow(row, bound=max(room, 0.0), weight=1.0) for row in equivalent_rows]
 
 
 def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) -> Setting | None:
-    """The setting of a box; None if the loop is not stable at sigma = e = 0.
+    """What all programs of a box share; None if the loop linearised at sigma = e = 0 is not stable.
 
-    ``is_integrated`` tells whether z holds q = v - phi_1(s) in place of v.
+    Args:
+        problem: The problem.
+        box: Intervals of k_p, a_p and 1/mu.
+        is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
-    gains = gain_hull(problem, 1e-9, 1e-9)
+    gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
     origin = step_of(problem, box_middle(box, gains), box, is_integrated=is_integrated)
     starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
     radius = spectral_radius(origin.a)
     speed = float(-np.log(radius) / problem.sample_time)
     if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
-    point = all(low == high for name, (low, high) in box.items() if name != "k_p")
-    programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
+    is_one_plant = all(low == high for name, (low, high) in box.items() if name != "k_p")  # k_p adds no remainder
+    spare = SPARE if is_one_plant else SPARE_OF_BOXES
+    programs = SetPrograms(problem.sample_time, starts, scale, spare, active=[])
     return Setting(problem, box, origin, speed, is_integrated, programs)
 
 
 def first_set(setting: Setting) -> SetStage | Obstacle:
-    """Search a set that holds the start and keeps sliding.
+    """Search an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
 
     If there is none, further programs without some of the conditions tell which one is the obstacle.
     """
     excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(excursions)):
         return Obstacle.REGION
-    first_sizes = [FIRST_REGION * max(size, 1e-9) for size in excursions]
-    if (solution := set_from_start(setting, first_sizes, slides=True)) is not None:
-        return solution
-    if not setting.falls(setting.steps(region_of(setting.problem, first_sizes[0], first_sizes[1]))):
+    first_sizes = [FIRST_REGION * max(size, NEAR_ORIGIN) for size in excursions]
+    if (stage := set_from_start(setting, first_sizes, slides=True)) is not None:
+        return stage
+    if not setting.has_common_v(setting.steps(region_of(setting.problem, first_sizes[0], first_sizes[1]))):
         return Obstacle.DECAY
     if setting.problem.rho is None or set_from_start(setting, first_sizes, slides=False) is None:
         return Obstacle.REGION
@@ -249,25 +264,25 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """Search a set that holds the start, and lies in the region from which its gains are taken.
+    """Search an invariant set that holds every start and lies in the region whose gains it allows.
 
-    If the set found for a region exceeds it, the next region has that set's size, with some room.
+    If the set for a region exceeds the region, the next region has the size of that set, with some room.
 
     Args:
-        setting: The setting.
+        setting: What the programs of the box share.
         first_sizes: Bounds of |sigma| [m/s] and |e| [m] in the first region.
-        slides: Whether the set has to keep sliding.
+        slides: Whether the set has to keep the loop sliding.
     """
     rows = setting.origin.rows
     depends_on_e = setting.problem.functions["kind"] == "vgsta"
-    shares = START_RATES if slides else START_RATES[:1]  # only the set's existence tells the reason of a failure
+    shares = START_RATES if slides else START_RATES[:1]  # without sliding it only matters whether a set exists
     limits = np.array(first_sizes)
     for _ in range(MOST_REGIONS):
         region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
-        region_rows = [BoundedRow(rows[SIGMA], region.sigma, None)]
+        region_rows = [BoundedRow(rows[SIGMA], region.sigma, weight=None)]
         if depends_on_e:
-            region_rows.append(BoundedRow(rows[E], region.e, None))
+            region_rows.append(BoundedRow(rows[E], region.e, weight=None))
         sliding_rows = slide_rows(setting, region) if slides else []
         if not all(bounded.bound > 0.0 for bounded in sliding_rows):
             return None
@@ -287,37 +302,40 @@ def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bo
 def set_with_start(
     setting: Setting, steps: list[Step], rows: list[BoundedRow], shares: Sequence[float]
 ) -> Solution | None:
-    """Search a set that holds the start, with the first of several rates that allows one.
+    """Find a set that holds every start, with the first of several rates lambda that allows one.
 
-    The set's size hardly depends on the rate.
+    The size of the set hardly depends on the rate, so the first one is good enough.
 
     Args:
-        setting: The setting.
-        steps: One sample at every corner.
-        rows: Rows whose values in the set are bounded.
-        shares: Values of lambda, as shares of the slowest decay.
+        setting: What the programs of the box share.
+        steps: One sample at every vertex.
+        rows: Signals to bound in the set.
+        shares: Values of lambda over the decay of the slowest mode.
     """
     for number, share in enumerate(shares):
         if (solution := setting.solve(steps, rows, share, holds_start=True)) is not None:
             return solution
-        if number == 0 and not setting.falls(steps):
+        if number == 0 and not setting.has_common_v(steps):
             return None
     return None
 
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float]) -> SetStage | None:
-    """Search a smaller set that attracts all of a region; None if its |e| is not much smaller.
+    """Search a smaller set that attracts all of a region; None if its |e| is hardly smaller than the region's.
+
+    The first ``ENOUGH_RATES`` rates that allow a set are compared, and the set with the smallest |e| is taken.
 
     Args:
-        setting: The setting.
-        sigma: Bound of |sigma| in the region [m/s].
-        e: Bound of |e| in the region [m].
-        shares: Values of lambda that are tried, as shares of the slowest decay.
+        setting: What the programs of the box share.
+        sigma: Bound of |sigma| [m/s] in the region.
+        e: Bound of |e| [m] in the region.
+        shares: Values of lambda over the decay of the slowest mode.
     """
     region = region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     e_row = setting.origin.rows[E]
-    rows = [BoundedRow(e_row, e, 1.0), BoundedRow(setting.origin.rows[SIGMA], sigma, 0.05)]
+    sigma_row = setting.origin.rows[SIGMA]
+    rows = [BoundedRow(e_row, e, weight=1.0), BoundedRow(sigma_row, sigma, weight=0.05)]
     solutions: list[Solution] = []
     for share in shares:
         if (solution := setting.solve(steps, rows, share, holds_start=False)) is not None:
@@ -331,15 +349,24 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
 
 
 def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
-    """The largest |row z| in the loop of one step, from the starts and under inputs of size 1; ``row`` is its place."""
+    """The largest |signal| that a linear loop reaches from its starts under inputs of size 1; infinite if unstable.
+
+    Args:
+        step: One sample of the loop.
+        starts: States in which the loop may start, shape (n,) each.
+        row: Place of the signal in ``step.rows``.
+    """
     response = responses(step.a, step.rows[[row]], step.b, np.stack(starts, axis=1))
     if response is None:
         return np.inf
-    return float((response.peaks + response.sums.sum(axis=1))[0])
+    return (response.peaks + response.sums.sum(axis=1)).item()
 
 
 def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
-    """The stage of a solution. Where the gains do not depend on e, its region is as large in e as the set."""
+    """Put a set into the form of a certificate's stage.
+
+    Its region is at least as large in e as the set, since a set may exceed a region in e if no gain depends on e.
+    """
     return SetStage(
         sigma=region.sigma,
         e=max(region.e, INFLATION * largest_in_set(result.p, setting.origin.rows[E])),

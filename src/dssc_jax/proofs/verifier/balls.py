@@ -1,4 +1,8 @@
-"""Ball arithmetic for the verifier: intervals, and matrices that are positive definite for certain."""
+"""Ball arithmetic for the verifier: balls from intervals, matrices of balls, and a proof of positive definiteness.
+
+A ball (`arb` of FLINT) is a midpoint and a radius that contain an exact number. A comparison of balls is true only if
+it holds for all numbers in them.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,20 +16,21 @@ Balls = dict[str, arb]
 
 
 class Rejected(Exception):
-    """Raised where a premise cannot be shown; the message names the premise and its place."""
+    """Raised where a premise of the theorem cannot be shown; the message names the premise and its place."""
 
 
 class StageLimits(NamedTuple):
-    """Bounds that the stage of a proof shows.
+    """What a stage of a proof shows: bounds of the signals, and of the disturbance that they allow.
 
     Args:
         sigma: Bound of |sigma| at the samples [m/s].
         e: Bound of |e| at the samples [m].
         change: Bound of |sigma - s|, the change of sigma in a sample [m/s].
         between: Bound of |e(t)| at all times [m].
-        level: Bound of what the state adds to |d| [m/s], under :data:`ENTERED` times these bounds.
-        slope: Bound of what the state adds to |d'| [m/s^2], under the same bounds.
-        error_change: Bound of the change of e in a sample [m], where phi_1 depends on e; else 0.
+        level: Bound of what the state adds to |d| [m/s] while the signals are within :data:`ENTERED` times their
+            bounds.
+        slope: Bound of what the state adds to |d'| [m/s^2], likewise.
+        error_change: Bound of the change of e in a sample [m]; 0 where phi_1 does not depend on e.
     """
 
     sigma: arb
@@ -38,11 +43,11 @@ class StageLimits(NamedTuple):
 
 
 ENTERED = "1.0001"
-"""A multiple of an upper limit, which a signal does not exceed from some sample on."""
+"""Factor, in decimals, of an upper limit (limit superior); the signal stays within it from some sample on."""
 
 
 def require_premise(holds: bool, reason: str) -> None:
-    """Raise :class:`Rejected` with a reason, unless a premise holds."""
+    """Check a premise: raise :class:`Rejected` with a reason unless it holds."""
     if not holds:
         raise Rejected(reason)
 
@@ -53,18 +58,18 @@ def interval_ball(low: float, high: float) -> arb:
 
 
 def exact_ends(interval: Interval) -> list[arb]:
-    """Both ends of an interval, exact; a single number if they agree."""
+    """Both ends of an interval as exact balls; a single ball if they agree."""
     low, high = interval
     return [arb(low)] if low == high else [arb(low), arb(high)]
 
 
 def ball_ends(ball: arb) -> tuple[arb, arb]:
-    """Lower and upper end of a ball, exact."""
+    """Lower and upper end of a ball, as exact balls."""
     return ball.lower(), ball.upper()
 
 
 def maximum(*numbers: arb) -> arb:
-    """The largest of exact numbers."""
+    """The largest of some exact balls, whose comparisons are always decided."""
     largest, *candidates = numbers
     for number in candidates:
         largest = largest if largest >= number else number
@@ -72,7 +77,7 @@ def maximum(*numbers: arb) -> arb:
 
 
 def minimum(*numbers: arb) -> arb:
-    """The smallest of exact numbers."""
+    """The smallest of some exact balls."""
     smallest, *candidates = numbers
     for number in candidates:
         smallest = smallest if smallest <= number else number
@@ -80,45 +85,43 @@ def minimum(*numbers: arb) -> arb:
 
 
 def minimum_bound(a: arb, b: arb) -> arb:
-    """An upper bound of the smaller of two numbers in balls."""
+    """An upper bound, exact, of the smaller one of two numbers in balls."""
     return minimum(a.upper(), b.upper())
 
 
 def total(terms: Sequence[arb]) -> arb:
-    """The sum of the terms."""
+    """The sum of some balls; 0 if there are none."""
     return sum(terms, arb(0))
 
 
 def identity(n: int) -> arb_mat:
-    """The unit matrix, (n, n)."""
+    """The unit matrix, shape (n, n)."""
     return arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
 
 
 def unit_rows(n: int) -> list[arb_mat]:
-    """The rows of the unit matrix, (1, n) each."""
+    """The rows of the unit matrix, shape (1, n) each."""
     return [arb_mat([row]) for row in identity(n).tolist()]
 
 
 def column(matrix: arb_mat, j: int) -> arb_mat:
-    """Column j of a matrix, (n, 1)."""
+    """Column j of a matrix, shape (n, 1)."""
     return arb_mat([[row[j]] for row in matrix.tolist()])
 
 
 def matrix_of_columns(columns: Sequence[Sequence[arb]]) -> arb_mat:
-    """The matrix with these columns."""
+    """Put columns of equal length side by side into one matrix."""
     return arb_mat([list(row) for row in zip(*columns, strict=True)])
 
 
 def side_by_side(*blocks: arb_mat) -> arb_mat:
-    """The matrix of blocks with equally many rows, from left to right."""
-    rows = []
-    for parts in zip(*(block.tolist() for block in blocks), strict=True):
-        rows.append([entry for part in parts for entry in part])
-    return arb_mat(rows)
+    """Join blocks with equally many rows into one matrix, from left to right."""
+    columns = [column_entries for block in blocks for column_entries in block.transpose().tolist()]
+    return matrix_of_columns(columns)
 
 
 def stack(blocks: Sequence[arb_mat]) -> arb_mat:
-    """The matrix of blocks with equally many columns, from top to bottom."""
+    """Join blocks with equally many columns into one matrix, from top to bottom."""
     return arb_mat([row for block in blocks for row in block.tolist()])
 
 
@@ -128,45 +131,45 @@ def quadratic_form(matrix: arb_mat, state: arb_mat) -> arb:
 
 
 def symmetric_matrix(rows: Sequence[Sequence[float]]) -> arb_mat:
-    """A symmetric matrix of exact numbers from its upper triangle, (n, n)."""
+    """A symmetric matrix of exact balls, shape (n, n), from the upper triangle of some rows."""
     n = len(rows)
     return arb_mat([[arb(rows[min(i, j)][max(i, j)]) for j in range(n)] for i in range(n)])
 
 
-def symmetric_part(block: list[list[arb]]) -> arb_mat:
-    """The mean of a matrix and its transpose.
+def symmetric_part(rows: list[list[arb]]) -> arb_mat:
+    """The mean of a matrix of balls and its transpose.
 
-    The ball of a symmetric matrix need not be symmetric. Both it and its transpose hold the matrix, so their mean does.
+    The balls around a symmetric matrix need not be symmetric. They and their transpose hold it, so their mean does.
     """
-    n = len(block)
-    return arb_mat([[(block[i][j] + block[j][i]) / 2 for j in range(n)] for i in range(n)])
+    n = len(rows)
+    return arb_mat([[(rows[i][j] + rows[j][i]) / 2 for j in range(n)] for i in range(n)])
 
 
 def approximate_root(matrix: arb_mat) -> arb_mat | None:
-    """A lower triangular matrix L of exact numbers with L L' close to the midpoint of a matrix.
+    """A lower triangular matrix L of exact balls with L L' close to the midpoint of a matrix.
 
-    It is a Cholesky factor whose rounding does not matter to the caller. None if the midpoint is not positive definite.
+    It is a Cholesky factor, computed row by row without regard to rounding, which does not matter to the caller. None
+    if the midpoint is not positive definite.
     """
     n = matrix.nrows()
     root = [[arb(0)] * n for _ in range(n)]
     for i in range(n):
-        for j in range(i + 1):
+        for j in range(i):
             inner_sum = total([root[i][k] * root[j][k] for k in range(j)])
-            difference = matrix[i, j].mid() - inner_sum
-            if i != j:
-                root[i][j] = (difference / root[j][j]).mid()
-                continue
-            if not difference.mid() > 0:
-                return None
-            root[i][i] = difference.mid().sqrt().mid()
+            root[i][j] = ((matrix[i, j].mid() - inner_sum) / root[j][j]).mid()
+        squares = total([root[i][k] * root[i][k] for k in range(i)])
+        pivot = (matrix[i, i].mid() - squares).mid()
+        if not pivot > 0:
+            return None
+        root[i][i] = pivot.sqrt().mid()
     return arb_mat(root)
 
 
 def positive_definite(matrix: arb_mat) -> bool:
-    """Whether every symmetric matrix M in a ball is shown to be positive definite.
+    """Whether every symmetric matrix M within a matrix of balls is shown to be positive definite.
 
-    With L L' close to M, the matrix L^-1 M L^-T is close to I. By Gershgorin's theorem it is positive definite if in
-    each row the magnitudes of the difference to I add up to less than 1.
+    With L L' close to M, L^-1 M L^-T is close to I. By Gershgorin's theorem it is positive definite, and so is M, if in
+    each row the magnitudes of its difference from I add up to less than 1.
     """
     root = approximate_root(matrix)
     if root is None:
@@ -177,5 +180,5 @@ def positive_definite(matrix: arb_mat) -> bool:
 
 
 def bound_in_set(inverse: arb_mat, row: arb_mat) -> arb:
-    """Upper bound of |row z| over z'Pz <= 1, from the inverse of P."""
+    """Upper bound of |row z| over the set {z'Pz <= 1}: (row P^-1 row')^(1/2), from the inverse of P."""
     return abs(quadratic_form(inverse, row.transpose())).upper().sqrt().upper()

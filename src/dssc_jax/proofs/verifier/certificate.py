@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import TypedDict
 
 Interval = Sequence[float]
+"""Lower and upper end."""
 Box = Mapping[str, Interval]
-"""Intervals of k_p, a_p and, with a transfer function, of ``rate``, 1/mu."""
+"""Intervals of ``k_p`` [1/s], ``a_p`` [1/s] and, with a transfer function G(mu s), of ``rate``, 1/mu [1/s]."""
 
 
 class Problem(TypedDict):
@@ -36,52 +37,45 @@ class Problem(TypedDict):
 
 
 class Stage(TypedDict):
-    """The entries of a stage of either method.
+    """The entries of a stage of either method."""
 
-    ``sigma`` and ``e`` bound the region, ``level`` and ``slope`` the disturbance; ``rate`` is lambda, ``p`` is P.
-    """
-
-    sigma: float
-    e: float
-    level: float
-    slope: float
-    rate: float
-    p: Sequence[Sequence[float]]
+    sigma: float  # bound of |sigma| [m/s] in the region
+    e: float  # bound of |e| [m] in the region
+    level: float  # bound of |d| [m/s], with what the state adds
+    slope: float  # bound of |d'| [m/s^2], with what the state adds
+    rate: float  # lambda [1/s], with which V = z'Pz falls
+    p: Sequence[Sequence[float]]  # P, by rows
     method: str
 
 
 class SmallGainStage(Stage):
-    """A stage of the method "small gain"."""
+    """A stage of the method "small gain": bounds of all signals that imply themselves."""
 
-    gains: Sequence[float]  # of the middle loop, from which those of the functions deviate
-    bounds: Sequence[float]  # of the absolute values of the middle loop's signals, then of its states
-    change: float  # bound of |sigma[k+1] - sigma[k]|
-    coordinate: str  # quantity that the state z of the controller holds, one of COORDINATES
+    gains: Sequence[float]  # of the middle loop, in the order of MIDDLE_GAINS
+    bounds: Sequence[float]  # of |sigma - s|, |sigma|, |e|, |command + d_r|, |u_eq - d_r - f|, and of each state
+    change: float  # bound of |sigma - s| [m/s], the change of sigma in a sample, in the region
+    coordinate: str  # the integrator state in z: "u_av" for v, "phi_1" for q = v - phi_1(s)
 
 
 class InvariantStage(Stage):
-    """A stage of the method "invariant set".
+    """A stage of the method "invariant set": the set {z'Pz <= 1}."""
 
-    ``pieces`` is the number of pieces of the region, ``degree`` that of the polynomial in 1/mu, ``multipliers`` are the
-    mu_j of P6. ``coordinate`` is v or q, and ``moved`` bounds the change of e in a sample.
-    """
-
-    pieces: int
-    degree: int
-    multipliers: Sequence[float]
-    coordinate: str
-    moved: float
+    pieces: int  # number of pieces of |sigma|, each with gains of its own
+    degree: int  # of the polynomial in 1/mu that stands for the held plant
+    multipliers: Sequence[float]  # mu_j [1/s] of P6
+    coordinate: str  # the integrator state in z: "u_av" for v, "phi_1" for q = v - phi_1(s)
+    moved: float  # bound of the change of e in a sample [m]
 
 
 class BoxProof(TypedDict):
-    """The proof of one box: the first stage holds the start, each other one begins where the one before it ends."""
+    """The proof of one box: the first stage holds every start; each later stage begins where the last one ends."""
 
     box: Box
     stages: Sequence[SmallGainStage | InvariantStage]
 
 
 class Certificate(TypedDict):
-    """The content of a certificate's file: a problem, the proofs of its boxes, and whether they cover the problem."""
+    """The content of a certificate's file: a problem, proofs of boxes, and whether the boxes cover the problem."""
 
     version: int
     complete: bool

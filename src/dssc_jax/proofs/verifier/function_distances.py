@@ -1,32 +1,36 @@
-"""How far the functions phi_1 and phi_2 are from straight lines, enclosed: the verifier's own.
+"""How far the functions phi_1, phi_2 and phi_1 + n are from straight lines over a region, enclosed by the verifier.
 
-Over a region of |sigma| and |e| these are bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 +
-k_n) sigma|, where n is what the nominal control takes through its term 1/tau_m. A multiple of the third difference may
-be taken from the second. The region is cut where the enclosure of a piece exceeds what is reached at points by more
-than a small share.
+Upper bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n) sigma|, where n = sigma/(k_n
+tau_m) is what the nominal control takes through its term 1/tau_m. For a vehicle, a share s_q of the third difference is
+subtracted from the second. The region is cut in halves wherever the enclosure of a piece exceeds what the distances
+reach at points by more than a small share.
 """
 
 import math
+from functools import reduce
+from operator import add
 
 import numpy as np
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, require_premise, total
 from dssc_jax.proofs.verifier.certificate import Problem
-from dssc_jax.proofs.verifier.gain_enclosures import gains_at, middle_of
+from dssc_jax.proofs.verifier.gain_enclosures import gains_at, halves_of, middle_of
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
 from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
-"""Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
+"""Largest excess of a bound over the distances at points, as a share of them, unless the caller asks for less."""
 SHARED_ROOM = 0.02
-"""Largest excess, as a share of the distances at points, for phi_2 less its share of the command."""
+"""The same for |phi_2 - k_2 sigma| less its share of the third difference."""
 DISTANCE_ROUNDING = 2.0**-42
-"""Largest excess that rounding needs, in sizes of the function."""
+"""Excess that rounding needs besides, as a share of the straight line's largest value."""
 MOST_PIECES = 6000
+"""Number of pieces of |sigma| after which no further piece is cut."""
 MOST_CELLS = 200_000
+"""Number of cells of |sigma| and |e| after which no further cell is cut."""
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
-"""The gains of whose sum each is the distance, times |sigma|."""
+"""Names of the three distances. Each is that of a sum of gains from its slope, times |sigma|."""
 
 
 def function_distances(
@@ -39,134 +43,161 @@ def function_distances(
     share: float = 0.0,
     change: float | None = None,
 ) -> Balls:
-    """Upper bounds of the distances from straight lines over a region, by name: ``phi_1``, ``phi_2`` and ``both``.
+    """Upper bounds over a region of the functions' distances from straight lines, by the names in ``DISTANCES``.
 
     Args:
         problem: The certificate's problem.
         sigma: Largest |sigma| [m/s].
-        e: Largest |e| [m]; of Table 1's functions only.
+        e: Largest |e| [m]; only Table 1's functions depend on it.
         centre: The slopes k_1 (``mean``), k_2 (``k_i``) and k_n, exact numbers.
-        room: The largest excess over the distances at points, as a share of them; ``DISTANCE_ROOM`` for Table 1's.
+        room: Largest excess over the distances at points, as a share of them; ``DISTANCE_ROOM`` for Table 1's.
         sigma_from: Smallest |sigma| [m/s]; 0 for Table 1's.
-        share: Multiple of the third difference that is taken from the second one. Unless it is 0, the second bound
-            may exceed the distances at points by ``SHARED_ROOM``. Table 1's functions take none.
+        share: s_q, the share of the third difference that is subtracted from the second. Unless it is 0, the second
+            bound has the room ``SHARED_ROOM``. Table 1's functions take none.
         change: In the implicit form, a bound of |sigma - s| [m/s]: the distance of phi_2 then contains
             :func:`increment_error` over T_s. None: the conservative form.
     """
-    rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
-    at_points = dict.fromkeys(DISTANCES, arb(0))
-    result = dict.fromkeys(DISTANCES, arb(0))
-    least_rooms = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
-    least_rooms["phi_2"] += abs(share) * least_rooms["both"]
+    rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
+    rounding = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
+    rounding["phi_2"] += abs(share) * rounding["both"]
+    reached = dict.fromkeys(DISTANCES, arb(0))  # at points, lower bounds
+    bounds = dict.fromkeys(DISTANCES, arb(0))
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
                 for name, distance in distances_at(problem, (point, point), centre, share, change).items():
-                    at_points[name] = maximum(at_points[name], distance.lower())
+                    reached[name] = maximum(reached[name], distance.lower())
         remaining -= len(pieces)
-        halves = []
-        for low, high in pieces:
-            try:
-                distances = distances_at(problem, (low, high), centre, share, change)
-            except Rejected:  # too wide a ball, since every point was fine
-                require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
-                distances = {}
+        wide_pieces = []
+        for piece in pieces:
+            distances = distances_if_enclosed(problem, piece, centre, share, change)
+            require_premise(bool(distances) or remaining > 0, "P2: the functions cannot be enclosed in the region")
             is_close = all(
-                distance.upper() <= at_points[name] * (1 + rooms[name]) + least_rooms[name]
+                distance.upper() <= reached[name] * (1 + rooms[name]) + rounding[name]
                 for name, distance in distances.items()
             )
             if not distances or (remaining > 0 and not is_close):
-                middle = middle_of((low, high))
-                halves += [(low, middle), (middle, high)]
+                wide_pieces.append(piece)
                 continue
             for name, distance in distances.items():
-                result[name] = maximum(result[name], distance.upper())
-        pieces = halves
-    return result
+                bounds[name] = maximum(bounds[name], distance.upper())
+        pieces = [half for piece in wide_pieces for half in halves_of(piece)]
+    return bounds
+
+
+def distances_if_enclosed(
+    problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
+) -> Balls:
+    """The distances of :func:`distances_at`; empty if |sigma| has so wide an interval that a function may be 0."""
+    try:
+        return distances_at(problem, size, centre, share, change)
+    except Rejected:
+        return {}
 
 
 def distances_at(
     problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
 ) -> Balls:
-    """Balls of the distances from straight lines for |sigma| in an interval; see :func:`function_distances`."""
+    """Balls whose upper ends bound the distances from straight lines for |sigma| in an interval [m/s], by name.
+
+    At a point they contain the distances. The other arguments are those of :func:`function_distances`.
+    """
+    smallest, largest = size
     gains = gains_at(problem, size)
-    largest = arb(size[1])
     differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
     differences["phi_2"] = differences["phi_2"] - arb(share) * differences["both"]
-    result = {name: abs(difference) * largest for name, difference in differences.items()}
+    distances = {name: abs(difference) * arb(largest) for name, difference in differences.items()}
     if change is not None:
-        result["phi_2"] = result["phi_2"] + increment_error(problem, size[0], change) / arb(problem["sample_time"])
-    return result
+        r = increment_error(problem, smallest, change)
+        distances["phi_2"] = distances["phi_2"] + r / arb(problem["sample_time"])
+    return distances
 
 
 def increment_error(problem: Problem, low: float, change: float) -> arb:
-    """Ball of a bound of |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low, |sigma - s| <= change.
+    """R, how far the implicit form's increment of v is from the change of phi_1 over a sample, a ball [m/s].
 
-    For functions with k_o tau_av = alpha (|sigma|^(1/2) + beta), whose K_P falls with |sigma| and is convex in it.
+    It bounds |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low and |sigma - s| <= C. The functions
+    have k_o tau_av = alpha (|sigma|^(1/2) + beta), so K_P falls with |sigma| and is convex in it; docs/proofs.md has
+    the derivation.
+
+    Args:
+        problem: The certificate's problem.
+        low: Smallest |sigma| [m/s].
+        change: C [m/s].
     """
-    if low < change:
+    if low < change:  # R = K_P(0) C - phi_1(C)
         return gains_at(problem, (0.0, 0.0))["k_p"] * arb(change) - phi_1(problem, change)
-    nearest = max(0.0, math.nextafter(low - change, -math.inf))
+    nearest = max(0.0, math.nextafter(low - change, -math.inf))  # |sigma| - C, rounded down
     slope = gains_at(problem, (low, low))["k_p"]
     return phi_1(problem, low) - phi_1(problem, nearest) - slope * arb(change)
 
 
 def phi_1(problem: Problem, sigma: float) -> arb:
-    """phi_1 at one sigma >= 0, of functions of sigma alone."""
+    """phi_1 [m/s] at one sigma >= 0, as a ball, for functions of sigma alone."""
     return gains_at(problem, (sigma, sigma))["mean"] * arb(sigma)
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
-    """:func:`function_distances` for Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+    """Upper bounds of the distances for Table 1's functions, which depend on e, too; in float64, rounded outwards.
+
+    The arguments are those of :func:`function_distances`.
+    """
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
-    least_rooms = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
-    at_points = dict.fromkeys(DISTANCES, 0.0)
-    result = dict.fromkeys(DISTANCES, 0.0)
+    rounding = {name: rounding_room(names, centre) * sigma for name, names in DISTANCES.items()}
+    reached = dict.fromkeys(DISTANCES, 0.0)  # at points, lower bounds
+    bounds = dict.fromkeys(DISTANCES, 0.0)
     cells = first_cells(square_root(0.0, sigma), (0.0, e))
     remaining = MOST_CELLS
     while cells.sign.size:
         remaining -= cells.sign.size
         for name, interval in cell_distances(problem, cells.middles(), slopes).items():
-            at_points[name] = max(at_points[name], float(np.max(interval.low)))
+            reached[name] = max(reached[name], float(np.max(interval.low)))
         too_wide = np.zeros(cells.sign.shape, bool)
         distances = cell_distances(problem, cells, slopes)
         for name, interval in distances.items():
-            too_wide |= ~(interval.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
+            is_close = interval.high <= reached[name] * (1.0 + DISTANCE_ROOM) + rounding[name]
+            too_wide |= ~is_close  # also where the end is NaN
         if remaining <= 0:
             too_wide[:] = False
         for name, interval in distances.items():
             accepted = interval.high[~too_wide]
-            result[name] = float(np.maximum(result[name], np.max(accepted, initial=0.0)))
+            bounds[name] = float(np.maximum(bounds[name], np.max(accepted, initial=0.0)))  # NaN if one of them is
         cells = cells.quarters_of(too_wide)
-    finite = bool(np.all(np.isfinite(list(result.values()))))
-    require_premise(finite, "P2: the functions cannot be enclosed in the region")
-    return {name: arb(value) for name, value in result.items()}
+    is_finite = bool(np.all(np.isfinite(list(bounds.values()))))
+    require_premise(is_finite, "P2: the functions cannot be enclosed in the region")
+    return {name: arb(value) for name, value in bounds.items()}
 
 
 def cell_distances(problem: Problem, cells: Cells, slopes: dict[str, Intervals]) -> dict[str, Intervals]:
-    """Intervals of the distances of Table 1's functions from straight lines in cells, by name."""
+    """Intervals of the distances of Table 1's functions from straight lines, in each cell, by name.
+
+    Args:
+        problem: The certificate's problem.
+        cells: Cells of |sigma|^(1/2), the sign of sigma e, and |e|.
+        slopes: The slopes k_1 (``mean``), k_2 (``k_i``) and k_n.
+    """
     gains = gains_of(problem, cells)
-    size = cells.root * cells.root
-    result = {}
+    differences = {name: gains[name] - slope for name, slope in slopes.items()}
+    size = cells.root * cells.root  # |sigma|
+    distances = {}
     for name, names in DISTANCES.items():
-        difference = gains[names[0]] - slopes[names[0]]
-        for gain in names[1:]:
-            difference = difference + (gains[gain] - slopes[gain])
-        result[name] = magnitude(difference * size)
-    return result
+        difference = reduce(add, [differences[gain] for gain in names])
+        distances[name] = magnitude(difference * size)
+    return distances
 
 
 def magnitude(values: Intervals) -> Intervals:
     """Intervals of |x| for x in intervals."""
-    low, high = np.abs(values.low), np.abs(values.high)
-    holds_zero = (values.low <= 0.0) & (values.high >= 0.0)
-    return Intervals(np.where(holds_zero, 0.0, np.minimum(low, high)), np.maximum(low, high))
+    low = np.abs(values.low)
+    high = np.abs(values.high)
+    contains_zero = (values.low <= 0.0) & (values.high >= 0.0)
+    return Intervals(np.where(contains_zero, 0.0, np.minimum(low, high)), np.maximum(low, high))
 
 
 def rounding_room(names: tuple[str, ...], centre: Balls) -> float:
-    """The excess of a distance that its rounding needs, over |sigma|."""
+    """The excess of a distance's bound that rounding needs, over |sigma|: a share of the slopes' magnitudes."""
     return DISTANCE_ROUNDING * sum(abs(float(centre[name])) for name in names) + 1e-280

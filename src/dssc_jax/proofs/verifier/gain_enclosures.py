@@ -1,4 +1,12 @@
-"""The gains in a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and Section V."""
+"""The gains of the sampled loop in a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2.
+
+    v+ = v + K_P (sigma - s) + T_s K_I sigma,    K_P = 1/(k_o tau_av),    K_I = K_P/tau_m,    K_N = 1/(k_n tau_m)
+
+The gains have names: ``k_p``, ``k_i``, ``k_n``; ``slide_p`` = K_P (1 + tau_av/T_s) and ``slide_i`` = T_s K_I (1 +
+tau_av/T_s), those of the equivalent control; ``mean`` = phi_1/sigma; ``slide_e`` = |d phi_1/d e| (1 + tau_av/T_s);
+``by_e`` = |d phi_1/d e|/|sigma|; and ``tau_av`` itself. Table 1's functions are in
+:mod:`dssc_jax.proofs.verifier.table_gains`.
+"""
 
 import math
 
@@ -8,77 +16,89 @@ from dssc_jax.proofs.verifier.balls import Balls, Rejected, interval_ball, maxim
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.table_gains import table_gains
 
-PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths of the hull
-ROUNDING = 2.0**-40  # and in sizes of the gain
-MOST_PIECES = 6000
+PRECISE = 0.03
+"""Largest excess of an enclosure over the hull of the gains at points, as a share of the hull's width."""
+ROUNDING = 2.0**-40
+"""Excess that rounding needs besides, as a share of the gain."""
 SMALLEST_ROOM = 1e-300
-SMALLEST_REGION = 1e-12  # smallest bound of |sigma| and |e| at the start
+"""Excess that a gain of 0 is allowed."""
+MOST_PIECES = 6000
+"""Number of pieces of |sigma| after which no further piece is cut."""
+SMALLEST_REGION = 1e-12
+"""Smallest bound of |sigma| [m/s] and |e| [m] at the start, so that both are positive."""
 
 
 class PointHull:
-    """The hull of the gains at some points: an enclosure of the gains contains it, and should not be much larger."""
+    """The smallest interval of each gain that contains its values at some points.
+
+    An enclosure of the gains contains it. It is good enough if it is not much larger.
+
+    Args:
+        problem: The certificate's problem, with functions of sigma alone.
+    """
 
     def __init__(self, problem: Problem) -> None:
-        """An empty hull."""
+        """Begin with no points."""
         self.problem = problem
         self.ends: dict[str, tuple[float, float]] = {}
 
     def add(self, size: float) -> None:
-        """Extend the hull by the gains at one |sigma|."""
+        """Extend the intervals by the gains at one |sigma| [m/s]."""
         for name, ball in gains_at(self.problem, (size, size)).items():
             value = float(ball.mid())
             low, high = self.ends.get(name, (math.inf, -math.inf))
             self.ends[name] = (min(low, value), max(high, value))
 
     def rooms(self) -> dict[str, float]:
-        """The largest excess of a ball over the hull that is allowed, by gain."""
+        """How far a ball may exceed the interval of its gain, by the gain's name."""
         return {
             name: PRECISE * (high - low) + ROUNDING * max(abs(low), abs(high)) + SMALLEST_ROOM
             for name, (low, high) in self.ends.items()
         }
 
     def is_exceeded_by(self, balls: Balls, rooms: dict[str, float]) -> bool:
-        """Whether a ball exceeds the hull by more than its room."""
+        """Whether a ball exceeds the interval of its gain by more than its room."""
         for name, ball in balls.items():
             low, high = self.ends[name]
-            if not (ball > low - rooms[name] and ball < high + rooms[name]):
+            fits = ball > low - rooms[name] and ball < high + rooms[name]
+            if not fits:
                 return True
         return False
 
 
 def enclosed_gains(problem: Problem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Balls:
-    """Balls of the gains that the loop can have in a region of sigma and e, by name.
+    """Balls of the gains that the loop can have in a region of sigma and e, by the names at the module's top.
 
-    They are K_P, K_I, K_N and the sliding condition's gains, in the conservative form also phi_1/sigma and the slope of
-    phi_1 in e.
+    In the conservative form K_P is a mean over a sample, whereas tau_av belongs to its end. So ``slide_p`` and
+    ``slide_e`` are products of balls there.
 
     Args:
         problem: The certificate's problem.
         sigma: Largest |sigma| [m/s].
-        e: Largest |e| [m]; of Table 1's functions only, which depend on e.
+        e: Largest |e| [m]; only Table 1's functions depend on it.
         sigma_from: Smallest |sigma| [m/s].
         e_from: Smallest |e| [m].
     """
     if problem["functions"]["kind"] == "vgsta":
-        result = table_gains(problem, sigma, e, sigma_from, e_from)
+        gains = table_gains(problem, sigma, e, sigma_from, e_from)
     else:
-        result = gains_by_sigma(problem, sigma, sigma_from)
-    if problem["form"] == "conservative":  # K_P is a mean over a sample, tau_av belongs to its end
-        reach = 1 + result["tau_av"] / arb(problem["sample_time"])
-        result["slide_p"] = result["k_p"] * reach
-        result["slide_e"] = result.get("k_e", arb(0)) * reach
-    return result
+        gains = gains_by_sigma(problem, sigma, sigma_from)
+    if problem["form"] == "conservative":
+        reach = 1 + gains["tau_av"] / arb(problem["sample_time"])
+        gains["slide_p"] = gains["k_p"] * reach
+        gains["slide_e"] = gains.get("k_e", arb(0)) * reach  # k_e = |d phi_1/d e|, which only Table 1's functions have
+    return gains
 
 
 def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
-    """Balls of the gains that depend on sigma alone.
+    """Balls of the gains of functions of sigma alone, for |sigma| from ``sigma_from`` to ``sigma``.
 
-    The interval of |sigma| is halved in |sigma|^(1/2) where a piece's ball exceeds the hull of the gains at points by
-    more than a small share of its width.
+    A piece of |sigma| is halved, in |sigma|^(1/2), if its ball exceeds the hull of the gains at points by more than a
+    small share of the hull's width.
     """
     pieces = [(sigma_from, sigma)]
     points = PointHull(problem)
-    result = Balls()
+    enclosure = Balls()
     remaining = MOST_PIECES
     for end in (sigma_from, sigma):
         points.add(end)
@@ -87,29 +107,28 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
             points.add(middle_of(piece))
         rooms = points.rooms()
         remaining -= len(pieces)
-        halves = []
+        wide_pieces = []
         for piece in pieces:
-            low, high = piece
-            middle = middle_of(piece)
             try:
                 balls = gains_at(problem, piece)
-            except Rejected:  # too wide a ball, since every point was fine
+            except Rejected:  # the piece is too wide, since the functions are positive at every point
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
-                halves += [(low, middle), (middle, high)]
+                wide_pieces.append(piece)
                 continue
             if remaining > 0 and points.is_exceeded_by(balls, rooms):
-                halves += [(low, middle), (middle, high)]
+                wide_pieces.append(piece)
                 continue
             for name, ball in balls.items():
-                result[name] = result[name].union(ball) if name in result else ball
-        pieces = halves
-    return result
+                enclosure[name] = enclosure[name].union(ball) if name in enclosure else ball
+        pieces = [half for piece in wide_pieces for half in halves_of(piece)]
+    return enclosure
 
 
 def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
-    """Ball of -v/sigma_0 at the start, or of -q/sigma_0, without d_r and f, for every start of the problem.
+    """Ball of -v/sigma_0 (or -q/sigma_0) before the first sample, apart from d_r + f, for every start of the problem.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2.
+    Before it u_av = 0. So the start ``zero`` has v = q = 0 with s = 0. The others have s = sigma_0, hence q =
+    -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so its v and q are (T_s/2) phi_2 lower.
 
     Args:
         problem: The certificate's problem.
@@ -128,7 +147,7 @@ def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
 
 
 def size_ends(ball: arb) -> tuple[float, float]:
-    """Lower and upper bound of |x| over a ball, rounded outwards; the upper one is positive."""
+    """Lower and upper bound of |x| over a ball, rounded outwards to float64; the upper one is positive."""
     size = abs(ball)
     low = math.nextafter(float(size.lower()), -math.inf)
     high = math.nextafter(float(size.upper()), math.inf)
@@ -136,71 +155,94 @@ def size_ends(ball: arb) -> tuple[float, float]:
 
 
 def with_moving_error(problem: Problem, gains: Balls, error_change: float) -> Balls:
-    """The gains of the increments of u_av, where e changes by at most ``error_change`` in a sample.
+    """The gains in v+ = v + K_P (sigma - s) + T_s K_I sigma where e changes in a sample and phi_1 depends on it.
 
-    In the conservative form phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) is sigma_k times a gain, which joins T_s K_I.
+    phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) = theta sigma_k, where |theta| is at most the largest |d phi_1/d e|/
+    |sigma| times the change of e. So theta joins T_s K_I.
+
+    Args:
+        problem: The certificate's problem.
+        gains: Balls of the gains without theta.
+        error_change: Bound of the change of e in a sample [m].
     """
     if not depends_on_error(problem):
         return gains
-    slope_change = interval_ball(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(error_change)
+    theta = interval_ball(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(error_change)
     t = arb(problem["sample_time"])
     reach = 1 + gains["tau_av"] / t
-    return gains | {"k_i": gains["k_i"] + slope_change / t, "slide_i": gains["slide_i"] + slope_change * reach}
+    return gains | {"k_i": gains["k_i"] + theta / t, "slide_i": gains["slide_i"] + theta * reach}
 
 
 def depends_on_error(problem: Problem) -> bool:
-    """Whether phi_1 of the conservative form changes with e."""
+    """Whether the loop has a phi_1 that changes with e: Table 1's with kappa_b > 0, in the conservative form."""
     return problem["form"] == "conservative" and bool(problem["functions"].get("kappa_b", 0))
 
 
 def middle_of(piece: tuple[float, float]) -> float:
-    """The middle of an interval of |sigma|, in |sigma|^(1/2)."""
-    return (0.5 * (piece[0] ** 0.5 + piece[1] ** 0.5)) ** 2
+    """The middle of an interval of |sigma| on the scale of |sigma|^(1/2), on which the functions vary evenly."""
+    low, high = piece
+    return (0.5 * (low**0.5 + high**0.5)) ** 2
+
+
+def halves_of(piece: tuple[float, float]) -> list[tuple[float, float]]:
+    """The two parts into which its middle cuts an interval of |sigma|."""
+    low, high = piece
+    middle = middle_of(piece)
+    return [(low, middle), (middle, high)]
 
 
 def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
-    """Balls of the gains that depend on sigma alone, for |sigma| in an interval, by name."""
+    """Balls of the gains of functions of sigma alone, for |sigma| in an interval [m/s], by name."""
     constants = constants_of(problem)
     k_o_tau_av, tau_m = functions_at(problem, constants, size)
     t = arb(problem["sample_time"])
-    proportional = 1 / k_o_tau_av
-    filtered_gain = 1 / constants["k_o"] if "k_o" in constants else constants["tau_av"] * proportional  # tau_av K_P
-    integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
-    nominal = problem["nominal"]
-    pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    mean = {} if problem["functions"]["kind"] == "sta" else {"mean": mean_gain(problem, constants, size, k_o_tau_av)}
-    return mean | {
+    proportional = 1 / k_o_tau_av  # K_P
+    integral = proportional / tau_m  # K_I, and phi_2/sigma of the conservative form
+    if "k_o" in constants:
+        tau_av = k_o_tau_av / constants["k_o"]
+        averaging_gain = 1 / constants["k_o"]  # tau_av K_P
+    else:
+        tau_av = constants["tau_av"]
+        averaging_gain = tau_av * proportional
+    gains = {
         "k_p": proportional,
         "k_i": integral,
-        "k_n": pole,
-        "slide_p": proportional + filtered_gain / t,
-        "slide_i": t * integral + filtered_gain / tau_m,
-        "tau_av": constants["tau_av"] if "tau_av" in constants else k_o_tau_av / constants["k_o"],
+        "k_n": arb(0),
+        "slide_p": proportional + averaging_gain / t,
+        "slide_i": t * integral + averaging_gain / tau_m,
+        "tau_av": tau_av,
     }
+    if problem["nominal"]:
+        _, k_n, has_predictor_term = problem["nominal"]
+        if has_predictor_term:
+            gains["k_n"] = 1 / (tau_m * arb(k_n))
+    if problem["functions"]["kind"] != "sta":  # its phi_1 has an infinite slope at 0
+        gains["mean"] = mean_gain(problem, constants, size, k_o_tau_av)
+    return gains
 
 
 def constants_of(problem: Problem) -> Balls:
-    """The constants of a problem's functions, by name."""
+    """The constants of a problem's functions as exact balls, by name."""
     return {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
 
 
 def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple[arb, arb]:
-    """k_o tau_av [1] and tau_m [s] for |sigma| in an interval: the rows of Table 2 and of Section V.
+    """Balls of k_o tau_av [1] and tau_m [s] for |sigma| in an interval: the rows of Table 2 and of Section V.
 
     Args:
         problem: The certificate's problem, with the kind of the functions.
-        c: Their constants.
+        c: Their constants, by the names of the article.
         size: Interval of |sigma| [m/s].
     """
     kind = problem["functions"]["kind"]
-    low, high = ends_of(size)
-    r = low.union(high)
+    low, high = root_ends(size)
+    r = low.union(high)  # |sigma|^(1/2)
     match kind:
         case "constant":
             k_o_tau_av = c["k_o"] * c["tau_av"]
             tau_m = c["tau_m"]
         case "sta":
-            floor = arb(1e-9)
+            floor = arb(1e-9)  # as the controller has it
             r = maximum(low, floor).union(maximum(high, floor))
             k_o_tau_av = 2 * r / c["kappa1"]
             tau_m = c["kappa1"] / c["kappa2"] * r
@@ -222,17 +264,24 @@ def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple
     return k_o_tau_av, tau_m
 
 
-def ends_of(size: tuple[float, float]) -> tuple[arb, arb]:
-    """|sigma|^(1/2) at the ends of an interval of |sigma|, which is often a point."""
-    root_low = arb(size[0]).sqrt()
-    root_high = root_low if size[0] == size[1] else arb(size[1]).sqrt()
-    return root_low, root_high
+def root_ends(size: tuple[float, float]) -> tuple[arb, arb]:
+    """|sigma|^(1/2) at both ends of an interval of |sigma|, which may be a point."""
+    low, high = size
+    root_low = arb(low).sqrt()
+    return root_low, root_low if low == high else arb(high).sqrt()
 
 
 def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av: arb) -> arb:
-    """phi_1/sigma, the mean of K_P over [0, sigma], for |sigma| in an interval.
+    """Ball of phi_1/sigma, the mean of K_P over [0, sigma], for |sigma| in an interval.
 
-    All these functions have k_o tau_av = alpha (r + beta) with r = |sigma|^(1/2), of which the mean is known.
+    All these functions have k_o tau_av = alpha (r + beta) with r = |sigma|^(1/2). So K_P = 1/(alpha (r + beta)), and
+    its mean is 2 (r - beta ln(1 + r/beta))/(alpha r^2).
+
+    Args:
+        problem: The certificate's problem, with the kind of the functions.
+        c: Their constants, by the names of the article.
+        size: Interval of |sigma| [m/s].
+        k_o_tau_av: Ball of k_o tau_av.
     """
     match problem["functions"]["kind"]:
         case "constant":
@@ -252,19 +301,18 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
 
 
 def enclosed_ratio_to_defect(size: tuple[float, float], scale: arb) -> arb:
-    """Enclosure of :func:`ratio_to_defect` of r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
+    """Ball of x^2/(x - ln(1 + x)) at x = r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
 
-    The ratio rises, so that its values at both ends suffice.
+    The ratio rises with x, so that its values at both ends suffice.
     """
-    root_low, root_high = ends_of(size)
+    low, high = size
+    root_low, root_high = root_ends(size)
     at_low = ratio_to_defect(root_low / scale)
-    if size[0] == size[1]:
-        return at_low
-    return at_low.union(ratio_to_defect(root_high / scale))
+    return at_low if low == high else at_low.union(ratio_to_defect(root_high / scale))
 
 
 def ratio_to_defect(x: arb) -> arb:
-    """x^2/(x - ln(1 + x)) for x >= 0, with the limit 2 at 0; it rises, so its values at both ends enclose it."""
-    if x < arb("1e-12"):  # 2 + 4 x/3 - ..., within [2, 2 + 2 x]
+    """Ball of x^2/(x - ln(1 + x)) for x >= 0, with the limit 2 at 0."""
+    if x < arb("1e-12"):  # where the difference cancels; 2 + 4 x/3 - ... lies within [2, 2 + 2 x]
         return arb(2).union(2 + 2 * x)
     return x * x / (x - x.log1p())

@@ -1,4 +1,9 @@
-"""The plant with its unmodelled dynamics between two samples, enclosed in balls over a box of plants."""
+"""The plant between two samples, chi' = F chi + G U with U held, enclosed in balls over a box of plants.
+
+chi = (e, e', eta, zeta, m): error and its rate, zero dynamics, k_p times the state of the unmodelled dynamics G(mu s)
+or the commands that a delay holds, and the memory of a sensor's lag. Over a sample [chi+, U] = [[Phi, Gamma], [0, 1]]
+[chi, U], where this matrix is the exponential of T_s [[F, G], [0, 0]].
+"""
 
 import math
 from collections.abc import Iterator
@@ -12,11 +17,12 @@ from flint import arb, arb_mat
 from dssc_jax.proofs.verifier.balls import exact_ends, interval_ball
 from dssc_jax.proofs.verifier.certificate import Box, Interval, Problem
 
-HALF = arb(1) / 2 * (1 + arb(2) ** -100)  # of a width, from its middle, which is rounded
+HALF = arb(1) / 2 * (1 + arb(2) ** -100)
+"""Largest distance from the rounded middle of an interval, over the interval's width."""
 
 
 class StatePlaces(NamedTuple):
-    """Places in z: of zeta and of the sensor's memory, and the number of all states."""
+    """Where zeta and the sensor's memory stand in z = (e, e', eta, zeta, m, v, s), and the length n of z."""
 
     zeta: range
     memory: range
@@ -24,10 +30,10 @@ class StatePlaces(NamedTuple):
 
 
 class CompanionForm(NamedTuple):
-    """G(mu s) as a state-space system.
+    """G(mu s) as a state-space system in companion form.
 
     Args:
-        a: Coefficients of the denominator over the leading one, in rising powers, without that of 1.
+        a: a_0 to a_(n-1), the coefficients of the monic denominator in rising powers, without the leading 1.
         output: Output row.
         direct: Feedthrough.
     """
@@ -38,12 +44,12 @@ class CompanionForm(NamedTuple):
 
 
 class BoxSide(NamedTuple):
-    """A side of a box along which the held plant varies.
+    """An interval of a box along which the held plant varies.
 
     Args:
-        name: ``a_p`` or ``rate``.
-        width: Width of the interval.
-        slope: Derivative of the generator along it, times T_s.
+        name: ``a_p``, or ``rate`` for 1/mu.
+        width: Width of the interval [1/s].
+        slope: Derivative of T_s [[F, G], [0, 0]] by this number [s].
     """
 
     name: str
@@ -52,12 +58,12 @@ class BoxSide(NamedTuple):
 
 
 def state_places(problem: Problem) -> StatePlaces:
-    """Places of the states in z = (e, e', eta, zeta, sensor's memory, v or q, s)."""
+    """Places of the states in z = (e, e', eta, zeta, m, v or q, s)."""
     zeta_start = 2 + len(problem["zero_a"])
-    order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
-    memory = zeta_start + order
-    end = memory + (2 if problem["sensor_lag"] else 0)
-    return StatePlaces(range(zeta_start, memory), range(memory, end), end + 2)
+    order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))  # of G, or of the delay
+    zeta_end = zeta_start + order
+    memory_end = zeta_end + (2 if problem["sensor_lag"] else 0)  # of y and y'
+    return StatePlaces(range(zeta_start, zeta_end), range(zeta_end, memory_end), memory_end + 2)
 
 
 def rate_interval(box: Box) -> Interval:
@@ -66,13 +72,16 @@ def rate_interval(box: Box) -> Interval:
 
 
 def memory_weights(problem: Problem) -> tuple[arb, arb]:
-    """kappa and lambda of a sensor's lag, which shows (1 - kappa) y + m, where m+ = lambda m + kappa (1 - lambda) y."""
+    """kappa and lambda of a sensor's lag.
+
+    It shows (1 - kappa) y + m with a memory m, and m+ = lambda m + kappa (1 - lambda) y.
+    """
     ratio = arb(problem["sample_time"]) / arb(problem["sensor_lag"])
     return -(-ratio).expm1() / ratio, (-ratio).exp()
 
 
 def companion_form(problem: Problem) -> CompanionForm:
-    """G(mu s) in companion form."""
+    """G(mu s) in companion form, from its numerator and denominator."""
     denominator = [arb(x) for x in problem["denominator"]]
     numerator = [arb(x) for x in problem["numerator"]]
     numerator += [arb(0)] * (len(denominator) - len(numerator))
@@ -96,82 +105,104 @@ def delay_weights(delay: float) -> list[arb]:
 
 
 def held_generator(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
-    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0; memories rest between samples."""
+    """[[F, G], [0, 0]] of the held plant chi' = F chi + G U, U' = 0, shape (n - 1, n - 1).
+
+    The memories of delay and sensor do not change between samples.
+
+    Args:
+        problem: The certificate's problem.
+        a_p: Damping [1/s].
+        rate: 1/mu [1/s] of G(mu s); unused without it.
+    """
     zeta, _, n = state_places(problem)
-    eta = len(problem["zero_a"])
-    f = [[arb(0)] * (n - 1) for _ in range(n - 1)]
-    f[0][1] = arb(1)
-    f[1][1] = -a_p
-    for i, c in enumerate(problem["zero_c"]):
-        f[1][2 + i] = -arb(c)
-    for i in range(eta - 1):
-        f[2 + i][3 + i] = arb(1)
-    if eta:
-        f[1 + eta][1] = arb(1)
-        for i, a in enumerate(problem["zero_a"]):
-            f[1 + eta][2 + i] = f[1 + eta][2 + i] - arb(a)
-    if not problem["denominator"]:
-        f[1][-1], *weights = delay_weights(problem["delay"])
+    generator = [[arb(0)] * (n - 1) for _ in range(n - 1)]  # the last column is G
+    generator[0][1] = arb(1)  # e
+    generator[1][1] = -a_p  # e'' = -a_p e' - zero_c eta + the unmodelled dynamics' output
+    for i, coefficient in enumerate(problem["zero_c"], 2):
+        generator[1][i] = -arb(coefficient)
+    last_eta = 1 + len(problem["zero_a"])
+    for i in range(2, last_eta):  # eta_i' = eta_(i+1), and the last one is driven by e'
+        generator[i][i + 1] = arb(1)
+    if problem["zero_a"]:
+        generator[last_eta][1] = arb(1)
+    for i, coefficient in enumerate(problem["zero_a"], 2):
+        generator[last_eta][i] = generator[last_eta][i] - arb(coefficient)
+    if not problem["denominator"]:  # a weighted sum of the command and of those before it, which zeta holds
+        generator[1][-1], *weights = delay_weights(problem["delay"])
         for i, weight in zip(zeta, weights, strict=True):
-            f[1][i] = weight
-        return arb_mat(f)
+            generator[1][i] = weight
+        return arb_mat(generator)
     form = companion_form(problem)
-    end = zeta[-1]
-    f[1][-1] = form.direct
-    for i, a, c in zip(zeta, form.a, form.output, strict=True):
-        f[1][i] = c
-        f[end][i] = -rate * a
-        if i < end:
-            f[i][i + 1] += rate
-    f[end][-1] = rate
-    return arb_mat(f)
+    last_zeta = zeta[-1]
+    generator[1][-1] = form.direct
+    for i, output in zip(zeta, form.output, strict=True):
+        generator[1][i] = output
+    for i in zeta[:-1]:  # mu zeta_i' = zeta_(i+1), and the last one is driven by U
+        generator[i][i + 1] = rate
+    for i, coefficient in zip(zeta, form.a, strict=True):
+        generator[last_zeta][i] = -rate * coefficient
+    generator[last_zeta][-1] = rate
+    return arb_mat(generator)
 
 
 def generator_over(problem: Problem, box: Box) -> arb_mat:
-    """[[F, G], [0, 0]] of the held plant, enclosed over all a_p and 1/mu of a box."""
+    """[[F, G], [0, 0]] of the held plant, in one matrix of balls for all a_p and 1/mu of a box."""
     return held_generator(problem, interval_ball(*box["a_p"]), interval_ball(*rate_interval(box)))
 
 
 def flows(generator: arb_mat, time: arb, pieces: int) -> Iterator[arb_mat]:
-    """Enclosures of exp(generator s) over each of ``pieces`` equal pieces of 0 <= s <= time."""
+    """Yield enclosures of exp([[F, G], [0, 0]] r), one for each piece of the time r from a sample on.
+
+    Args:
+        generator: [[F, G], [0, 0]].
+        time: Time [s] that the pieces cover, from r = 0 on.
+        pieces: Number of equal pieces.
+    """
     for piece in range(pieces):
         yield (generator * (time * interval_ball(piece / pieces, (piece + 1) / pieces))).exp()
 
 
 def held_sample(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
-    """[[Phi, Gamma], [0, 1]] of one sample, in which the memories of delay and sensor move on."""
+    """[[Phi, Gamma], [0, 1]] of one whole sample, with the step that the memories take at its end."""
     return with_memories(problem, (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp())
 
 
 def with_memories(problem: Problem, held_matrix: arb_mat) -> arb_mat:
-    """[[Phi, Gamma], [0, 1]] with the rows of the memories of delay and sensor, which change at the samples only."""
+    """Replace the rows of [[Phi, Gamma], [0, 1]] for the memories of delay and sensor, which change at samples only."""
     zeta, memory, n = state_places(problem)
     rows = held_matrix.tolist()
-    if not problem["denominator"]:
+    if not problem["denominator"]:  # zeta holds past commands: the youngest is U, the others move on by one place
+        u_place = n - 2
         for i in zeta:
-            source = n - 2 if i == zeta[0] else i - 1
+            source = u_place if i == zeta[0] else i - 1
             rows[i] = [arb(int(j == source)) for j in range(n - 1)]
     if memory:
         kappa, memory_decay = memory_weights(problem)
-        for output_index, i in enumerate(memory):
+        for signal, i in enumerate(memory):  # states 0 and 1 are e and e'
             rows[i] = [arb(0)] * (n - 1)
-            rows[i][output_index] = kappa * (1 - memory_decay)
+            rows[i][signal] = kappa * (1 - memory_decay)
             rows[i][i] = memory_decay
     return arb_mat(rows)
 
 
 def held_vertices(problem: Problem, box: Box, degree: int) -> list[arb_mat]:
-    """[[Phi, Gamma], [0, 1]] at vertices whose hull holds that of every a_p and 1/mu of the box.
+    """[[Phi, Gamma], [0, 1]] at vertices whose convex hull holds that of every a_p and 1/mu of the box.
 
-    Each ball also holds what interpolation in a_p and a Taylor polynomial in 1/mu leave out; that polynomial is a
-    convex combination of its coefficients in Bernstein's basis.
+    In a_p the vertices are the ends. In 1/mu they are the coefficients, in Bernstein's basis, of a Taylor polynomial,
+    which is a convex combination of them. The balls are wide enough for what interpolation and polynomial leave out.
+
+    Args:
+        problem: The certificate's problem.
+        box: Intervals of k_p, a_p and 1/mu.
+        degree: Degree of the polynomial.
     """
     rates = rate_interval(box)
+    low, high = rates
     remainder = interpolation_error(problem, box, degree)
     vertices = []
     for a_p in exact_ends(box["a_p"]):
-        if rates[0] == rates[1]:
-            points = [(held_generator(problem, a_p, arb(rates[0])) * arb(problem["sample_time"])).exp()]
+        if low == high:
+            points = [(held_generator(problem, a_p, arb(low)) * arb(problem["sample_time"])).exp()]
         else:
             points = bernstein_coefficients(problem, a_p, rates, degree)
         vertices += [with_memories(problem, point + remainder) for point in points]
@@ -179,14 +210,16 @@ def held_vertices(problem: Problem, box: Box, degree: int) -> list[arb_mat]:
 
 
 def bernstein_coefficients(problem: Problem, a_p: arb, rates: Interval, degree: int) -> list[arb_mat]:
-    """Bernstein coefficients, over an interval of 1/mu, of exp's Taylor polynomial about the interval's middle.
+    """Coefficients in Bernstein's basis, over an interval of 1/mu, of exp's Taylor polynomial about its middle.
 
-    The i-th coefficient of a term x^k on [-1, 1] is the mean product of k out of i numbers 1 and degree - i numbers -1.
+    With x from -1 to 1 over the interval, the i-th coefficient of x^k is the mean of the products of k numbers out of i
+    numbers 1 and degree - i numbers -1.
     """
     low, high = map(arb, rates)
-    (side,) = box_sides(problem, {"a_p": (0.0, 0.0), "rate": rates})
-    generator = held_generator(problem, a_p, (low + high) / 2) * arb(problem["sample_time"])
-    terms = taylor_terms(generator, side.slope * ((high - low) / 2), degree)
+    t = arb(problem["sample_time"])
+    generator = held_generator(problem, a_p, (low + high) / 2) * t
+    slope = rate_slope(problem) * ((high - low) / 2)  # change of the generator from the middle to the upper end
+    terms = taylor_terms(generator, slope, degree)
     coefficients = []
     for i in range(degree + 1):
         signs = [1] * i + [-1] * (degree - i)
@@ -198,24 +231,41 @@ def bernstein_coefficients(problem: Problem, a_p: arb, rates: Interval, degree: 
     return coefficients
 
 
+def damping_slope(problem: Problem) -> arb_mat:
+    """Derivative of T_s [[F, G], [0, 0]] by a_p [s]; the generator is affine in a_p."""
+    zero = arb(0)
+    difference = held_generator(problem, arb(1), zero) - held_generator(problem, zero, zero)
+    return difference * arb(problem["sample_time"])
+
+
+def rate_slope(problem: Problem) -> arb_mat:
+    """Derivative of T_s [[F, G], [0, 0]] by 1/mu [s]; the generator is affine in 1/mu."""
+    zero = arb(0)
+    difference = held_generator(problem, zero, arb(1)) - held_generator(problem, zero, zero)
+    return difference * arb(problem["sample_time"])
+
+
 def box_sides(problem: Problem, box: Box) -> list[BoxSide]:
-    """The sides of a box along a_p and along 1/mu that have a width."""
-    zero, unit = arb(0), arb(1)
-    t = arb(problem["sample_time"])
-    origin = held_generator(problem, zero, zero)
+    """The intervals of a_p and of 1/mu that have a width."""
     sides = []
-    for name, interval, point in (("a_p", box["a_p"], (unit, zero)), ("rate", rate_interval(box), (zero, unit))):
-        low, high = interval
-        if low < high:
-            slope = (held_generator(problem, *point) - origin) * t
-            sides.append(BoxSide(name, arb(high) - arb(low), slope))
+    low, high = box["a_p"]
+    if low < high:
+        sides.append(BoxSide("a_p", arb(high) - arb(low), damping_slope(problem)))
+    low, high = rate_interval(box)
+    if low < high:
+        sides.append(BoxSide("rate", arb(high) - arb(low), rate_slope(problem)))
     return sides
 
 
 def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat]:
-    """The derivatives of exp(W) along W_i, up to this order, each over its factorial, from one exponential of blocks.
+    """The terms 0 to ``order`` of exp(W + x D) as a power series in x.
 
-    They are the first row of blocks of exp of the matrix with W on the diagonal of blocks and W_i beside it.
+    They are the first row of blocks of exp of the matrix with W in each diagonal block and D in each block beside it.
+
+    Args:
+        generator: W.
+        slope: D.
+        order: Order of the last term.
     """
     size = generator.nrows()
     blocks = order + 1
@@ -230,32 +280,33 @@ def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat
 
 
 def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
-    """A ball for what :func:`held_vertices` leaves out of [[Phi, Gamma], [0, 1]] within a box.
+    """Balls about 0 for what interpolation in a_p and the polynomial in 1/mu leave out of [[Phi, Gamma], [0, 1]].
 
     Linear interpolation in a_p leaves at most width^2/8 sup |second derivative|. The Taylor polynomial in 1/mu about
-    the middle leaves (width/2)^(degree + 1) sup |derivative of that order|, over the order's factorial.
+    the middle leaves at most (width/2)^m sup |m-th derivative|/m! with m = degree + 1. For m = 2 this is the first one.
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()
     error = arb_mat(size, size)
     for side in box_sides(problem, box):
         order = degree + 1 if side.name == "rate" else 2
-        term = taylor_terms(generator, side.slope, order)[-1] * ((side.width / 2) ** order)
+        last_term = taylor_terms(generator, side.slope, order)[order]  # derivative over its factorial
+        term = last_term * ((side.width / 2) ** order)
         for i, j in product(range(size), range(size)):
             error[i, j] = error[i, j] + interval_ball(-1.0, 1.0) * abs(term[i, j]).upper()
     return error
 
 
 def held_spread(problem: Problem, box: Box) -> list[list[arb]]:
-    """Bounds of how far the entries of [[Phi, Gamma], [0, 1]] are from those at the middle of a box.
+    """Bounds of how far each entry of [[Phi, Gamma], [0, 1]] is from its value in the middle of a box.
 
-    By the mean value theorem that is half the width times the largest |derivative| for each side of the box.
+    By the mean value theorem it is at most half of the width times the largest |derivative|, for a_p and for 1/mu.
     """
     generator = generator_over(problem, box) * arb(problem["sample_time"])
     size = generator.nrows()
     spread = [[arb(0)] * size for _ in range(size)]
     for side in box_sides(problem, box):
-        derivative = taylor_terms(generator, side.slope, 1)[-1]
+        _, derivative = taylor_terms(generator, side.slope, 1)
         for i, j in product(range(size), range(size)):
             spread[i][j] = (spread[i][j] + abs(derivative[i, j]) * side.width * HALF).upper()
     return spread

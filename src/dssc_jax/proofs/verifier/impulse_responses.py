@@ -1,9 +1,9 @@
-"""Upper bounds of sums and peaks of impulse responses of z+ = A z: exact states in balls, what is summed in float64.
+"""Upper bounds of sums and peaks of impulse responses of z+ = A z: states in balls, samples in float64.
 
-A block of samples is a grid: sample i LONG + k is row A^k times A^(i LONG) times the block's first state, for i and k
-below ``SIDE``. Both products are rounded. With S and N the magnitudes of the rows row A^k and of the matrices, the
-error of each is at most ``ROUNDED`` times the product of the magnitudes, since n + 4 roundings of 2^-53 each are less;
-so that of both is at most ``TWICE`` ROUNDED S N |z|.
+The samples of a block are a grid: sample i SIDE + k is (row A^k) (A^(i SIDE) z), where z is the block's first state and
+i and k are below ``SIDE``. Both products are rounded. Let R and N be the magnitudes of row A^k and of A^(i SIDE). Then
+the error of each product is at most ``ROUNDED`` times the product of the magnitudes, since it has fewer than n + 4
+roundings of 2^-53 each. The error of both together is at most ``TWICE`` ROUNDED R N |z|.
 """
 
 from collections.abc import Iterator
@@ -15,23 +15,27 @@ from flint import arb, arb_mat
 from dssc_jax.proofs.verifier.balls import column, identity, quadratic_form, side_by_side, stack, total
 
 SIDE = 32
-"""Root of the number of samples of a block."""
+"""Square root of the number of samples of a block."""
 MOST_BLOCKS = 500
+"""Number of blocks after which the responses count as too slow."""
 TAIL_SHARE = 2e-5
-"""Share of a sum at which its tail is bounded instead of computed."""
+"""Share of a sum below which the rest of the sum is bounded by V instead of computed."""
 ROUNDED = 2.0**-44
+"""Relative error of one rounded product of matrices, at most."""
 TWICE = 2.0 + 2.0**-20
+"""Number of rounded products, with a little more for their interaction."""
 SUMMED = 1.0 + 2.0**-28
-"""Covers the rounding of the sums themselves, of which there are fewer than 2^22 terms."""
+"""Factor that covers the rounding of the sums themselves, which have fewer than 2^22 terms."""
 UNDERFLOW = 1e-290
+"""More than what underflow in a product loses."""
 
 
 class ResponseBounds(NamedTuple):
-    """Upper bounds of responses.
+    """Upper bounds of how much inputs and starts can move the signals of z+ = A z + B w.
 
     Args:
-        sums: Bounds of the sums over k of |row A^k input|, (rows, inputs).
-        peaks: Bounds of the largest |offset + row A^k start| over all k, (rows, starts).
+        sums: Bounds of the sums over k of |row A^k input|, shape (rows, inputs).
+        peaks: Bounds of the largest |offset + row A^k start| over all k, shape (rows, starts).
     """
 
     sums: np.ndarray
@@ -39,28 +43,31 @@ class ResponseBounds(NamedTuple):
 
 
 def middles(matrix: arb_mat) -> np.ndarray:
-    """The middles of a matrix of balls, rounded to float64."""
+    """The midpoints of a matrix of balls, rounded to float64."""
     return np.array([[float(x.mid()) for x in row] for row in matrix.tolist()])
 
 
 def magnitudes(matrix: arb_mat) -> np.ndarray:
-    """Bounds of the magnitudes of a matrix of balls, in float64.
+    """Bounds of the magnitudes of a matrix of balls, in float64, enlarged by 2^60 times each radius.
 
-    Each radius counts 2^60 times, so that ROUNDED times a bound covers the radius together with the rounding.
+    So ``ROUNDED`` times a bound covers the radius together with the rounding of the midpoint.
     """
-    weight = arb(2) ** 60
-    return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
+    radius_weight = arb(2) ** 60
+    return np.array([[float((abs(x) + radius_weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
 
 
 class Block(NamedTuple):
-    """``SIDE``^2 successive samples of row A^k z, rounded, for all rows and columns z; the bounds are rounded, too.
+    """``SIDE``^2 successive samples of row A^k z, rounded, for all rows and all columns z, with bounds of the errors.
+
+    The states are exact numbers at the beginning of each block; the radii of their balls are dropped there.
 
     Args:
-        response: The samples, (samples, rows, columns).
-        error: Bound of any sample's error but for ``radius_effect``, (rows, columns).
-        error_sum: Bound of the sum of the samples' errors but for ``radius_effect``, (rows, columns).
-        radius_effect: Bound of what the states' radii, dropped so far, do to any sample from this block on.
-        tail: Bound of every sample after this block, with ``radius_effect``.
+        response: The samples, shape (samples, rows, columns).
+        error: Bound of a sample's rounding error, shape (rows, columns).
+        error_sum: Bound of the sum of the rounding errors of all samples, shape (rows, columns).
+        radius_effect: Bound of what the radii that were dropped so far do to a sample of this or a later block,
+            shape (rows, columns).
+        tail: Bound of every sample after this block, including the effect of the radii, shape (rows, columns).
     """
 
     response: np.ndarray
@@ -73,16 +80,17 @@ class Block(NamedTuple):
 def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterator[Block]:
     """Yield the responses row A^k z block by block, from k = 0 on, at most ``MOST_BLOCKS`` blocks.
 
-    After each block the state goes on with exact numbers, the middles of its balls. What the dropped radii can still
-    cause is bounded by V.
+    Balls would widen from block to block. So each block begins with the midpoints, and V bounds what the dropped radii
+    can still cause: V never rises, and within {V <= 1} a row is at most (row P^-1 row')^(1/2).
 
     Args:
-        a: A, (n, n).
-        rows: Rows of the signals, (m, n).
-        z: Columns of the first states, (n, columns).
+        a: A, shape (n, n).
+        rows: Rows of the signals, shape (m, n).
+        z: Columns of the first states, shape (n, columns).
         p: P of V = z'Pz, which falls from sample to sample, as the caller has shown.
     """
-    n, m = a.nrows(), rows.nrows()
+    n = a.nrows()
+    m = rows.nrows()
     short_rows = stack(powers(rows, a))
     jumps = powers(identity(n), a**SIDE)
     long_jumps = stack(jumps)
@@ -94,12 +102,12 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
     error_sum = SUMMED * error.sum(axis=(0, 2))
     error_peak = error.max(axis=(0, 2))
     squares = rows * p.inv() * rows.transpose()
-    largest_in_set = np.array([float(abs(squares[i, i]).upper().sqrt().upper()) for i in range(m)])  # of V <= 1
-    largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
+    largest_in_set = np.array([float(abs(squares[i, i]).upper().sqrt().upper()) for i in range(m)])  # |row z|, V <= 1
+    largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()  # V^(1/2), |z_i| <= 1
     count = z.ncols()
-    dropped_sizes = [arb(0)] * count
+    dropped_sizes = [arb(0)] * count  # of each column, bound of V^(1/2) of all radii dropped so far
     for _ in range(MOST_BLOCKS):
-        for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
+        for j in range(count):
             largest_radius = max((z[i, j].rad() for i in range(n)), key=float)
             dropped_sizes[j] = dropped_sizes[j] + largest_in_unit_cube * largest_radius
         z = z.mid()
@@ -129,20 +137,21 @@ def response_bounds(
     """Bounds of the responses of z+ = A z to inputs and to starts; None if they decay too slowly.
 
     Args:
-        a: A, (n, n).
-        rows: Rows of the signals, (m, n).
-        inputs: Columns of the inputs, (n, q).
-        starts: Columns of the initial states, (n, s).
-        p: P of V = z'Pz, (n, n).
+        a: A, shape (n, n).
+        rows: Rows of the signals, shape (m, n).
+        inputs: Columns of the inputs, shape (n, q).
+        starts: Columns of the initial states, shape (n, s).
+        p: P of V = z'Pz, shape (n, n).
         decay: The share of V that is lost in a sample, at least, as the caller has shown.
-        offsets: Constants that are added to the responses to the starts, (m, s); None: zero.
+        offsets: Constants that are added to the responses to the starts, shape (m, s); None: zero.
     """
-    m, q = rows.nrows(), inputs.ncols()
+    m = rows.nrows()
+    q = inputs.ncols()
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.ncols()))
     offset_middles = np.zeros(peaks.shape) if offsets is None else middles(offsets)
     offset_errors = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
-    tail_factor = float((2 / decay).upper())
+    tail_factor = float((2 / decay).upper())  # samples fall by (1 - decay)^(1/2), whose series sums to 2/decay at most
     for block in response_blocks(a, rows, side_by_side(inputs, starts), p):
         sums += np.abs(block.response[..., :q]).sum(axis=0) + block.error_sum[:, :q]
         largest = np.abs(block.response[..., q:] + offset_middles).max(axis=0) + block.error[:, q:]
@@ -156,11 +165,11 @@ def response_bounds(
 
 
 def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
-    """The first ``SIDE`` of start, start a, start a^2, ..."""
-    result = [start]
+    """The ``SIDE`` matrices start, start a, start a^2, ..."""
+    products = [start]
     for _ in range(SIDE - 1):
-        result.append(result[-1] * a)
-    return result
+        products.append(products[-1] * a)
+    return products
 
 
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:

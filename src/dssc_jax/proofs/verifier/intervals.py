@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 UNIT = 2.0**-52
-"""Twice the relative error of one rounding: the second half covers the rounding of the widened end."""
+"""Relative widening of an end: twice the error of one rounding, since the widened end is rounded, too."""
 LOST_TO_ZERO = 1e-300
-"""More than what any rounding to zero loses."""
+"""Absolute widening of an end, more than what any underflow loses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """Arrays of intervals, of which the ends are exact numbers; NaN where an operation is not defined.
+    """An array of intervals. An operation encloses the exact results; its ends are NaN where it is not defined.
 
     Args:
         low: Lower ends.
@@ -27,30 +27,30 @@ class Intervals:
     high: np.ndarray
 
     def __add__(self, right: "Intervals") -> "Intervals":
-        """The sum."""
+        """Enclose the sums."""
         return outwards(self.low + right.low, self.high + right.high)
 
     def __sub__(self, right: "Intervals") -> "Intervals":
-        """The difference."""
+        """Enclose the differences."""
         return outwards(self.low - right.high, self.high - right.low)
 
     def __mul__(self, right: "Intervals") -> "Intervals":
-        """The product."""
+        """Enclose the products, whose extremes are products of ends."""
         ends = self.low * right.low, self.low * right.high, self.high * right.low, self.high * right.high
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def __truediv__(self, right: "Intervals") -> "Intervals":
-        """The quotient; NaN where the divisor is not positive."""
-        low = np.where(right.low > 0.0, right.low, np.nan)
-        ends = self.low / low, self.low / right.high, self.high / low, self.high / right.high
+        """Enclose the quotients; NaN where the divisor may be 0 or negative."""
+        divisor_low = np.where(right.low > 0.0, right.low, np.nan)
+        ends = self.low / divisor_low, self.low / right.high, self.high / divisor_low, self.high / right.high
         return outwards(np.minimum.reduce(ends), np.maximum.reduce(ends))
 
     def selected(self, mask: np.ndarray) -> "Intervals":
-        """The intervals that a mask selects."""
+        """The intervals where a mask is true."""
         return Intervals(self.low[mask], self.high[mask])
 
     def middle(self) -> "Intervals":
-        """A point near the middle of each interval, as an interval of that one number."""
+        """A point near the middle of each interval, as an interval without width."""
         points = 0.5 * (self.low + self.high)
         return Intervals(points, points)
 
@@ -61,12 +61,12 @@ class Intervals:
 
 
 def outwards(low: np.ndarray, high: np.ndarray) -> Intervals:
-    """Intervals of rounded ends, widened by what the rounding may have lost."""
+    """Intervals from ends that were rounded once, widened by what the rounding may have lost."""
     return Intervals(low - (UNIT * np.abs(low) + LOST_TO_ZERO), high + (UNIT * np.abs(high) + LOST_TO_ZERO))
 
 
 def exactly(value: float) -> Intervals:
-    """The interval of one number."""
+    """A number as an interval without width."""
     point = np.float64(value)
     return Intervals(np.asarray(point), np.asarray(point))
 

@@ -1,4 +1,8 @@
-"""(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region."""
+"""(P3), (P5), (P6): a set {z'Pz <= 1} that is invariant and attracts, for all plants of a box and gains of a region.
+
+V = z'Pz has to fall over every vertex of plant and gains. V(z+) is convex in z+, and z+ is affine in each of them, so
+V falls for all. The region is cut into pieces of |sigma|, each with gains of its own.
+"""
 
 from itertools import pairwise, product
 
@@ -41,22 +45,22 @@ from dssc_jax.proofs.verifier.held_plant import flows, generator_over, held_vert
 from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 
 ERROR, SPEED = 0, 1
-"""Places of e and e' among the states."""
+"""Places of e and e' in z."""
 PieceGains = list[tuple[float, Balls]]
-"""The upper end of each piece of |sigma|, and the gains there."""
+"""For each piece of |sigma|, its upper end [m/s] and the gains in it."""
 
 
 def invariant_bounds(
     problem: Problem, box: Box, stage: InvariantStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
-    """Show that the set of a stage is invariant and attracts, and return bounds within the set.
+    """Show that the set of a stage is invariant and attracts, and return bounds of the signals in it.
 
     Args:
         problem: The problem, with the level and slope of the stage.
         box: Intervals of k_p, a_p and 1/mu.
         stage: The stage, with P of the set and the multipliers of the inputs.
         gains: Balls of the gains in the stage's region.
-        from_start: Whether the set has to hold every start and keep sliding.
+        from_start: Whether the set has to hold every start (P3) and keep the loop sliding (P5).
         label: Place of the stage, for messages.
 
     Raises:
@@ -69,7 +73,7 @@ def invariant_bounds(
     require_premise(positive_definite(p), f"P2: P is not positive definite in {label}")
     pieces = piece_gains(problem, stage)
     if not is_integrated:
-        pieces = [(high, increment_gains(problem, stage, gains, piece)) for high, piece in pieces]
+        pieces = [(end, increment_gains(problem, stage, gains, piece)) for end, piece in pieces]
     vertices = held_vertices(problem, box, stage["degree"])
     for _, piece in pieces:
         corners = sample_corners(problem, box, vertices, piece, is_integrated=is_integrated)
@@ -92,20 +96,30 @@ def invariant_bounds(
 
 
 def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:
-    """The gains in each piece of |sigma|; the pieces cover the stage's region."""
+    """The gains in each piece of |sigma|. The pieces are equal in |sigma|^(1/2) and cover the stage's region."""
     count = stage["pieces"]
-    ends = [stage["sigma"] * (i / count) ** 2 for i in range(count)] + [stage["sigma"]]
-    return [(high, enclosed_gains(problem, high, stage["e"], low)) for low, high in pairwise(ends)]
+    cuts = [stage["sigma"] * (i / count) ** 2 for i in range(count)] + [stage["sigma"]]
+    return [(end, enclosed_gains(problem, end, stage["e"], sigma_from=begin)) for begin, end in pairwise(cuts)]
 
 
 def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece: Balls) -> Balls:
-    """The gains of the increments of u_av in a piece: K_P is a mean over a sample, which may begin in another piece."""
+    """The gains in v+ = v + K_P (sigma - s) + T_s K_I sigma, in a piece of the region.
+
+    In the conservative form K_P is a mean over a sample that may have begun in another piece, so it has the whole
+    region's interval; and K_I contains what phi_1 changes by through e.
+
+    Args:
+        problem: The certificate's problem.
+        stage: The stage, with a bound of the change of e in a sample.
+        gains: Balls of the gains in the whole region.
+        piece: Balls of the gains in the piece.
+    """
     increments = with_moving_error(problem, piece, stage["moved"])
     return increments | {"k_p": gains["k_p"]} if problem["form"] == "conservative" else increments
 
 
 def check_start(problem: Problem, box: Box, p: arb_mat, is_integrated: bool, label: str) -> None:
-    """(P3) Require that every start lies in the set."""
+    """(P3) Require that every start lies in the set {z'Pz <= 1}."""
     starts = start_columns(problem, box, enclosed_start_ratio(problem, is_integrated=is_integrated))
     for j in range(starts.ncols()):
         require_premise(quadratic_form(p, column(starts, j)) <= 1, f"P3: a start lies outside of {label}")
@@ -121,10 +135,11 @@ def check_sliding(
     error_change: arb,
     label: str,
 ) -> None:
-    """(P5) Require |u_eq| <= rho in the set, where u_eq - d_r - f is a row over z that is affine in its gains.
+    """(P5) Require |u_eq - d_r - f| <= rho - sup |d_r + f| in the set.
 
-    In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. With e,
-    phi_1 changes in a sample at most by its slope in e times the change of e; in the coordinate u_av, K_I holds this.
+    u_eq = v + slide_p (sigma - s) + slide_i sigma is affine in both gains, so their ends suffice. With q, v = q +
+    phi_1(s): in each piece, phi_1(s) is within |mean - middle| |s| of middle s. And phi_1 may change by its slope in e
+    times the change of e in a sample; with v, K_I contains this.
 
     Args:
         problem: The certificate's problem.
@@ -146,14 +161,14 @@ def check_sliding(
     if is_integrated:
         middle = gains["mean"].mid()
         u_av_row = u_av_row + rows.s * middle
-        distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
+        distances = [(abs(piece["mean"] - middle) * arb(end)).upper() for end, piece in pieces]
         room = room - maximum(*distances)
     if problem["form"] == "conservative":
         if is_integrated:
             room = room - abs(gains["slide_e"]).upper() * error_change
         slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), error_change)
-    for by_change, by_sigma in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
-        row = u_av_row + rows.change * by_change + rows.sigma * by_sigma
+    for p, i in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
+        row = u_av_row + rows.change * p + rows.sigma * i
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {label}")
 
@@ -167,8 +182,8 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
     Args:
         t: T_s [s].
         stage: The stage, with lambda and the multipliers.
-        p: P, (n, n).
-        corners: One sample at every corner of plant and gains.
+        p: P, shape (n, n).
+        corners: One sample at every vertex of plant and gains.
         label: Place of the stage, for messages.
     """
     rate = arb(stage["rate"])
@@ -176,34 +191,53 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
     require_premise(rate > 0 and t * rate < 1, f"P6: lambda is not in (0, 1/T_s) in {label}")
     require_premise(all(mu >= 0 for mu in multipliers), f"P6: a multiplier is negative in {label}")
     require_premise(total(multipliers) <= rate, f"P6: the multipliers exceed lambda in {label}")
-    root = approximate_root(p)  # coordinates in which P is close to I, so that the balls of A stay small
+    root = approximate_root(p)  # L with L L' near P
     assert root is not None
-    to_scaled = root.transpose()
+    to_scaled = root.transpose()  # in x = L'z, P is close to I, so that the balls of A stay small
     from_scaled = to_scaled.inv()
     scaled_p = from_scaled.transpose() * p * from_scaled
     keep = scaled_p * (1 - t * rate)
     for corner in corners:
-        columns = zip(*corner.b.tolist(), strict=True)
-        active = [j for j, entries in enumerate(columns) if not all(entry == 0 for entry in entries)]
-        a = to_scaled * corner.a * from_scaled
-        b = to_scaled * corner.b
-        transposed_a_p = a.transpose() * scaled_p
-        decrease = (keep - transposed_a_p * a).tolist()
-        cross = (transposed_a_p * b).tolist()
-        inputs = b.transpose() * scaled_p * b
-        block = []
-        for decrease_row, cross_row in zip(decrease, cross, strict=True):
-            block.append([*decrease_row, *(-cross_row[j] for j in active)])
-        for j in active:
-            weights = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in active]
-            block.append([*(-cross_row[j] for cross_row in cross), *weights])
-        require_premise(positive_definite(symmetric_part(block)), f"P6: the set is not invariant in {label}")
+        scaled_corner = Corner(to_scaled * corner.a * from_scaled, to_scaled * corner.b)
+        active = [j for j, entries in enumerate(corner.b.transpose().tolist()) if not all(x == 0 for x in entries)]
+        form = decrease_form(scaled_corner, scaled_p, keep, [t * mu for mu in multipliers], active)
+        require_premise(positive_definite(symmetric_part(form)), f"P6: the set is not invariant in {label}")
+
+
+def decrease_form(corner: Corner, p: arb_mat, keep: arb_mat, weights: list[arb], active: list[int]) -> list[list[arb]]:
+    """The matrix of (1 - T_s lambda) V(x) + T_s sum of mu_j w_j^2 - V(x+) as a quadratic form of x and the inputs w_j.
+
+    Args:
+        corner: A and B of the sample.
+        p: P, shape (n, n).
+        keep: (1 - T_s lambda) P, shape (n, n).
+        weights: T_s mu_j of each input.
+        active: Numbers of the inputs that act; the others have no row, since their column of B is 0.
+
+    Returns:
+        The rows, those of x first.
+    """
+    a_p = corner.a.transpose() * p
+    by_state = (keep - a_p * corner.a).tolist()
+    cross = (a_p * corner.b).tolist()  # A'PB
+    inputs = corner.b.transpose() * p * corner.b
+    state_rows = [
+        [*state_row, *(-cross_row[j] for j in active)] for state_row, cross_row in zip(by_state, cross, strict=True)
+    ]
+    input_rows = []
+    for j in active:
+        input_row = [(weights[j] if i == j else arb(0)) - inputs[j, i] for i in active]
+        input_rows.append([*(-cross_row[j] for cross_row in cross), *input_row])
+    return [*state_rows, *input_rows]
 
 
 def largest_between_samples(
     problem: Problem, box: Box, stage: InvariantStage, inverse: arb_mat, gains: Balls, place: int
 ) -> arb:
-    """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set.
+    """Upper bound of |e(t)| [m] or |e'(t)| [m/s] at all times, while z at the samples is in the set.
+
+    Between samples the signal is a row over z, since chi(t) = exp(F t) chi + gamma(t) U, plus the effect of d_r's
+    change. U is affine in the gains, so their ends suffice.
 
     Args:
         problem: The problem, with the level and slope of the stage.
@@ -211,7 +245,7 @@ def largest_between_samples(
         stage: The stage.
         inverse: Inverse of P.
         gains: Balls of the gains in the stage's region.
-        place: ``ERROR`` for e or ``SPEED`` for e'.
+        place: Place of the signal in z: ``ERROR`` for e, ``SPEED`` for e'.
     """
     is_integrated = stage["coordinate"] == "phi_1"
     names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
@@ -220,11 +254,10 @@ def largest_between_samples(
     disturbance_bound = inside_bounds(problem, box, t)[place]
     largest = arb(0)
     for flow in flows(generator_over(problem, box), t, SAMPLE_PIECES):
-        *states, push = flow.tolist()[place]
-        push_gain = k_p * push
+        *by_chi, by_u = flow.tolist()[place]
+        by_state = arb_mat([[*by_chi, arb(0), arb(0)]])  # not of v and s
         for gain in product(*(ball_ends(gains[name]) for name in names)):
             _, command = control_rows(problem, gain, is_integrated=is_integrated)
-            pairs = zip([*states, arb(0), arb(0)], command.tolist()[0], strict=True)
-            row = arb_mat([[state + push_gain * entry for state, entry in pairs]])
+            row = by_state + command * (k_p * by_u)  # U = k_p (command + d_r)
             largest = maximum(largest, (bound_in_set(inverse, row) + disturbance_bound).upper())
     return largest

@@ -1,7 +1,7 @@
-"""How much the slope of phi_1 changes within a sample, enclosed: the sliding condition of a constant k_o needs it.
+"""How much the slope of phi_1 can change within a sample, enclosed; the sliding condition (P5) needs it.
 
-There tau_av = 1/(k_o g) with g = d phi_1/d sigma belongs to the end of a sample, and K_P is the mean of g over it.
-Their product is 1/k_o, times a ratio of slopes at points that are close to one another.
+In the conservative form with a constant k_o, tau_av = 1/(k_o g), where g is the slope d phi_1/d sigma at the end of a
+sample. K_P is the mean of g over the sample. So tau_av K_P is 1/k_o times a ratio of slopes at points close together.
 """
 
 import numpy as np
@@ -14,14 +14,16 @@ from dssc_jax.proofs.verifier.intervals import Intervals, outwards
 from dssc_jax.proofs.verifier.table_gains import Cells, gains_of
 
 ROOT_CELLS = 64
+"""Number of cells of |sigma|^(1/2) in which the end of a sample may lie."""
 ERROR_CELLS = 16
-"""Cells of |sigma|^(1/2) and of |e| in which the end of a sample may lie."""
+"""Number of cells of |e| in which the end of a sample may lie."""
 
 
 def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_change: arb) -> arb:
     """Ball of K_P (1 + tau_av/T_s), the gain of sigma - s in the equivalent control.
 
-    With a constant k_o the product tau_av K_P varies less than its factors, and the smaller ball is taken.
+    In the conservative form with a constant k_o, tau_av K_P varies less than the product of the extremes of its
+    factors. The smaller one of both balls is taken.
 
     Args:
         problem: The certificate's problem.
@@ -39,13 +41,15 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_
         ratio = ratio_by_sigma_and_e(problem, stage["sigma"], stage["e"], sigma_change, float(error_change.upper()))
     else:
         ratio = ratio_by_sigma(problem, stage["sigma"], sigma_change)
-    ratios = (1 / ratio).union(ratio)
+    ratios = (1 / ratio).union(ratio)  # of g at one point to g at another one
     gain = gains["k_p"] + ratios / (constants["k_o"] * arb(problem["sample_time"]))
     return gain if gain.rad() < gains["slide_p"].rad() else gains["slide_p"]
 
 
 def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
-    """The largest ratio of the slopes d phi_1/d sigma at two points within one sample, for functions of sigma alone.
+    """The largest ratio of the slopes g = d phi_1/d sigma at two points within a sample, for functions of sigma alone.
+
+    Since g = 1/(k_o tau_av), each cell of |sigma| is widened by the change in a sample, and k_o tau_av enclosed there.
 
     Args:
         problem: The certificate's problem.
@@ -65,9 +69,10 @@ def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
 
 
 def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float, error_change: float) -> arb:
-    """The largest ratio of the slopes d phi_1/d sigma at two points within one sample, for Table 1's functions.
+    """The largest ratio of the slopes g = d phi_1/d sigma at two points within a sample, for Table 1's functions.
 
-    These depend on sigma and e. The computation is in float64, rounded outwards.
+    These depend on sigma and e. Each cell is widened by the changes in a sample, and g enclosed there, in float64
+    rounded outwards.
 
     Args:
         problem: The certificate's problem.
@@ -87,7 +92,7 @@ def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float
     error_intervals = outwards(error_low.ravel() - error_change, error_high.ravel() + error_change)
     cells = Cells(
         Intervals(np.maximum(root.low, 0.0), root.high),
-        np.ones(root.low.size),
+        np.ones(root.low.size),  # the sign of sigma e, on which the slope does not depend
         Intervals(np.maximum(error_intervals.low, 0.0), np.minimum(error_intervals.high, e)),
     )
     slope = gains_of(problem, cells)["k_p"]

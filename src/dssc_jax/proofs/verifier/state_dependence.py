@@ -1,4 +1,4 @@
-"""(P8) What a disturbance as in (30) adds to its level and slope by depending on the state.
+"""(P8) Bounds of what a disturbance as in (30) adds to |d| and |d'| by depending on the state.
 
 With y = e + y_m, and s = e' + l_0 e taken at any time, not only at the samples,
 
@@ -15,29 +15,30 @@ from dssc_jax.proofs.verifier.certificate import Box, Problem
 from dssc_jax.proofs.verifier.enclosed_loop import inside_bounds, signal_bounds
 from dssc_jax.proofs.verifier.held_plant import flows, generator_over, state_places
 
-PIECES = 64  # of a sample, on which its inside is enclosed
+PIECES = 64
+"""Number of equal pieces of a sample, over each of which the plant is enclosed."""
 
 
 def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb]:
-    """Bounds of what the state adds to |d| [m/s] and to |d'| [m/s^2].
+    """Bounds of what the state adds to |d| [m/s] and to |d'| [m/s^2], by the inequalities at the module's top.
 
     Args:
         problem: The problem, with the level and slope of the stage.
         box: Intervals of the plant.
-        bounds: Bounds of the command plus d_r, and of each state at the samples.
+        bounds: Bounds at the samples of |command + d_r|, and of each state.
     """
-    k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])
+    k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])  # k_d1 to k_d5
     if not any(problem["by_state"]):
         return arb(0), arb(0)
     e, speed, acceleration = motion_bounds(problem, box, bounds)
     reference_rate, reference_acceleration, _ = map(arb, problem["reference"])
     l0 = arb(problem["l0"])
-    y = e + arb(problem["reference_size"])
+    y = e + arb(problem["reference_size"])  # |y| <= |e| + |y_m|, and likewise its derivatives
     y_dot = speed + reference_rate
     y_ddot = acceleration + reference_acceleration
     s = speed + l0 * e
     s_dot = acceleration + l0 * speed
-    growth = k_1 * y + k_2 * y_dot + k_3
+    growth = k_1 * y + k_2 * y_dot + k_3  # the factor of |s| in |d|
     level = k_4 * y + growth * s
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
     return level.upper(), slope.upper()
@@ -46,23 +47,27 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple
 def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, arb, arb]:
     """Bounds of |e| [m], |e'| [m/s] and |e''| [m/s^2] at all times, from bounds at the samples.
 
+    Between samples chi(t) = exp(F t) chi + gamma(t) U + theta(t), where U = k_p (command + d_r).
+
     Args:
         problem: The problem, with the level and slope of the stage.
         box: Intervals of the plant.
-        bounds: Bounds of the command plus d_r, and of each state at the samples.
+        bounds: Bounds at the samples of |command + d_r|, and of each state.
     """
     command, *states = bounds
     chi = state_places(problem).n - 2
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])
     generator = generator_over(problem, box)
-    disturbance_bounds = inside_bounds(problem, box, t)
-    largest = [arb(0)] * chi
+    disturbance_bounds = inside_bounds(problem, box, t)  # of theta
+    largest = [arb(0)] * chi  # of each component of chi
     for flow in flows(generator, t, PIECES):
         for i in range(chi):
             input_bound = disturbance_bounds[i] + abs(flow[i, chi]) * k_p * command
             state_bound = input_bound + total([abs(flow[i, j]) * states[j] for j in range(chi)])
             largest[i] = maximum(largest[i], state_bound.upper())
+    # row 1 of [[F, G], [0, 0]] gives e''; d_r changes by its slope times T_s within a sample
     input_bound = abs(generator[1, chi]) * k_p * command + signal_bounds(problem, box).slope * t * k_p
     acceleration = input_bound + total([abs(generator[1, j]) * largest[j] for j in range(chi)])
-    return largest[0], largest[1], acceleration.upper()
+    e, speed, *_ = largest
+    return e, speed, acceleration.upper()

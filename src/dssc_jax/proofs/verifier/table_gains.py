@@ -1,11 +1,10 @@
 """The gains of Table 1's functions, which depend on sigma and e, enclosed over a region: the verifier's own (28), (29).
 
-The region is cut into pieces of r = |sigma|^(1/2) and |e|. A piece is cut again where its enclosure exceeds what the
-gains at points span by more than a small share.
+The region is cut into cells of r = |sigma|^(1/2) and |e|. A cell is quartered if its enclosure exceeds the interval
+that the gains at points span by more than a small share of that interval.
 """
 
 from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +13,20 @@ from dssc_jax.proofs.verifier.balls import Balls, interval_ball, require_premise
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
 
-TABLE_ROOM = 0.02  # largest excess over the gains at points, in widths of what they span
-TABLE_ROUNDING = 2.0**-36  # and in sizes of the gain
-FIRST_CUTS = 6  # of r and of |e|
+TABLE_ROOM = 0.02
+"""Largest excess of an enclosure over the interval of a gain at points, as a share of the interval's width."""
+TABLE_ROUNDING = 2.0**-36
+"""Excess that rounding needs besides, as a share of the gain."""
+FIRST_CUTS = 6
+"""Number of cells of r, and of |e|, in the first grid."""
 MOST_CELLS = 100_000
+"""Number of cells after which no further cell is cut."""
 
 
 class Cells(NamedTuple):
-    """Cells of a region of sigma and e. The gains are the same at (-sigma, -e), so that the sign of sigma e suffices.
+    """Cells of a region of sigma and e.
+
+    The gains at (-sigma, -e) are those at (sigma, e), so the sign of the product sigma e suffices.
 
     Args:
         root: |sigma|^(1/2).
@@ -34,14 +39,18 @@ class Cells(NamedTuple):
     e: Intervals
 
     def middles(self) -> "Cells":
-        """A point of each cell, for what the gains reach there."""
+        """A point in the middle of each cell."""
         return Cells(self.root.middle(), self.sign, self.e.middle())
 
     def quarters_of(self, mask: np.ndarray) -> "Cells":
-        """The four quarters of each cell that a mask selects."""
-        quarters = list(product(self.root.selected(mask).halves(), self.e.selected(mask).halves()))
-        roots, errors = zip(*quarters, strict=True)
-        return Cells(concatenate(roots), np.tile(self.sign[mask], len(quarters)), concatenate(errors))
+        """The four quarters of each cell where a mask is true."""
+        low_root, high_root = self.root.selected(mask).halves()
+        low_e, high_e = self.e.selected(mask).halves()
+        return Cells(
+            root=concatenate([low_root, low_root, high_root, high_root]),
+            sign=np.tile(self.sign[mask], 4),
+            e=concatenate([low_e, high_e, low_e, high_e]),
+        )
 
 
 def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cells:
@@ -61,10 +70,9 @@ def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cell
 
 
 def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_from: float) -> Balls:
-    """Balls of the gains of Table 1's functions over a region, by name.
+    """Balls of the gains of Table 1's functions over a region, by the names of :func:`gains_of`.
 
-    They are the same at (-sigma, -e). At e = 0, where sgn e jumps, both signs are taken; with sgn 0 = 0 the gains lie
-    between.
+    At e = 0, where sgn e jumps, both signs of sigma e are taken; the gains with sgn 0 = 0 lie between.
 
     Args:
         problem: The certificate's problem.
@@ -74,8 +82,8 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
         e_from: Smallest |e| [m].
     """
     cells = first_cells(square_root(sigma_from, sigma), (e_from, e))
-    spans: dict[str, tuple[float, float]] = {}
-    result: dict[str, tuple[float, float]] = {}
+    spans: dict[str, tuple[float, float]] = {}  # of each gain at points
+    enclosures: dict[str, tuple[float, float]] = {}
     remaining = MOST_CELLS
     while cells.sign.size:
         remaining -= cells.sign.size
@@ -86,40 +94,48 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
         for name, gain in gains.items():
             lowest, highest = spans[name]
             room = TABLE_ROOM * (highest - lowest) + TABLE_ROUNDING * max(abs(lowest), abs(highest))
-            too_wide |= ~((gain.low >= lowest - room) & (gain.high <= highest + room))
+            is_close = (gain.low >= lowest - room) & (gain.high <= highest + room)
+            too_wide |= ~is_close  # also where an end is NaN
         if remaining <= 0:
             too_wide[:] = False
         if not too_wide.all():
             for name, gain in gains.items():
-                result[name] = hull_with(result.get(name), gain.selected(~too_wide))
+                enclosures[name] = hull_with(enclosures.get(name), gain.selected(~too_wide))
         cells = cells.quarters_of(too_wide)
-    positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
-    require_premise(positive, "P2: the functions are not positive in the region")
-    finite = bool(np.all(np.isfinite(list(result.values()))))
-    require_premise(finite, "P2: the functions cannot be enclosed in the region")
-    return {name: interval_ball(*ends) for name, ends in result.items()}
+    is_positive = all(low > 0.0 for low, _ in (enclosures["k_p"], enclosures["k_i"]))
+    require_premise(is_positive, "P2: the functions are not positive in the region")
+    is_finite = bool(np.all(np.isfinite(list(enclosures.values()))))
+    require_premise(is_finite, "P2: the functions cannot be enclosed in the region")
+    return {name: interval_ball(*ends) for name, ends in enclosures.items()}
 
 
 def hull_with(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
-    """Extend an interval, or None, to hold some intervals; an end is NaN if one of theirs is."""
-    low = float(np.min(intervals.low))
-    high = float(np.max(intervals.high))
+    """The smallest interval that contains some intervals and an earlier one; an end is NaN if one of theirs is.
+
+    Args:
+        ends: The earlier interval; None: there is none.
+        intervals: The intervals, at least one.
+    """
+    lowest = float(np.min(intervals.low))
+    highest = float(np.max(intervals.high))
     if ends is None:
-        return low, high
-    return float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high))
+        return lowest, highest
+    low, high = ends
+    return float(np.minimum(low, lowest)), float(np.maximum(high, highest))
 
 
 def concatenate(parts: Sequence[Intervals]) -> Intervals:
-    """Join arrays of intervals."""
+    """Join arrays of intervals into one, end to end."""
     return Intervals(np.concatenate([part.low for part in parts]), np.concatenate([part.high for part in parts]))
 
 
 def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
-    """Intervals of the gains of Table 1's functions in cells, by name.
+    """Intervals of the gains of Table 1's functions in each cell, by name.
 
-    Terms are written so that each r in them acts in the same direction, where they can be. In the conservative form
-    K_I is phi_2/sigma; ``mean`` is phi_1/sigma, ``k_e`` the size of d phi_1/d e, ``by_e`` that over |sigma|,
-    and ``tau_av`` is needed by itself.
+    ``k_p`` to ``slide_i`` are those of :mod:`dssc_jax.proofs.verifier.gain_enclosures`; in the conservative form K_I is
+    phi_2/sigma. ``slide_p`` is there in the implicit form only. In the conservative form ``mean`` is phi_1/sigma,
+    ``tau_av`` the filter's time constant [s], ``k_e`` = |d phi_1/d e| and ``by_e`` = |d phi_1/d e|/|sigma|. Terms are
+    written so that each r in them acts in the same direction, where they can be.
     """
     c = {name: exactly(float(value)) for name, value in problem["functions"].items() if name != "kind"}
     r, sign, e = cells
@@ -127,35 +143,43 @@ def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
     t = exactly(problem["sample_time"])
     sign_interval = Intervals(sign, sign)
     rd = r + c["delta"]
-    size = r * r
-    shrinks = exactly(1.0) - c["delta"] / rd
-    ratio = c["phi_a"] / rd + c["phi_b"]
-    phi_1 = c["phi_a"] * r * shrinks + c["phi_b"] * size
-    slope = c["phi_a"] * (exactly(1.0) / rd + c["delta"] / (rd * rd)) / two + c["phi_b"]
+    size = r * r  # |sigma|
+    shrinks = exactly(1.0) - c["delta"] / rd  # r/(r + delta)
+    ratio = c["phi_a"] / rd + c["phi_b"]  # phi/sigma, where phi is the function of sigma alone in phi_1 = kappa_1 phi
+    phi = c["phi_a"] * r * shrinks + c["phi_b"] * size  # |phi|
+    slope = c["phi_a"] * (exactly(1.0) / rd + c["delta"] / (rd * rd)) / two + c["phi_b"]  # d phi/d sigma
     kappa = c["kappa_a"] * size + c["kappa_b"] * e + c["kappa_c"]
     kappa1 = kappa * kappa + c["kappa_d"]
     kappa2 = two * c["epsilon"] * kappa1 + c["gamma"]
-    proportional = two * kappa * c["kappa_a"] * phi_1 + kappa1 * slope
-    by_e = two * kappa * c["kappa_b"] * (sign_interval * size - exactly(problem["l0"]) * e)
-    pole = ratio * (by_e + kappa2 * slope) / proportional  # 1/tau_m
-    conservative = problem["form"] == "conservative"  # where by_e belongs to phi_1, not to phi_2
-    integral = ratio * kappa2 * slope if conservative else ratio * (by_e + kappa2 * slope)
+    proportional = two * kappa * c["kappa_a"] * phi + kappa1 * slope  # K_P = d phi_1/d sigma
+    by_e_rate = two * kappa * c["kappa_b"] * (sign_interval * size - exactly(problem["l0"]) * e)  # (d kappa_1/d e) e'
+    inverse_tau_m = ratio * (by_e_rate + kappa2 * slope) / proportional
+    is_conservative = problem["form"] == "conservative"  # there the change through e belongs to phi_1, not to phi_2
+    integral = ratio * kappa2 * slope if is_conservative else ratio * (by_e_rate + kappa2 * slope)  # K_I
     if "k_o" in c:
         tau_av = exactly(1.0) / (c["k_o"] * proportional)
-        filtered_gain = exactly(1.0) / c["k_o"]
-        by_pole = integral / (c["k_o"] * proportional)
+        averaging_gain = exactly(1.0) / c["k_o"]  # tau_av K_P
+        averaged_integral = integral / (c["k_o"] * proportional)  # tau_av K_I
     else:
         tau_av = c["tau_av"]
-        filtered_gain = tau_av * proportional
-        by_pole = tau_av * integral
-    nominal = problem["nominal"]
+        averaging_gain = tau_av * proportional
+        averaged_integral = tau_av * integral
     zeros = np.zeros(sign.shape)
-    term = pole / exactly(nominal[1]) if nominal and nominal[2] else Intervals(zeros, zeros)
-    gains = {"k_p": proportional, "k_i": integral, "k_n": term, "slide_i": t * integral + by_pole}
-    if not conservative:
-        return gains | {"slide_p": proportional + filtered_gain / t}
+    gains = {
+        "k_p": proportional,
+        "k_i": integral,
+        "k_n": Intervals(zeros, zeros),
+        "slide_i": t * integral + averaged_integral,
+    }
+    if problem["nominal"]:
+        _, k_n, has_predictor_term = problem["nominal"]
+        if has_predictor_term:
+            gains["k_n"] = inverse_tau_m / exactly(k_n)
+    if not is_conservative:
+        return gains | {"slide_p": proportional + averaging_gain / t}
     conservative_gains = {"mean": kappa1 * ratio, "tau_av": tau_av}
     if problem["functions"]["kappa_b"]:
-        bends = two * kappa * c["kappa_b"]  # the size of d kappa_1/d e
-        conservative_gains |= {"k_e": bends * phi_1, "by_e": bends * ratio}
+        kappa1_by_e = two * kappa * c["kappa_b"]  # |d kappa_1/d e|
+        conservative_gains |= {"k_e": kappa1_by_e * phi, "by_e": kappa1_by_e * ratio}
+    # a constant tau_av is one interval for all cells
     return gains | {name: Intervals(gain.low + zeros, gain.high + zeros) for name, gain in conservative_gains.items()}

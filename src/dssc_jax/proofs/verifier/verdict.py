@@ -1,8 +1,8 @@
-"""The verifier: a certificate is proved if every inequality holds in ball arithmetic.
+"""The verifier of a certificate: it is proved if every premise of the theorem, (P0) to (P8), holds in ball arithmetic.
 
-It shares no code with the search, only the certificate's numbers. Numbers are balls (`arb` of FLINT) that contain the
-exact ones; sums of impulse responses and Table 1's gains are float64 with a bound of every rounding. The floating-point
-numbers of the certificate are exact. docs/proofs.md states the theorem whose premises are checked here, (P0) to (P8).
+It shares no code with the search, only the certificate's numbers, which it takes as exact. All others are balls (`arb`
+of FLINT) that contain the exact ones. Sums of impulse responses and Table 1's gains are float64 with a bound of every
+rounding. docs/proofs.md states the theorem.
 """
 
 import math
@@ -26,18 +26,20 @@ from dssc_jax.proofs.verifier.well_formed import (
     require_proof,
 )
 
-PRECISION = 160  # bits
+PRECISION = 160
+"""Bits of a ball's midpoint."""
 AnyStage = SmallGainStage | InvariantStage
+"""A stage of either method."""
 
 
 class ProofVerdict(NamedTuple):
-    """What the verifier says of a certificate, or of one box.
+    """Whether a certificate, or the proof of one box in it, is proved, and which bounds of |e| it proves.
 
     Args:
         proved: Whether every premise holds.
         reason: The first premise that could not be shown, with its place; empty if proved.
         error: Upper bound of |e| [m] at all times, once the loop has settled; infinite if not proved.
-        largest_error: Upper bound of |e| [m] from the start on.
+        largest_error: Upper bound of |e| [m] from the start on; infinite if not proved.
     """
 
     proved: bool
@@ -48,7 +50,7 @@ class ProofVerdict(NamedTuple):
 
 @contextmanager
 def ball_precision() -> Iterator[None]:
-    """Compute with :data:`PRECISION` bits in all balls within the context."""
+    """Compute with :data:`PRECISION` bits in all balls while the context lasts, then as before."""
     previous = ctx.prec
     ctx.prec = PRECISION
     try:
@@ -58,10 +60,13 @@ def ball_precision() -> Iterator[None]:
 
 
 def verify_certificate(content: object) -> ProofVerdict:
-    """Verify a certificate: its form, the proof of every box, and that the boxes cover the problem's intervals.
+    """Verify a whole certificate: its form (P0), that its boxes cover the problem (P1), and the proof of every box.
 
     Args:
         content: The content of a certificate's file.
+
+    Returns:
+        The largest bounds of all boxes if all are proved, else the verdict on the first that is not.
     """
     try:
         certificate = require_certificate(content)
@@ -76,7 +81,7 @@ def verify_certificate(content: object) -> ProofVerdict:
             return verdict
     error = max(verdict.error for verdict in verdicts)
     largest_error = max(verdict.largest_error for verdict in verdicts)
-    return ProofVerdict(True, "", error, largest_error)
+    return ProofVerdict(proved=True, reason="", error=error, largest_error=largest_error)
 
 
 def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict:
@@ -91,20 +96,24 @@ def verify_proof(problem_content: object, proof_content: object) -> ProofVerdict
             problem = require_problem(problem_content)
             proof = require_proof(problem, proof_content)
             limits = verified_stages(problem, proof)
-            errors = [math.nextafter(float(stage_limits.between), math.inf) for stage_limits in limits]  # rounded up
+            # of each stage, rounded up; the first stage bounds |e| from the start on, every stage once settled
+            errors = [math.nextafter(float(stage_limits.between), math.inf) for stage_limits in limits]
             require_premise(all(map(math.isfinite, errors)), "P0: a bound of |e| is not finite, and proves nothing")
         except Rejected as rejected:
             return refusal(rejected)
-    return ProofVerdict(True, "", min(errors), errors[0])
+    return ProofVerdict(proved=True, reason="", error=min(errors), largest_error=errors[0])
 
 
 def refusal(rejected: Rejected) -> ProofVerdict:
     """The verdict "not proved", with the premise that cannot be shown as its reason."""
-    return ProofVerdict(False, str(rejected), float("inf"), float("inf"))
+    return ProofVerdict(proved=False, reason=str(rejected), error=math.inf, largest_error=math.inf)
 
 
 def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
-    """(P1) The boxes cover the intervals of k_p, a_p and 1/mu: every cell of the grid of all ends lies in one."""
+    """(P1) Require that the boxes cover the problem's intervals of k_p, a_p and 1/mu.
+
+    The ends of all boxes cut the problem's intervals into a grid. Every cell of the grid has to lie within some box.
+    """
     intervals = {"k_p": problem["k_p"], "a_p": problem["a_p"]}
     if problem["denominator"]:
         low, high = problem["mu"]
@@ -112,8 +121,9 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
     require_premise(bool(boxes), "P1: no box")
     grids = []
     for name, (low, high) in intervals.items():
-        ends = {end for box in boxes for end in box[name] if low < end < high}
-        grids.append(list(pairwise(sorted({low, high} | ends))) or [(low, high)])
+        inner_ends = {end for box in boxes for end in box[name] if low < end < high}
+        cuts = sorted({low, high} | inner_ends)
+        grids.append(list(pairwise(cuts)) or [(low, high)])  # an interval without width is one cell
     for cell_sides in product(*grids):
         cell = dict(zip(intervals, cell_sides, strict=True))
         is_covered = any(is_within(cell, box) for box in boxes)
@@ -121,15 +131,19 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
 
 
 def is_within(cell: Box, box: Box) -> bool:
-    """Whether every interval of a cell lies within that of a box."""
-    return all(box[name][0] <= low and high <= box[name][1] for name, (low, high) in cell.items())
+    """Whether every interval of a cell lies within the box's interval of the same name."""
+    for name, (low, high) in cell.items():
+        box_low, box_high = box[name]
+        if not (box_low <= low and high <= box_high):
+            return False
+    return True
 
 
 def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
-    """Verify the stages of a box in their order, and return the bounds that each shows.
+    """Verify the stages of a box in their order, and return what each of them shows.
 
-    The first stage holds from the start on. Each further one begins with what the stage before it leaves: its region
-    has to hold that (P4), and it has to take a disturbance as large as that allows for granted (P8).
+    The first stage holds from the start on. A later stage begins where the stage before it ends: its region has to
+    contain those bounds (P4), and it has to assume a disturbance as large as they allow (P8).
     """
     box = proof["box"]
     limits: list[StageLimits] = []
@@ -140,8 +154,8 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
             require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {label}")
             require_disturbance(problem, limits[-1], stage, f"P8: the stage before {label}")
         elif problem["rho"] is not None:
-            exceeds = arb(problem["rho"]) > signal_bounds(stage_problem, box).offset
-            require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
+            has_room = arb(problem["rho"]) > signal_bounds(stage_problem, box).offset
+            require_premise(has_room, "P5: rho does not exceed what disturbance and reference ask for")
         gains = enclosed_gains(problem, stage["sigma"], stage["e"])
         limits.append(limits_of(stage_problem, box, stage, gains, from_start=number == 1, label=label))
         if number == 1:
@@ -153,7 +167,7 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
 def limits_of(
     problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, from_start: bool, label: str
 ) -> StageLimits:
-    """The bounds that a stage proves, by its method."""
+    """Verify one stage by its method, and return what it shows."""
     if stage["method"] == SMALL_GAIN:
         return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, from_start, label)
     return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, from_start, label)

@@ -1,4 +1,4 @@
-"""(P0) What a certificate has to look like before anything in it is computed with: entries, types, shapes, signs."""
+"""(P0) The form of a certificate: its entries, types, shapes and signs are checked before anything is computed."""
 
 import math
 import sys
@@ -28,33 +28,47 @@ CONSTANTS = {
         True,
     ),
 }
-"""Constants of each row of functions, and whether exactly one of k_o and tau_av belongs to them."""
+"""For each row of functions: the names of its constants, and whether one of k_o and tau_av joins them."""
 SMALL_GAIN = "small gain"
+"""Method whose stages are bounds that imply themselves."""
 INVARIANT_SET = "invariant set"
+"""Method whose stages are sets {z'Pz <= 1}."""
 STAGE_TYPES = {SMALL_GAIN: SmallGainStage, INVARIANT_SET: InvariantStage}
 """Type of a stage, by its method."""
 FORMS = ("implicit", "conservative")
+"""Sampled forms of DSSC."""
 COORDINATES = ("u_av", "phi_1")
+"""Integrator state in z: v = u_av, or q = v - phi_1(s)."""
 STARTS = ("zero", "matched", "midpoint")
+"""Starts of the predictor."""
 KNOWN_INTEGRALS = {"constant", "approx_sta_1", "approx_sta_2", "square_root", "field"}
-"""Functions of sigma alone whose phi_1 is known."""
+"""Functions of sigma alone whose integral phi_1 is known."""
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
+"""Constants that may be 0; all others are positive."""
 SIGNALS = 5
-"""Signals besides the states that a bound belongs to."""
+"""Number of signals, besides the states, that a stage of the method "small gain" bounds."""
 MIDDLE_COUNT = 5
-"""Gains of a middle loop."""
+"""Number of gains of a middle loop."""
 MOST_DELAY = 200
 """Longest delay, in samples."""
 MOST_ORDER = 30
 """Largest order of G or of the zero dynamics."""
 MOST_WIDE = 10
-"""Largest number of initial states with an interval."""
+"""Largest number of initial states with an interval, since a set has to hold all corners of these intervals."""
 MOST_PIECES = 1000
+"""Largest number of pieces of a region."""
 MOST_DEGREE = 8
+"""Largest degree of the polynomial in 1/mu."""
 
 
 def require_shape(holds: bool, place: str, rule: str) -> None:
-    """Reject, under (P0), the part at a place of the certificate that breaks a rule."""
+    """Check a rule of (P0): reject the certificate unless it holds.
+
+    Args:
+        holds: Whether the rule holds.
+        place: Name of the entry, for the message.
+        rule: What the entry does wrong, for the message.
+    """
     require_premise(holds, f"P0: {place} {rule}")
 
 
@@ -70,7 +84,7 @@ def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[
 
 
 def require_list(values: object, count: int | None, place: str) -> Sequence[object]:
-    """Return a list of ``count`` items, or of any number if that is None; reject anything else."""
+    """Return a list of ``count`` items; None allows any number. Reject anything else."""
     if not isinstance(values, list | tuple):
         raise Rejected(f"P0: {place} is no list")
     require_shape(count in (None, len(values)), place, f"has {len(values)} items in place of {count}")
@@ -96,7 +110,7 @@ def require_not_negative(value: object, place: str) -> None:
 
 
 def require_numbers(values: object, count: int | None, place: str) -> list[float]:
-    """Return a list of ``count`` finite numbers, or of any number if that is None; reject anything else."""
+    """Return a list of ``count`` finite numbers; None allows any number. Reject anything else."""
     return [require_finite(value, place) for value in require_list(values, count, place)]
 
 
@@ -113,7 +127,7 @@ def require_interval(interval: object, place: str) -> Interval:
 
 
 def require_certificate(content: object) -> Certificate:
-    """Return a certificate whose problem and proofs have the right form; reject anything else."""
+    """Return the content of a file as a certificate whose parts all have the right form; reject anything else."""
     certificate = require_entries(content, Certificate.__required_keys__, "the certificate")
     require_shape(type(certificate["complete"]) is bool, "complete", "is not true or false")
     problem = require_problem(certificate["problem"])
@@ -123,7 +137,7 @@ def require_certificate(content: object) -> Certificate:
 
 
 def require_problem(content: object) -> Problem:
-    """Return the problem of a loop of the class; reject anything else."""
+    """Return the problem of a loop that the theorem covers; reject anything else."""
     problem: dict[str, Any] = require_entries(content, Problem.__required_keys__, "problem")
     for name in ("sample_time", "l0"):
         require_positive(problem[name], name)
@@ -140,13 +154,12 @@ def require_problem(content: object) -> Problem:
     order = len(require_numbers(problem["zero_a"], None, "zero_a"))
     require_shape(order <= MOST_ORDER, "zero_a", f"has more than {MOST_ORDER} items")
     require_numbers(problem["zero_c"], order, "zero_c")
-    reference_moves = any(problem["reference"])
-    require_shape(
-        not reference_moves or not (order or problem["sensor_lag"]), "reference", "moves, which is not covered"
-    )
+    if order or problem["sensor_lag"]:
+        require_shape(not any(problem["reference"]), "reference", "moves, which is not covered")
     initial = require_list(problem["initial"], 2 + order, "initial")
-    interval_count = sum(low < high for low, high in [require_interval(interval, "initial") for interval in initial])
-    require_shape(interval_count <= MOST_WIDE, "initial", f"has more than {MOST_WIDE} intervals")
+    intervals = [require_interval(interval, "initial") for interval in initial]
+    wide_count = sum(low < high for low, high in intervals)
+    require_shape(wide_count <= MOST_WIDE, "initial", f"has more than {MOST_WIDE} intervals")
     require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
     if problem["rho"] is not None:
         require_positive(problem["rho"], "rho")
@@ -156,17 +169,17 @@ def require_problem(content: object) -> Problem:
 
 
 def require_nominal(content: object, place: str) -> None:
-    """Reject anything but a_n, k_n > 0 and whether the nominal control has its term 1/tau_m, or None."""
+    """Reject anything but None or a list of a_n, of k_n > 0 and of whether the nominal control has its term 1/tau_m."""
     if content is None:
         return
-    a, k, has_predictor_term = require_list(content, 3, place)
-    require_finite(a, place)
-    require_positive(k, place)
+    a_n, k_n, has_predictor_term = require_list(content, 3, place)
+    require_finite(a_n, place)
+    require_positive(k_n, place)
     require_shape(type(has_predictor_term) is bool, place, "is not true or false")
 
 
 def require_unmodelled(problem: dict[str, Any]) -> None:
-    """Reject a G(mu s) that is not proper or has not G(0) = 1, a delay out of range, or both at once."""
+    """Reject a G(mu s) that is not proper or without G(0) = 1, a delay out of range, and both at once."""
     numerator = require_numbers(problem["numerator"], None, "numerator")
     denominator = require_numbers(problem["denominator"], None, "denominator")
     delay = require_finite(problem["delay"], "delay")
@@ -184,15 +197,15 @@ def require_unmodelled(problem: dict[str, Any]) -> None:
 
 
 def require_functions(content: object, form: object) -> None:
-    """Reject functions that are no row of the tables, have other constants, or are not covered in a sampled form."""
+    """Reject functions that are no row of the tables, have wrong constants, or have no phi_1 that their form needs."""
     if not isinstance(content, dict):
         raise Rejected("P0: functions is no table")
     kind = content.get("kind")
     if not isinstance(kind, str) or kind not in CONSTANTS:
         raise Rejected("P0: functions are unknown")
-    names, has_factor = CONSTANTS[kind]
-    factors = content.keys() & {"k_o", "tau_av"} if has_factor else set()
-    require_shape(len(factors) == has_factor, "functions", "need one of k_o and tau_av")
+    names, needs_factor = CONSTANTS[kind]
+    factors = content.keys() & {"k_o", "tau_av"} if needs_factor else set()
+    require_shape(not needs_factor or len(factors) == 1, "functions", "need one of k_o and tau_av")
     functions = require_entries(content, names | factors | {"kind"}, "functions")
     for name in names | factors:
         value = require_finite(functions[name], name)
@@ -202,7 +215,7 @@ def require_functions(content: object, form: object) -> None:
 
 
 def require_proof(problem: Problem, content: object) -> BoxProof:
-    """Return the proof of a box whose stages have the problem's shapes; reject anything else."""
+    """Return the proof of a box whose intervals and stages fit the problem; reject anything else."""
     proof = require_entries(content, BoxProof.__required_keys__, "a proof")
     names = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
     for name, interval in require_entries(proof["box"], names, "box").items():
@@ -216,10 +229,14 @@ def require_proof(problem: Problem, content: object) -> BoxProof:
 
 
 def require_stage(problem: Problem, content: object) -> None:
-    """Reject a stage that lacks an entry of its method, or whose P and bounds have not the problem's shapes."""
-    order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"])) + 2 * bool(problem["sensor_lag"])
+    """Reject a stage whose entries are not those of its method, or whose P and bounds do not fit the problem's z.
+
+    z contains e and e', eta, zeta, the memory of a sensor's lag (of y and y'), v and s.
+    """
     eta = len(problem["zero_a"])
-    n = 4 + eta + order
+    zeta = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
+    memory = 2 if problem["sensor_lag"] else 0
+    n = 2 + eta + zeta + memory + 2
     if not isinstance(content, dict):
         raise Rejected("P0: a stage is no table")
     method = content.get("method")
@@ -235,11 +252,11 @@ def require_stage(problem: Problem, content: object) -> None:
     if method == SMALL_GAIN:
         require_small_gain_entries(problem, stage, SIGNALS + n)
     else:
-        require_set_entries(problem, stage, 4 + eta)
+        require_set_entries(problem, stage, inputs=4 + eta)  # changes of d_r + f and of f; theta along e, e' and eta
 
 
 def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: int) -> None:
-    """Reject entries that a stage of the method "small gain" cannot have, which bounds ``count`` signals and states."""
+    """Reject what a stage of the method "small gain" cannot have, in a loop with so many signals and states."""
     is_conservative = problem["form"] == "conservative"
     if stage["coordinate"] == "phi_1":
         is_allowed = is_conservative or problem["functions"]["kind"] in KNOWN_INTEGRALS
@@ -253,7 +270,7 @@ def require_small_gain_entries(problem: Problem, stage: dict[str, Any], count: i
 
 
 def require_set_entries(problem: Problem, stage: dict[str, Any], inputs: int) -> None:
-    """Reject entries that a stage of the method "invariant set" cannot have, in a loop with so many inputs."""
+    """Reject what a stage of the method "invariant set" cannot have, in a loop with so many inputs."""
     require_numbers(stage["multipliers"], inputs, "multipliers")
     require_not_negative(stage["moved"], "moved")
     is_allowed = stage["coordinate"] == "u_av" or problem["form"] == "conservative"
@@ -268,7 +285,7 @@ def require_count(value: object, limit: int, place: str, rule: str) -> None:
 
 
 def require_symmetric(content: object, n: int, place: str) -> None:
-    """Reject anything but a symmetric matrix of finite numbers, (n, n)."""
+    """Reject anything but a symmetric matrix of finite numbers, shape (n, n), as a list of rows."""
     rows = [require_numbers(row, n, place) for row in require_list(content, n, place)]
     is_symmetric = all(rows[i][j] == rows[j][i] for i in range(n) for j in range(i))
     require_shape(is_symmetric, place, "is not symmetric")

@@ -15,20 +15,20 @@ class Estimator(Protocol[M]):
     """Parameters of an estimator, with its functions; ``memory.estimate`` is the estimated :class:`Motion`."""
 
     def start(self, motion: Motion, random: Random) -> M:
-        """The memory at t = 0."""
+        """The memory at t = 0, from the true motion."""
         ...
 
     def step(self, memory: M, motion: Motion, random: Random, k: Scalar, dt: float) -> M:
-        """The memory after sample k."""
+        """The memory after sample k, from the true motion there; ``dt`` is the length of a sample [s]."""
         ...
 
     def nees(self, memory: M, motion: Motion) -> Scalar:
-        """Normalised squared error of the estimate; 0 where there is no covariance."""
+        """Squared error of the estimate, normalised by its covariance; 0 of an estimator without a covariance."""
         ...
 
 
 class NoEstimator(NamedTuple):
-    """The controllers see the true state."""
+    """The absence of an estimator: the controllers see the true state."""
 
 
 ESTIMATORS: Registry = {

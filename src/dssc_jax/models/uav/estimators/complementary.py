@@ -19,8 +19,10 @@ import jax.numpy as jnp
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.models.uav.estimators.sensors import (
+    Aids,
+    Increments,
     Motion,
     Random,
     SensorMemory,
@@ -60,18 +62,48 @@ class ComplementaryFilter(NamedTuple):
     def step(
         self, memory: ComplementaryMemory, motion: Motion, random: Random, k: Scalar, dt: float
     ) -> ComplementaryMemory:
-        """Integrate the inertial unit, and correct the result with the other sensors."""
+        """The memory after a sample: the inertial unit is integrated, and the other sensors correct the result.
+
+        Args:
+            memory: The memory after the sample before.
+            motion: The true motion at the sample.
+            random: Noise of the sample.
+            k: Index of the sample.
+            dt: Length of a sample [s].
+        """
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         attitude = memory.estimate.attitude
         rotation = attitude.matrix()
         position, velocity = strapdown_step(memory.estimate, rotation, increments.velocity, increments.position, dt)
-        size = jnp.maximum(increments.velocity.norm(), 1e-9)
-        correction = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
-        if self.sensors.heading is not None:
-            innovation = wrap_angle(aids.heading - heading_of(attitude))
-            gain = self.heading_gain * round(self.sensors.heading_period)
-            correction = correction + rotation.c * jnp.where(aids.has_heading, gain * innovation, 0.0)
+        correction = self.attitude_correction(attitude, rotation.c, increments, aids)
         rotation_step = rotation_of(increments.rotation + (correction - memory.gyro_bias) * dt)
+        position, velocity = self.corrected_by_aids(position, velocity, aids, dt)
+        bias = memory.gyro_bias - correction * (self.bias_gain * dt)
+        estimate = Motion(position, velocity, product(attitude, rotation_step).normalised(), increments.rate - bias)
+        return ComplementaryMemory(estimate, bias, sensors)
+
+    def attitude_correction(self, attitude: Quaternion, vertical: Vec3, increments: Increments, aids: Aids) -> Vec3:
+        """The body rate that corrects the attitude [rad/s], by the accelerometers and by a heading.
+
+        Args:
+            attitude: Estimated attitude at the sample before.
+            vertical: The inertial z axis in body axes, by this attitude.
+            increments: Readings of the inertial unit.
+            aids: Readings of the other sensors.
+        """
+        size = jnp.maximum(increments.velocity.norm(), 1e-9)  # not 0, in free fall
+        correction = (increments.velocity / size).cross(vertical) * self.tilt_gain
+        if self.sensors.heading is None:
+            return correction
+        innovation = wrap_angle(aids.heading - heading_of(attitude))
+        gain = self.heading_gain * round(self.sensors.heading_period)
+        return correction + vertical * jnp.where(aids.has_heading, gain * innovation, 0.0)
+
+    def corrected_by_aids(self, position: Vec3, velocity: Vec3, aids: Aids, dt: float) -> tuple[Vec3, Vec3]:
+        """Position [m] and velocity [m/s] after the corrections by a position and by a height.
+
+        A delayed position is compared with the position at its time, taken back along the velocity.
+        """
         if self.sensors.position is not None:
             period = dt * round(self.sensors.position_period)
             innovation = aids.position - (position - velocity * (self.sensors.delay_samples * dt))
@@ -83,9 +115,7 @@ class ComplementaryFilter(NamedTuple):
             weight = jnp.where(aids.has_height, self.position_bandwidth * dt * round(self.sensors.height_period), 0.0)
             position = position._replace(z=position.z + 2.0 * weight * innovation)
             velocity = velocity._replace(z=velocity.z + weight * self.position_bandwidth * innovation)
-        bias = memory.gyro_bias - correction * (self.bias_gain * dt)
-        estimate = Motion(position, velocity, product(attitude, rotation_step).normalised(), increments.rate - bias)
-        return ComplementaryMemory(estimate, bias, sensors)
+        return position, velocity
 
     def nees(self, memory: ComplementaryMemory, motion: Motion) -> Scalar:
         """0: the filter has no covariance."""

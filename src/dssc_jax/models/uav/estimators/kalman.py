@@ -26,6 +26,7 @@ from dssc_jax.models.uav.estimators.sensors import (
     Random,
     SensorMemory,
     Sensors,
+    StartPlace,
     heading_of,
     rotation_of,
     rotation_vector,
@@ -76,7 +77,10 @@ class KalmanFilter(NamedTuple):
     initial_attitude: Annotated[Scalar, Quantity("rad", "standard deviation at first", at_least=0.0)] = 0.0
 
     def start(self, motion: Motion, random: Random) -> KalmanMemory:
-        """The filter at t = 0, with errors drawn from its covariance."""
+        """The filter at t = 0, with errors drawn from its covariance.
+
+        It takes the biases for 0; the sensors draw the true ones.
+        """
         stds = (
             *(self.initial_position,) * 3,
             *(self.initial_velocity,) * 3,
@@ -84,22 +88,30 @@ class KalmanFilter(NamedTuple):
             *(self.sensors.gyro_bias,) * 3,
             *(self.sensors.accel_bias,) * 3,
         )
-        rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]
+        rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]  # the lower triangle
         for i, std in enumerate(stds):
             rows[i][i] = std * std
-        attitude_error = random.vector(2, self.initial_attitude)
+        attitude_error = random.vector(StartPlace.ATTITUDE, self.initial_attitude)
         zero = Vec3(0.0, 0.0, 0.0)
         sensors = start_sensors(self.sensors, motion, random)
         estimate = Motion(
-            motion.position - random.vector(3, self.initial_position),
-            motion.velocity - random.vector(4, self.initial_velocity),
+            motion.position - random.vector(StartPlace.POSITION, self.initial_position),
+            motion.velocity - random.vector(StartPlace.VELOCITY, self.initial_velocity),
             product(rotation_of(-attitude_error), motion.attitude),
             motion.rate + sensors.gyro_bias,
         )
         return KalmanMemory(estimate, zero, zero, tuple(map(tuple, rows)), sensors)
 
     def step(self, memory: KalmanMemory, motion: Motion, random: Random, k: Scalar, dt: float) -> KalmanMemory:
-        """Predict with the inertial unit, and correct with the other sensors."""
+        """The memory after a sample: the inertial unit predicts the motion, and the other sensors correct it.
+
+        Args:
+            memory: The memory after the sample before.
+            motion: The true motion at the sample.
+            random: Noise of the sample.
+            k: Index of the sample.
+            dt: Length of a sample [s].
+        """
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         predicted = self.predict(memory, increments, dt)
         corrected = self.correct(predicted, aids, dt)
@@ -107,7 +119,10 @@ class KalmanFilter(NamedTuple):
         return corrected._replace(estimate=estimate, sensors=sensors)
 
     def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
-        """The estimate one sample later by strapdown integration, with its covariance."""
+        """The estimate one sample later by strapdown integration, with the covariance F P F' + Q of its error.
+
+        Q is diagonal: the noise of the inertial unit, and the random walk of its biases.
+        """
         previous = memory.estimate
         rotation = previous.attitude.matrix()
         velocity_step = increments.velocity - memory.accel_bias * dt
@@ -129,14 +144,18 @@ class KalmanFilter(NamedTuple):
         return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
 
     def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:
-        """The estimate after the updates by position, height and heading."""
+        """The estimate after the updates by position, height and heading, and the covariance of its error.
+
+        A sensor that is None is absent. The corrections of one sample add up to an error state, which is added to the
+        estimate at the end; the attitude is turned by its part.
+        """
         update = Update(memory.covariance, (0.0,) * STATES)
         estimate = memory.estimate
         delay = self.sensors.delay_samples * dt
         if self.sensors.position is not None:
             difference = aids.position - (estimate.position - estimate.velocity * delay)
             for i, value in enumerate(difference):
-                row: Sparse = ((POSITION + i, 1.0),)
+                row: Sparse = ((POSITION + i, 1.0),)  # derivative of the reading by the error state
                 if delay:
                     row = (*row, (VELOCITY + i, -delay))
                 update = update.with_reading(row, value, self.sensors.position, aids.has_position)
@@ -147,9 +166,8 @@ class KalmanFilter(NamedTuple):
             difference = wrap_angle(aids.heading - heading_of(estimate.attitude))
             row = heading_row(estimate.attitude.matrix())
             update = update.with_reading(row, difference, self.sensors.heading, aids.has_heading)
-        position, velocity, attitude, gyro_bias, accel_bias = (
-            Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3)
-        )
+        parts = (Vec3(*update.error[first : first + 3]) for first in range(0, STATES, 3))
+        position, velocity, attitude, gyro_bias, accel_bias = parts
         corrected = Motion(
             estimate.position + position,
             estimate.velocity + velocity,
@@ -164,7 +182,10 @@ class KalmanFilter(NamedTuple):
         )
 
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
-        """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
+        """Squared error of position, velocity and attitude, normalised by its covariance.
+
+        Its law is chi-squared with 9 degrees of freedom if the covariance is right.
+        """
         estimate = memory.estimate
         attitude_error = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
         error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *attitude_error)
@@ -172,7 +193,7 @@ class KalmanFilter(NamedTuple):
 
 
 def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
-    """The rows of F - I, where F is the transition matrix of the error state over a sample.
+    """The rows of F - I, where F is the transition matrix of the error state over a sample, to first order in dt.
 
     Args:
         rotation: R of the estimated attitude, body to inertial.
@@ -180,7 +201,7 @@ def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
         dt: Length of the sample [s].
     """
     rows: list[list[tuple[int, Scalar]]] = [[] for _ in range(STATES)]
-    cross = ((0.0, -force.z, force.y), (force.z, 0.0, -force.x), (-force.y, force.x, 0.0))
+    cross = ((0.0, -force.z, force.y), (force.z, 0.0, -force.x), (-force.y, force.x, 0.0))  # [f]x
     for i in range(3):
         rows[POSITION + i].append((VELOCITY + i, dt))
         for j in range(3):
@@ -192,13 +213,13 @@ def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
 
 
 def entry(covariance: Covariance, i: int, j: int) -> Scalar:
-    """Entry (i, j) of the symmetric matrix."""
+    """Entry (i, j) of a symmetric matrix of which the lower triangle is stored."""
     return covariance[i][j] if i >= j else covariance[j][i]
 
 
 def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
-    """F P F' for the covariance P, with the sparse rows of F - I."""
-    left = []
+    """The covariance F P F' after a transition F, for a covariance P and the sparse rows of F - I."""
+    left = []  # F P
     for i in range(STATES):
         line = []
         for j in range(STATES):
@@ -207,7 +228,7 @@ def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
                 value = value + weight * entry(covariance, column, j)
             line.append(value)
         left.append(line)
-    result = []
+    result = []  # the lower triangle of (F P) F'
     for i in range(STATES):
         line = []
         for j in range(i + 1):
@@ -220,17 +241,17 @@ def transformed(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
 
 
 def heading_row(rotation: Mat3) -> Sparse:
-    """Derivative of the yaw by the attitude error.
+    """The row of a heading: derivative of the yaw by the attitude's part of the error state.
 
     It is 1 about the vertical axis, and tan theta about the horizontal direction of the body's x axis.
     """
-    flat = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x
-    lean = -rotation.c.x / jnp.maximum(flat, 1e-12)
+    flat = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x  # cos^2 theta
+    lean = -rotation.c.x / jnp.maximum(flat, 1e-12)  # sin theta/cos^2 theta, finite at the singularity
     return (ATTITUDE, rotation.a.x * lean), (ATTITUDE + 1, rotation.b.x * lean), (ATTITUDE + 2, 1.0)
 
 
 class Update(NamedTuple):
-    """The covariance and the estimated error state while the readings of a sample are taken in."""
+    """The covariance P and the estimated error state, while the readings of a sample are taken in one after another."""
 
     covariance: Covariance
     error: tuple[Scalar, ...]
@@ -239,7 +260,7 @@ class Update(NamedTuple):
         """The update by one measured number; without a reading at this sample, nothing changes.
 
         Args:
-            row: Derivative h of the number by the error state: the entries that are not 0.
+            row: Derivative h of the number by the error state, as a row.
             difference: The reading minus the estimate.
             std: Standard deviation of the reading's noise.
             is_taken: Whether there is a reading at this sample.
@@ -255,9 +276,8 @@ class Update(NamedTuple):
         for column, weight in row:
             variance = variance + weight * cross_covariance[column]
             innovation = innovation - weight * self.error[column]
-        inverse = jnp.where(
-            jnp.logical_and(is_taken, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
-        )
+        counts = jnp.logical_and(is_taken, variance > LEAST_VARIANCE)
+        inverse = jnp.where(counts, 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0)
         gains = [value * inverse for value in cross_covariance]
         rows = []
         for i in range(STATES):
@@ -267,8 +287,12 @@ class Update(NamedTuple):
 
 
 def normalised_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scalar:
-    """e' P^-1 e for the leading block of P, by its factors L D L'."""
-    factor: list[list[Scalar]] = []
+    """The normalised squared error e' P^-1 e, for the leading block of the covariance P that belongs to e.
+
+    P = L D L' with a lower triangle L of ones on its diagonal and a diagonal D; with z = L^-1 e, the result is the sum
+    of z_i^2/D_i. Row i of the factors follows from the rows before it.
+    """
+    factor: list[list[Scalar]] = []  # L below its diagonal
     inverse: list[Scalar] = []  # of D
     solution: list[Scalar] = []  # L^-1 e
     total: Scalar = 0.0

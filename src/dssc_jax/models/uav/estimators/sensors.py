@@ -6,6 +6,7 @@ those of the true motion, and strapdown integration is exact.
 """
 
 import math
+from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 import jax
@@ -22,6 +23,29 @@ from dssc_jax.models.uav.vehicle import GRAVITY
 MOST_DELAYED = 64
 """Largest delay of a position [samples]."""
 UP = Vec3(0.0, 0.0, GRAVITY)
+"""The specific force that holds the vehicle against its weight, inertial [m/s^2]."""
+
+
+class StartPlace(IntEnum):
+    """Places of the random numbers at t = 0, which tell them apart."""
+
+    GYRO_BIAS = 0
+    ACCEL_BIAS = 1
+    ATTITUDE = 2
+    POSITION = 3
+    VELOCITY = 4
+
+
+class SamplePlace(IntEnum):
+    """Places of the random numbers of a sample, which tell them apart."""
+
+    GYRO = 0
+    ACCEL = 1
+    POSITION = 2
+    GYRO_WALK = 3
+    ACCEL_WALK = 4
+    HEIGHT = 5
+    HEADING = 6
 
 
 class Motion(NamedTuple):
@@ -121,7 +145,11 @@ class Aids(NamedTuple):
 
 
 class Random(NamedTuple):
-    """Independent normal numbers of a sample; ``place`` tells its draws apart. Zero noise draws none."""
+    """The source of the independent normal numbers of a sample.
+
+    Numbers with different values of ``place`` are independent. Where the standard deviation is known to be 0, or None,
+    the numbers are zeros and the program draws none.
+    """
 
     key: jax.Array
 
@@ -129,7 +157,7 @@ class Random(NamedTuple):
         """``count`` numbers with mean 0 and standard deviation ``std``."""
         if std is None or is_zero(std):
             return (0.0,) * count
-        return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, place), count))
+        return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, int(place)), count))
 
     def vector(self, place: int, std: Scalar | None) -> Vec3:
         """Three numbers with mean 0 and standard deviation ``std``."""
@@ -141,7 +169,10 @@ class Random(NamedTuple):
 
 
 def rotation_vector(q: Quaternion) -> Vec3:
-    """The rotation vector [rad] of a unit quaternion; of q and -q, the shorter rotation counts."""
+    """The rotation vector [rad] of a unit quaternion: the axis times the angle, at most pi.
+
+    Near the zero rotation the angle over its sine cancels, and its limit 2 takes its place.
+    """
     q = canonical(q)
     imaginary = Vec3(q.x, q.y, q.z)
     square = imaginary.dot(imaginary)
@@ -151,7 +182,10 @@ def rotation_vector(q: Quaternion) -> Vec3:
 
 
 def rotation_of(vector: Vec3) -> Quaternion:
-    """The unit quaternion of a rotation vector [rad]; the inverse of :func:`rotation_vector`."""
+    """The unit quaternion of a rotation vector [rad]; the inverse of :func:`rotation_vector`.
+
+    Near the zero rotation the limit 1/2 takes the place of the quotient.
+    """
     square = vector.dot(vector)
     size = jnp.sqrt(jnp.maximum(square, 1e-24))
     small = square < 1e-16
@@ -166,19 +200,21 @@ def heading_of(attitude: Quaternion) -> Scalar:
 
 
 def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMemory:
-    """The sensors at t = 0, with random biases."""
+    """The sensors at t = 0, with random biases, as if the vehicle had been at its place before."""
     return SensorMemory(
-        motion,
-        random.vector(0, sensors.gyro_bias),
-        random.vector(1, sensors.accel_bias),
-        (motion.position,) * sensors.delay_samples,
+        previous=motion,
+        gyro_bias=random.vector(StartPlace.GYRO_BIAS, sensors.gyro_bias),
+        accel_bias=random.vector(StartPlace.ACCEL_BIAS, sensors.accel_bias),
+        positions=(motion.position,) * sensors.delay_samples,
     )
 
 
 def sense(
     sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, k: Scalar, dt: float
 ) -> tuple[SensorMemory, Increments, Aids]:
-    """The readings at sample k.
+    """The readings of all sensors at sample k, from the true motion.
+
+    A reading that is not taken at this sample has a value all the same, beside the flag that says so.
 
     Args:
         sensors: Parameters of the sensors.
@@ -191,42 +227,71 @@ def sense(
     Returns:
         The state of the sensors, the increments since the sample before, and the other readings.
     """
+    increments = measured_increments(sensors, memory, motion, random, dt)
+    *later_positions, delayed_position = (motion.position, *memory.positions)
+    next_memory = SensorMemory(
+        previous=motion,
+        gyro_bias=memory.gyro_bias + random.vector(SamplePlace.GYRO_WALK, sensors.gyro_walk) * math.sqrt(dt),
+        accel_bias=memory.accel_bias + random.vector(SamplePlace.ACCEL_WALK, sensors.accel_walk) * math.sqrt(dt),
+        positions=tuple(later_positions),
+    )
+    return next_memory, increments, measured_aids(sensors, motion, delayed_position, random, k, dt)
+
+
+def measured_increments(
+    sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, dt: float
+) -> Increments:
+    """The readings of the inertial unit: the true increments since the sample before, with its errors.
+
+    Args:
+        sensors: Parameters of the sensors.
+        memory: State of the sensors at the sample before.
+        motion: The true motion at the sample.
+        random: Noise of the sample.
+        dt: Length of a sample [s].
+    """
     previous = memory.previous
     to_body = previous.attitude.matrix().transpose
     rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
     velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
     position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
-    rotation_error = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
-    velocity_error = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
-    increments = Increments(
-        rotation * (1.0 + sensors.gyro_scale) + rotation_error,
-        velocity * (1.0 + sensors.accel_scale) + velocity_error,
-        position * (1.0 + sensors.accel_scale) + velocity_error * (0.5 * dt),
-        motion.rate * (1.0 + sensors.gyro_scale) + rotation_error / dt,
+    rotation_error = memory.gyro_bias * dt + random.vector(SamplePlace.GYRO, sensors.gyro_noise) * math.sqrt(dt)
+    velocity_error = memory.accel_bias * dt + random.vector(SamplePlace.ACCEL, sensors.accel_noise) * math.sqrt(dt)
+    return Increments(
+        rotation=rotation * (1.0 + sensors.gyro_scale) + rotation_error,
+        velocity=velocity * (1.0 + sensors.accel_scale) + velocity_error,
+        position=position * (1.0 + sensors.accel_scale) + velocity_error * (0.5 * dt),
+        rate=motion.rate * (1.0 + sensors.gyro_scale) + rotation_error / dt,
     )
-    positions = (motion.position, *memory.positions)
-    measured_position = positions[-1] + random.vector(2, sensors.position)
-    next_memory = SensorMemory(
-        motion,
-        memory.gyro_bias + random.vector(3, sensors.gyro_walk) * math.sqrt(dt),
-        memory.accel_bias + random.vector(4, sensors.accel_walk) * math.sqrt(dt),
-        positions[:-1],
-    )
-    t = k * dt
+
+
+def measured_aids(
+    sensors: Sensors, motion: Motion, delayed_position: Vec3, random: Random, k: Scalar, dt: float
+) -> Aids:
+    """The readings of position, height and heading with their noise, and whether each is taken at sample k.
+
+    Args:
+        sensors: Parameters of the sensors.
+        motion: The true motion at the sample.
+        delayed_position: The true position one delay before [m].
+        random: Noise of the sample.
+        k: Index of the sample.
+        dt: Length of a sample [s].
+    """
     has_position = is_reading_time(k, sensors.position_period)
     if sensors.outage_start is not None:
+        t = k * dt
         has_begun = t >= sensors.outage_start
         is_outage = jnp.logical_and(has_begun, t < sensors.outage_start + sensors.outage_duration)
         has_position = jnp.logical_and(has_position, jnp.logical_not(is_outage))
-    aids = Aids(
-        position=measured_position,
+    return Aids(
+        position=delayed_position + random.vector(SamplePlace.POSITION, sensors.position),
         has_position=has_position,
-        height=motion.position.z + random.number(5, sensors.height),
+        height=motion.position.z + random.number(SamplePlace.HEIGHT, sensors.height),
         has_height=is_reading_time(k, sensors.height_period),
-        heading=heading_of(motion.attitude) + random.number(6, sensors.heading),
+        heading=heading_of(motion.attitude) + random.number(SamplePlace.HEADING, sensors.heading),
         has_heading=is_reading_time(k, sensors.heading_period),
     )
-    return next_memory, increments, aids
 
 
 def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec3, dt: float) -> tuple[Vec3, Vec3]:
@@ -247,4 +312,4 @@ def strapdown_step(motion: Motion, rotation: Mat3, velocity: Vec3, position: Vec
 def is_reading_time(k: Scalar, period: float) -> Scalar:
     """Whether a sensor with a period [samples] takes a reading at sample k."""
     count = round(period)
-    return k >= 0 if count == 1 else k % count == 0
+    return k >= 0 if count == 1 else k % count == 0  # with a period of 1 always, without a division

@@ -31,12 +31,12 @@ class SampledInnerLoop(Protocol[S]):
         ...
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
-        """k_p of x, y, z and psi [1/s]."""
+        """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
         ...
 
     @property
     def start(self) -> Start:
-        """The choice of the integrals at the start."""
+        """Whether the integrals start at the study's numbers alone, or at these plus their values in equilibrium."""
         ...
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> S:
@@ -44,7 +44,7 @@ class SampledInnerLoop(Protocol[S]):
         ...
 
     def trimmed(self, craft: Craft, state: S, trim: Trim) -> S:
-        """The state with integrals that hold a trim; the study's start values add to them."""
+        """The state with integrals that hold an equilibrium; the study's start values add to them."""
         ...
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
@@ -52,11 +52,11 @@ class SampledInnerLoop(Protocol[S]):
         ...
 
     def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:
-        """Velocity control at a sample of the loop."""
+        """The state after velocity control at a sample of the outer loop, which commands velocity and yaw rate."""
         ...
 
     def tick(self, craft: Craft, state: S, readings: Readings, dt: float) -> tuple[S, Wrench]:
-        """Attitude and rate control at a tick."""
+        """The state after attitude and rate control at a tick, and the thrust and moment that they demand."""
         ...
 
 

@@ -9,7 +9,7 @@ The article gives their gains but not their formulas; this is a reconstruction:
     phi'' = 60 (phi_d - phi) - 15 phi', theta'' likewise, psi'' = k_d (u_psi - psi') + k_p int (u_psi - psi')
     M_net = J W euler'' + J W' euler' + Omega x J Omega,   Omega = W euler'
 
-with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not those of the draw.
+with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not the draw's.
 """
 
 from enum import StrEnum
@@ -35,7 +35,10 @@ LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
 
 @jax.tree_util.register_static
 class ThrustRule(StrEnum):
-    """Thrust from the desired acceleration: keep its vertical part, or use its norm."""
+    """How the thrust follows from the desired acceleration a.
+
+    With ``projection`` its vertical part is a_z + g, whatever the tilt. With ``norm`` it is |a + g e3| times the mass.
+    """
 
     PROJECTION = "projection"
     NORM = "norm"
@@ -43,10 +46,10 @@ class ThrustRule(StrEnum):
 
 @jax.tree_util.register_static
 class AttitudeReference(StrEnum):
-    """Whether phi_d, theta_d are treated as constants, or their rates are fed forward.
+    """Whether the desired roll and pitch, phi_d and theta_d, count as constants, or their rates are fed forward.
 
-    With a held command the rates are those of -k_d v: feed-forward acts as additional stiffness, and velocity loops
-    slow down from 1/(s + 1) to 0.8/(s + 0.8).
+    With a held command the desired acceleration changes as -k_d v does. Feed-forward then acts as more stiffness,
+    and velocity loops slow down from 1/(s + 1) to 0.8/(s + 0.8).
     """
 
     PLAIN = "plain"
@@ -54,7 +57,7 @@ class AttitudeReference(StrEnum):
 
 
 class InnerGains(NamedTuple):
-    """Gains of Section V-B, and the variants of the reconstruction."""
+    """Gains of the article's inner loops (Section V-B), variants of their reconstruction, and the integrals' start."""
 
     kp_velocity: Annotated[Scalar, Quantity("1/s^2", "integral gain of x, y, z", at_least=0.0)] = 0.0
     kd_velocity: Annotated[Scalar, Quantity("1/s", "proportional gain of x, y, z", above=0.0)] = 1.0
@@ -72,49 +75,58 @@ class InnerGains(NamedTuple):
     )
 
     def prepare(self) -> "InnerGains":
-        """Check the start; raises ConfigError."""
+        """The gains themselves, after a check of the integrals at the start; raises ConfigError."""
         require_integral(self, "kp_velocity")
         return self
 
     def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
-        """int (u - v) at the start [m]; settled, it lifts the thrust of hover to the one that carries the draw [N]."""
+        """int (u - v) at the start [m].
+
+        With a settled start its vertical part raises the thrust from the believed weight to ``carrying``, the thrust
+        that carries the draw [N].
+        """
         integral = Vec3(*self.velocity_integral)
         if self.start is Start.ZERO:
             return integral
         return integral._replace(z=integral.z + (carrying / craft.mass - GRAVITY) / self.kp_velocity)
 
     def trimmed(self, craft: Craft, trim: Trim) -> "Integrals":
-        """The integrals that hold a trim; their numbers in the study add to those of velocity [m].
+        """The integrals that hold an equilibrium; the study's start values add to the integrals of velocity [m].
 
-        The attitude loops have no integral action: where the trim has a moment, the desired angles differ from the
-        angles.
+        The attitude loops have no integral action. Where the equilibrium needs a moment, the desired angles therefore
+        differ from the angles by what makes this moment. The inner loop does not know the drag, and takes the force
+        against it for an acceleration. With feed-forward it therefore also feeds forward rates of the desired angles;
+        a fixed-point iteration makes angles and rates agree.
         """
         rotation = turned(trim.angles).matrix()
         at = trig_of(rotation)
-        wanted = euler_rates(at, trim.moment.over(craft.inertia))
+        wanted = euler_rates(at, trim.moment.over(craft.inertia))  # accelerations of the angles [rad/s^2]
         share = trim.thrust / craft.mass
-        surplus = trim.upward * share - Vec3(0.0, 0.0, GRAVITY)
+        surplus = trim.upward * share - Vec3(0.0, 0.0, GRAVITY)  # acceleration that the inner loop takes for real
         feeds = self.attitude is AttitudeReference.RATE_FEED_FORWARD
-        turning = (0.0, 0.0)
-        desired = Vec3(0.0, 0.0, GRAVITY)
+        phi_rate: Scalar = 0.0  # rates of the desired roll and pitch [rad/s]
+        theta_rate: Scalar = 0.0
+        desired = Vec3(0.0, 0.0, GRAVITY)  # desired acceleration, with g
         for _ in range(FEED_FORWARD_ROUNDS if feeds else 1):
-            phi = trim.angles.phi + (wanted.phi - self.kd_attitude * turning[0]) / self.kp_attitude
-            theta = trim.angles.theta + (wanted.theta - self.kd_attitude * turning[1]) / self.kp_attitude
+            phi = trim.angles.phi + (wanted.phi - self.kd_attitude * phi_rate) / self.kp_attitude
+            theta = trim.angles.theta + (wanted.theta - self.kd_attitude * theta_rate) / self.kp_attitude
             by_norm = self.thrust is ThrustRule.NORM
             up = share * (jnp.cos(phi) * jnp.cos(theta) if by_norm else rotation.c.z)
-            forward = up * jnp.tan(theta)
-            left = up * jnp.tan(phi) / jnp.cos(theta)
-            desired = Vec3(forward * at.cpsi + left * at.spsi, forward * at.spsi - left * at.cpsi, up)
+            desired = acceleration_for_tilt(phi, theta, up, at)
             if feeds:
                 heading = (at.cpsi, at.spsi)
-                moving = (surplus * -self.kd_velocity, (jnp.zeros_like(at.cpsi), jnp.zeros_like(at.spsi)))
-                turning = jax.jvp(desired_tilt, (desired, heading), moving)[1]
+                heading_dot = (jnp.zeros_like(at.cpsi), jnp.zeros_like(at.spsi))
+                slope = surplus * -self.kd_velocity  # of the desired acceleration
+                _, (phi_rate, theta_rate) = jax.jvp(desired_tilt, (desired, heading), (slope, heading_dot))
         held = (desired - Vec3(0.0, 0.0, GRAVITY)) / self.kp_velocity
         yaw = 0.0 if is_zero(self.kp_yaw) else wanted.psi / self.kp_yaw
         return Integrals(Vec3(*self.velocity_integral) + held, yaw)
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
-        """The wanted thrust at the start without an error of velocity [N]."""
+        """The wanted thrust at the start without an error of velocity [N].
+
+        ``carrying`` is the thrust that carries the draw [N].
+        """
         lift = GRAVITY + self.kp_velocity * self.first_velocity_integral(craft, carrying).z
         return craft.mass * lift
 
@@ -152,7 +164,10 @@ class Trig(NamedTuple):
 
 
 class Lean(NamedTuple):
-    """Opposite and adjacent sides of the desired pitch (forward, up) and roll (left, slant) [m/s^2]."""
+    """Sides of the right-angled triangles of the desired angles [m/s^2].
+
+    tan theta_d is ``forward`` over ``up``, and tan phi_d is ``left`` over ``slant``.
+    """
 
     forward: Scalar
     up: Scalar
@@ -170,7 +185,10 @@ class Demand(NamedTuple):
 
 
 def trig_of(rotation: Mat3) -> Trig:
-    """Sines and cosines without inverse functions; cos theta >= 0, floored at 1e-6 at the singularity."""
+    """Sines and cosines of the Euler angles of a rotation, without inverse functions.
+
+    cos theta >= 0; at the singularity it is floored at 1e-6.
+    """
     square = jnp.maximum(rotation.c.y**2 + rotation.c.z**2, 1e-12)
     secant = 1.0 / jnp.sqrt(square)
     return Trig(
@@ -185,7 +203,7 @@ def trig_of(rotation: Mat3) -> Trig:
 
 
 def euler_of(rotation: Mat3) -> Euler:
-    """Euler angles of a rotation [rad]."""
+    """The Euler angles of a rotation [rad]: pitch in [-pi/2, pi/2], roll and yaw in (-pi, pi]."""
     flat = jnp.sqrt(rotation.c.y**2 + rotation.c.z**2)
     return Euler(
         atan2(rotation.c.y, rotation.c.z),
@@ -195,14 +213,22 @@ def euler_of(rotation: Mat3) -> Euler:
 
 
 def euler_rates(at: Trig, rate: Vec3) -> Euler:
-    """Euler' = W^-1 Omega."""
+    """The rates of the Euler angles, W^-1 Omega [rad/s], for a body rate Omega [rad/s].
+
+    W is the matrix with Omega = W euler'.
+    """
     turn = at.sphi * rate.y + at.cphi * rate.z
     psi = turn * at.secant
     return Euler(rate.x + at.stheta * psi, at.cphi * rate.y - at.sphi * rate.z, psi)
 
 
 def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
-    """Sides of phi_d and theta_d for a desired acceleration whose z part includes g, at (cos psi, sin psi)."""
+    """The triangles of phi_d and theta_d for a desired acceleration.
+
+    Args:
+        acceleration: a_x, a_y, and a_z + g [m/s^2].
+        heading: (cos psi, sin psi).
+    """
     cpsi, spsi = heading
     forward = acceleration.x * cpsi + acceleration.y * spsi
     left = acceleration.x * spsi - acceleration.y * cpsi
@@ -211,13 +237,35 @@ def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
 
 
 def desired_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """(phi_d, theta_d) [rad]."""
+    """The desired roll and pitch (phi_d, theta_d) [rad]; arguments as for :func:`lean`."""
     sides = lean(acceleration, heading)
     return atan2(sides.left, sides.slant), atan2(sides.forward, sides.up)
 
 
+def acceleration_for_tilt(phi: Scalar, theta: Scalar, up: Scalar, at: Trig) -> Vec3:
+    """The desired acceleration, with g, that gives a desired roll and pitch: the inverse of :func:`desired_tilt`.
+
+    Args:
+        phi: Desired roll [rad].
+        theta: Desired pitch [rad].
+        up: Vertical part of the acceleration, with g [m/s^2].
+        at: Cosine and sine of the present yaw.
+    """
+    forward = up * jnp.tan(theta)
+    left = up * jnp.tan(phi) / jnp.cos(theta)
+    return Vec3(forward * at.cpsi + left * at.spsi, forward * at.spsi - left * at.cpsi, up)
+
+
 def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
-    """(phi_d - phi, theta_d - theta) [rad], each one angle of a rotated triangle; upright, as a flip ends the draw."""
+    """What roll and pitch lack of the desired ones, (phi_d - phi, theta_d - theta) [rad].
+
+    Each difference is one ``atan2``, of the triangle turned back by the present angle. The vehicle is upright here,
+    because a flip ends the draw.
+
+    Args:
+        acceleration: a_x, a_y, and a_z + g [m/s^2].
+        at: Sines and cosines of the present angles.
+    """
     forward, up, left, slant = lean(acceleration, (at.cpsi, at.spsi))
     return (
         atan2(left * at.cphi - slant * at.sphi, slant * at.cphi + left * at.sphi),
@@ -226,10 +274,17 @@ def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
 
 
 def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Euler) -> Vec3:
-    """M_net = J W euler'' + J W' euler' + Omega x J Omega.
+    """The moment for desired accelerations of the Euler angles, J W euler'' + J W' euler' + Omega x J Omega [N m].
 
     W euler' = (phi' - psi' sin theta, R_phi^T (theta', psi' cos theta)), where R_phi turns by phi. Its derivative is
     (phi'' - (psi' sin theta)', R_phi^T (theta'' + phi' psi' cos theta, (psi' cos theta)' - phi' theta')).
+
+    Args:
+        inertia: Diagonal of J [kg m^2].
+        at: Sines and cosines of the angles.
+        rate: Body rate Omega [rad/s].
+        turning: Rates of the angles, euler' [rad/s].
+        desired: Desired accelerations of the angles, euler'' [rad/s^2].
     """
     dphi, dtheta, dpsi = turning
     level = at.ctheta * dpsi
@@ -251,7 +306,10 @@ def demand(
     command: Vec3,
     yaw_command: Scalar,
 ) -> Demand:
-    """Thrust and moment for velocity commands.
+    """Thrust and moment for velocity commands, and the slopes of the integrals.
+
+    The velocity errors give a desired acceleration; its lift gives the thrust, and its direction the desired angles.
+    The attitude loops give accelerations of the angles, and these the moment.
 
     Args:
         gains: Gains and variants.
@@ -267,7 +325,7 @@ def demand(
     at = trig_of(rotation)
     error = command - velocity
     turning = euler_rates(at, rate)
-    desired = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity
+    desired = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity  # acceleration
     lift = desired.z + GRAVITY
     bounded = lift < LEAST_LIFT
     desired = desired._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
@@ -276,10 +334,11 @@ def demand(
     if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
         body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
         acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
-        slope = error * gains.kp_velocity - acceleration * gains.kd_velocity
+        slope = error * gains.kp_velocity - acceleration * gains.kd_velocity  # of the desired acceleration
         slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
-        turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
-        _, (phi_d_dot, theta_d_dot) = jax.jvp(desired_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
+        heading = (at.cpsi, at.spsi)
+        heading_dot = (-at.spsi * turning.psi, at.cpsi * turning.psi)
+        _, (phi_d_dot, theta_d_dot) = jax.jvp(desired_tilt, (desired, heading), (slope, heading_dot))
     else:
         phi_d_dot = 0.0
         theta_d_dot = 0.0

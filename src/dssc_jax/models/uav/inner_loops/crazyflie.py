@@ -4,9 +4,9 @@
     (phi', theta', psi')_d = PID of the angles, psi_d the integral of u_psi
     M_d = PID(Omega_d - Omega)
 
-All derivatives are those of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
+All derivatives are of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
 and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
-by 180/pi/65535. A roll or pitch command changes each rotor by half of it, that of yaw by all of it.
+by 180/pi/65535. A roll or pitch command changes each rotor by half of it, and a yaw command by all of it.
 
 References:
     Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
@@ -35,15 +35,30 @@ PER_RADIAN = math.degrees(1.0) / MOTOR_RANGE
 THRUST_SCALE = 1000.0 / MOTOR_RANGE
 """From the output of the vertical PID to a share of the full thrust."""
 OVERHEAD = 1.1
-"""Limit of the horizontal PIDs over that of the tilt."""
+"""Limit of the horizontal PIDs over the limit of the tilt."""
 INTEGRAL_OF_VELOCITY = 5000.0
 """Limit of the integrals of velocity [m]."""
 
 
-class CrazyflieGains(NamedTuple):
-    """Gains of the Crazyflie's cascade; the defaults are those of the firmware, in SI units.
+TRIPLES = (
+    "attitude_p",
+    "attitude_i",
+    "attitude_d",
+    "attitude_integral_max",
+    "rate_p",
+    "rate_i",
+    "rate_d",
+    "rate_integral_max",
+    "attitude_integral",
+    "rate_integral",
+)
+"""Fields with a value for roll, pitch and yaw each."""
 
-    Triples are those of roll, pitch and yaw; pairs are those of the horizontal and the vertical direction.
+
+class CrazyflieGains(NamedTuple):
+    """Gains of the Crazyflie's cascade; the defaults are the firmware's, in SI units.
+
+    A triple has a value for roll, pitch and yaw each; velocity gains are horizontal, and climb gains vertical.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0
@@ -117,9 +132,11 @@ class CrazyflieGains(NamedTuple):
         return 1.0 / self.frequency
 
     def prepare(self) -> "CrazyflieGains":
-        """Require triples, and integral action of a settled start; raises ConfigError."""
-        names = "attitude_p attitude_i attitude_d attitude_integral_max rate_p rate_i rate_d rate_integral_max"
-        for name in (*names.split(), "attitude_integral", "rate_integral"):
+        """The gains themselves, which must have three values where they are triples; raises ConfigError.
+
+        A settled start also needs an integral gain of climb.
+        """
+        for name in TRIPLES:
             if len(getattr(self, name)) != 3:
                 raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
         require_integral(self, "climb_i")
@@ -128,11 +145,19 @@ class CrazyflieGains(NamedTuple):
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
         level = GRAVITY * self.velocity_p
-        yaw = self.attitude_p[2] * self.rate_p[2] * torque_units(craft).z / craft.inertia.z
+        _, _, yaw_p = self.attitude_p
+        _, _, yaw_rate_p = self.rate_p
+        yaw = yaw_p * yaw_rate_p * torque_units(craft).z / craft.inertia.z
         return level, level, self.climb_p * craft.full_thrust / craft.mass, yaw
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "CrazyflieState":
-        """Integrals at their first values, hover."""
+        """Integrals at their first values, hover.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            readings: Measurements at the start.
+            carrying: Thrust that carries the weight of the draw [N].
+        """
         zero = Vec3(0.0, 0.0, 0.0)
         angles = angles_of(readings.attitude.matrix())
         setpoint = Vec3(0.0, 0.0, angles.z)
@@ -149,7 +174,11 @@ class CrazyflieGains(NamedTuple):
         )
 
     def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
-        """Integrals of velocity at the start [m]; settled, they lift the thrust of hover to the carrying one."""
+        """Integrals of velocity at the start, along the heading, to the left and up [m].
+
+        With a settled start the vertical one raises the thrust of hover to ``carrying``, the thrust that carries the
+        weight of the draw [N].
+        """
         integral = Vec3(*self.velocity_integral)
         if self.start is Start.ZERO:
             return integral
@@ -176,12 +205,15 @@ class CrazyflieGains(NamedTuple):
         )
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
-        """The wanted thrust at the start without an error of velocity [N]."""
+        """The wanted thrust at the start without an error of velocity [N].
+
+        ``carrying`` is the thrust that carries the weight of the draw [N].
+        """
         climb = self.climb_i * self.first_velocity_integral(craft, carrying).z
         return self.hover_thrust(craft) + climb * craft.full_thrust
 
     def hover_thrust(self, craft: Craft) -> Scalar:
-        """The thrust that is taken to carry the weight [N]."""
+        """The thrust that the software takes to carry the weight [N]."""
         return craft.mass * GRAVITY if self.thrust_hover is None else self.thrust_hover * craft.full_thrust
 
     def hover(self, craft: Craft) -> Scalar:
@@ -191,7 +223,18 @@ class CrazyflieGains(NamedTuple):
     def sample(
         self, craft: Craft, state: "CrazyflieState", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
     ) -> "CrazyflieState":
-        """Velocity control: from commands to thrust, roll and pitch."""
+        """Velocity control: from commands to thrust, roll and pitch.
+
+        Three PIDs act on the velocity along the heading, to its left, and up.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: State of the cascade.
+            readings: Measurements.
+            command: Commanded velocity, inertial [m/s].
+            yaw_command: Commanded rate of yaw [rad/s].
+            dt: T_s of the loop [s].
+        """
         rotation = readings.attitude.matrix()
         measured = heading_velocity(readings.velocity, rotation)
         error = heading_velocity(command, rotation) - measured
@@ -205,7 +248,7 @@ class CrazyflieGains(NamedTuple):
         velocity, output = pid(state.velocity, error, measured, slope, gains, bound, dt)
         forward = clip(output.x, -self.tilt_max, self.tilt_max)
         left = clip(output.y, -self.tilt_max, self.tilt_max)
-        climb = clip(output.z, -0.5, 0.5)
+        climb = clip(output.z, -0.5, 0.5)  # half of the full thrust: the firmware's limit of this PID
         thrust = climb + self.hover(craft)
         bounded = thrust < self.thrust_min
         return state._replace(
@@ -219,7 +262,12 @@ class CrazyflieGains(NamedTuple):
     def tick(
         self, craft: Craft, state: "CrazyflieState", readings: Readings, dt: float
     ) -> tuple["CrazyflieState", Wrench]:
-        """Attitude and rate control: from the held angles to thrust and moment."""
+        """Attitude and rate control: from the held angles to thrust and moment.
+
+        Three PIDs turn errors of the angles into desired rates, and three others turn errors of the rates into shares
+        of the largest torques. All angles are wrapped to (-pi, pi].
+        """
+        # attitude: from errors of the angles to desired rates
         angles = angles_of(readings.attitude.matrix())
         setpoint = state.setpoint._replace(z=wrap_angle(state.setpoint.z + state.yaw_rate * dt))
         error = setpoint - angles
@@ -229,6 +277,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
         bound = Vec3(*self.attitude_integral_max)
         attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
+        # rates: from their errors to shares of the largest torques
         slope = (readings.rate - state.rate.measured) * (1.0 / dt)
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)
@@ -238,7 +287,7 @@ class CrazyflieGains(NamedTuple):
 
 
 class Pid(NamedTuple):
-    """Integrals of three PIDs, and their last measurements."""
+    """State of three PIDs: the integrals of their errors, and their last measurements."""
 
     integral: Vec3
     measured: Vec3
@@ -277,7 +326,20 @@ def pid(
     integral_max: Vec3,
     dt: Scalar,
 ) -> tuple[Pid, Vec3]:
-    """One sample of three PIDs with the derivative of the measurement and a limited integral, backward Euler."""
+    """One sample of three PIDs with the derivative of the measurement and a limited integral, backward Euler.
+
+    Args:
+        state: Integrals and last measurements.
+        error: Errors of the three measurements.
+        measured: The measurements.
+        slope: Derivatives of the measurements.
+        gains: Proportional, integral and derivative gains.
+        integral_max: Limits of the integrals' magnitudes.
+        dt: Time since the last sample [s].
+
+    Returns:
+        The next state, and the outputs.
+    """
     proportional, integral_gain, derivative = gains
     integral = limited(state.integral + error * dt, integral_max)
     output = error.scale(proportional) + integral.scale(integral_gain) - slope.scale(derivative)
@@ -285,7 +347,10 @@ def pid(
 
 
 def over_gain(value: Scalar, gain: Scalar) -> Scalar:
-    """The integral that gives a value; 0 without a gain."""
+    """The integral that gives a value; 0 without a gain.
+
+    A gain that is known to be 0 before tracing costs nothing; a traced gain may be 0 in some draws.
+    """
     if is_zero(gain):
         return 0.0
     missing = gain == 0.0
@@ -301,7 +366,12 @@ def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:
 
 
 def torque_units(craft: Craft) -> Vec3:
-    """The moment of commands of 1: a rotor with the largest share changes by 1/2, 1/2 and 1 of its limit [N m]."""
-    largest = np.abs(np.array(craft.allocation, dtype=float)[:, 1:4]).max(axis=0)
+    """The moments about body x, y, z of commands of 1 [N m], as the firmware's power distribution scales them.
+
+    A command of 1 changes the thrust of the rotor with the largest share in it by a part of its limit: by 1/2 for roll
+    and pitch, and by 1 for yaw.
+    """
+    moment_columns = np.array(craft.allocation, dtype=float)[:, 1:4]  # without net thrust
+    largest = np.abs(moment_columns).max(axis=0)
     roll, pitch, yaw = (craft.rotor_limit / float(entry) for entry in largest)
     return Vec3(0.5 * roll, 0.5 * pitch, yaw)

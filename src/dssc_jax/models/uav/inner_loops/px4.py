@@ -6,8 +6,9 @@
     M_d = K_P (Omega_d - Omega) + I - K_D Omega'_f + K_FF Omega_d                   at each tick
 
 The desired heading is the present one, and u_psi is fed forward as a rate of yaw, as PX4 does without a heading
-setpoint. Gains of the rate loop are in PX4's units: shares of the largest torque, see :func:`torque_units`. Axes here
-point forward, left and up instead of forward, right and down; gains are the same in both.
+setpoint. Gains of the rate loop are in PX4's units: shares of the largest torque, see
+:func:`~dssc_jax.models.uav.inner_loops.px4_conversions.torque_units`. Axes here point forward, left and up instead of
+forward, right and down; gains are the same in both.
 
 References:
     PX4 1.14, modules mc_pos_control (PositionControl), mc_att_control (AttitudeControl), lib/rate_control,
@@ -27,7 +28,7 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.desaturation import scales_of
+from dssc_jax.models.uav.inner_loops.px4_conversions import attitude_of, torque_units
 from dssc_jax.models.uav.inner_loops.sampled import (
     Craft,
     LowPass,
@@ -38,7 +39,6 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     canonical,
     conjugate,
     half_angle,
-    half_turn,
     limited,
     low_pass,
     product,
@@ -59,10 +59,14 @@ LEAST_MISSING = 2.0**-23
 """Share of the largest torque beyond which a torque that the rotors do not give stops the integral: FLT_EPSILON."""
 
 
-class Px4Gains(NamedTuple):
-    """Gains of PX4's cascade; the defaults are those of its parameters, with angles in radians.
+TRIPLES = ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "rate_integral_max", "rate_integral")
+"""Fields with a value for roll, pitch and yaw each."""
 
-    Triples are those of roll, pitch and yaw.
+
+class Px4Gains(NamedTuple):
+    """Gains of PX4's cascade; the defaults are PX4's own, with angles in radians.
+
+    A triple has a value for roll, pitch and yaw each.
     """
 
     frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
@@ -114,9 +118,13 @@ class Px4Gains(NamedTuple):
         return 1.0 / self.frequency
 
     def prepare(self) -> "Px4Gains":
-        """Check rules that span several fields; raises ConfigError."""
-        names = "attitude_p rate_max rate_p rate_i rate_d rate_ff rate_integral_max rate_integral"
-        for name in names.split():
+        """The gains themselves, after a check of the rules that span several fields.
+
+        Raises:
+            ConfigError: A triple has not three values, a settled start has no integral gain of the vertical velocity,
+                the gyroscopes' filter is too fast for the ticks, or the least thrust is not below the largest.
+        """
+        for name in TRIPLES:
             if len(getattr(self, name)) != 3:
                 raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
         require_integral(self, "velocity_i_z")
@@ -124,18 +132,26 @@ class Px4Gains(NamedTuple):
         if cutoff is not None and not 2.0 * cutoff < self.frequency:
             rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
             raise ConfigError("gyro_cutoff", f"{rule}, got {cutoff:g} Hz")
-        least, most = extent(self.thrust_min)[1], extent(self.thrust_max)[0]
-        if not least < most:
-            raise ConfigError("thrust_min", f"must be below thrust_max = {most:g}, got up to {least:g}")
+        _, highest_minimum = extent(self.thrust_min)
+        lowest_maximum, _ = extent(self.thrust_max)
+        if not highest_minimum < lowest_maximum:
+            rule = f"must be below thrust_max = {lowest_maximum:g}, got up to {highest_minimum:g}"
+            raise ConfigError("thrust_min", rule)
         return self
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
         """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
-        yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z
+        yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z  # [2]: of roll, pitch, yaw
         return self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z, yaw
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "Px4State":
-        """Integrals at their first values, filters settled, hover."""
+        """Integrals at their first values, filters settled, hover.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            readings: Measurements at the start.
+            carrying: Thrust that carries the weight of the draw [N].
+        """
         zero = Vec3(0.0, 0.0, 0.0)
         gyro = () if self.gyro_cutoff is None else settled_low_pass(readings.rate, self.gyro_cutoff, self.period)
         thrust = Vec3(0.0, 0.0, self.first_thrust(craft, carrying) / craft.full_thrust)
@@ -155,14 +171,22 @@ class Px4Gains(NamedTuple):
         )
 
     def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
-        """I of the velocity loops at the start [m/s^2]; settled, it lifts the thrust of hover to the carrying one."""
+        """I of the velocity loops at the start [m/s^2].
+
+        With a settled start its vertical part raises the thrust of hover to ``carrying``, the thrust that carries the
+        weight of the draw [N].
+        """
         integral = Vec3(*self.velocity_integral)
         if self.start is Start.ZERO:
             return integral
         return integral._replace(z=integral.z + GRAVITY * (carrying / self.hover_thrust(craft) - 1.0))
 
     def trimmed(self, craft: Craft, state: "Px4State", trim: Trim) -> "Px4State":
-        """The state whose integrals hold a trim; their numbers in the study add to it."""
+        """The state whose integrals hold a trim; their numbers in the study add to it.
+
+        The integral of velocity is then the desired acceleration that gives the trim's thrust, and the integral of the
+        rates its moment, in shares of the largest torques.
+        """
         upward = trim.upward
         lift = GRAVITY * (trim.thrust * upward.z / self.hover_thrust(craft) - 1.0)
         held = Vec3(GRAVITY * upward.x / upward.z, GRAVITY * upward.y / upward.z, lift)
@@ -173,11 +197,14 @@ class Px4Gains(NamedTuple):
         )
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
-        """The wanted thrust at the start without an error of velocity [N]."""
+        """The wanted thrust at the start without an error of velocity [N].
+
+        ``carrying`` is the thrust that carries the weight of the draw [N].
+        """
         return self.hover_thrust(craft) * (1.0 + self.first_velocity_integral(craft, carrying).z / GRAVITY)
 
     def hover_thrust(self, craft: Craft) -> Scalar:
-        """The thrust that is taken to carry the weight [N]."""
+        """The thrust that the software takes to carry the weight [N]."""
         return craft.mass * GRAVITY if self.thrust_hover is None else self.thrust_hover * craft.full_thrust
 
     def hover(self, craft: Craft) -> Scalar:
@@ -187,7 +214,19 @@ class Px4Gains(NamedTuple):
     def sample(
         self, craft: Craft, state: "Px4State", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
     ) -> "Px4State":
-        """Velocity control: from commands to thrust, attitude and rate of yaw."""
+        """Velocity control: from commands to thrust, attitude and rate of yaw.
+
+        A PID in inertial axes gives a desired acceleration, ``setpoint``; its thrust is limited, and the integral gets
+        the part of the velocity error that does not drive the thrust further beyond a limit.
+
+        Args:
+            craft: The vehicle as the software knows it.
+            state: State of the cascade.
+            readings: Measurements.
+            command: Commanded velocity, inertial [m/s].
+            yaw_command: Commanded rate of yaw [rad/s].
+            dt: T_s of the loop [s].
+        """
         slope = (readings.velocity - state.velocity) * (1.0 / dt)
         acceleration = blend(state.acceleration, slope, smoothing(self.velocity_cutoff, dt))
         error = command - readings.velocity
@@ -210,7 +249,12 @@ class Px4Gains(NamedTuple):
         )
 
     def thrust_of(self, setpoint: Vec3, hover: Scalar) -> tuple[Vec3, Scalar]:
-        """Thrust for an acceleration, in shares of the full one, within tilt and lower limit; whether that binds."""
+        """Thrust for an acceleration, in shares of the full one, within tilt and lower limit; whether that binds.
+
+        Args:
+            setpoint: Desired acceleration, inertial, without g [m/s^2].
+            hover: Share of the full thrust that carries the weight.
+        """
         horizontal = root_abs(setpoint.x * setpoint.x + setpoint.y * setpoint.y)
         steepest = GRAVITY * jnp.sin(self.tilt_max) / jnp.cos(self.tilt_max)
         share = jnp.where(horizontal > steepest, steepest / jnp.maximum(horizontal, steepest), 1.0)
@@ -221,7 +265,18 @@ class Px4Gains(NamedTuple):
         return direction * jnp.maximum(collective, self.thrust_min), bounded
 
     def within_thrust(self, thrust: Vec3, setpoint: Vec3, error: Vec3, hover: Scalar) -> tuple[Vec3, Vec3]:
-        """Thrust within its upper limit, the vertical part first; the velocity error that the integral takes."""
+        """Thrust within its upper limit, the vertical part first; the velocity error that the integral takes.
+
+        ``thrust_margin`` of the horizontal thrust is kept even where the vertical thrust wants all. A vertical error
+        that drives the thrust beyond a limit is not integrated; a horizontal error is reduced by 2/K_P times the
+        acceleration that the limit takes away (Rundqwist's anti-windup).
+
+        Args:
+            thrust: Wanted thrust, inertial, in shares of the full one.
+            setpoint: Desired acceleration, inertial, without g [m/s^2].
+            error: Error of the velocity, inertial [m/s].
+            hover: Share of the full thrust that carries the weight.
+        """
         low = (thrust.z <= self.thrust_min) & (error.z <= 0.0)
         high = (thrust.z >= self.thrust_max) & (error.z >= 0.0)
         vertical_error = jnp.where(low | high, 0.0, error.z)
@@ -243,7 +298,11 @@ class Px4Gains(NamedTuple):
         )
 
     def tick(self, craft: Craft, state: "Px4State", readings: Readings, dt: float) -> tuple["Px4State", Wrench]:
-        """Attitude and rate control: from the held attitude to thrust and moment."""
+        """Attitude and rate control: from the held attitude to thrust and moment.
+
+        The error of the attitude gives a desired body rate, and a PID with feed-forward turns its error into shares of
+        the largest torques. A torque that the rotors do not give stops the integral.
+        """
         rate = readings.rate
         gyro = state.gyro
         if isinstance(gyro, LowPass) and self.gyro_cutoff is not None:
@@ -270,7 +329,12 @@ class Px4Gains(NamedTuple):
         return after, Wrench(collective * craft.full_thrust, torque.scale(torque_units(craft)))
 
     def rate_for(self, state: "Px4State", attitude: Quaternion) -> Vec3:
-        """The body rate that turns an attitude into the held one [rad/s]: tilt first, yaw by its weight."""
+        """The body rate that turns an attitude into the held one [rad/s]: tilt first, yaw by its weight.
+
+        The rotation to the held attitude is split into the shortest rotation that aligns body z, ``reduced``, and the
+        remaining rotation about it, ``yaw``, of which only the share ``yaw_weight`` is kept. The commanded rate of yaw
+        is added about the vertical.
+        """
         error = product(conjugate(attitude), state.attitude)
         # seen from the body, the desired body z; the rotation to it without yaw, then the yaw that is left
         x = 2.0 * (error.x * error.z + error.w * error.y)
@@ -289,7 +353,12 @@ class Px4Gains(NamedTuple):
         return turned + attitude.matrix().c * state.yaw_rate
 
     def integrated(self, error: Vec3, lacking: Vec3) -> Vec3:
-        """Slope of the rate integral: less of a large error, none towards a limit of the rotors."""
+        """Slope of the rate integral: less of a large error, none towards a limit of the rotors.
+
+        Args:
+            error: Error of the body rate [rad/s].
+            lacking: Torque that the rotors did not give, in shares of the largest torque.
+        """
         slopes = []
         for value, missing, gain in zip(error, lacking, self.rate_i, strict=True):
             held = jnp.where(missing > LEAST_MISSING, jnp.minimum(value, 0.0), value)
@@ -300,12 +369,12 @@ class Px4Gains(NamedTuple):
 
 
 class Px4State(NamedTuple):
-    """State of the cascade.
+    """State of the cascade; what is held goes from a sample of the loop to the ticks within it.
 
     Args:
         velocity_integral: I of the velocity loops [m/s^2].
         velocity: The last measured velocity [m/s].
-        acceleration: Its filtered slope [m/s^2].
+        acceleration: Filtered slope of the measured velocity [m/s^2].
         thrust: Held thrust, inertial, in shares of the full one.
         attitude: Held attitude.
         yaw_rate: Held rate of yaw [rad/s].
@@ -313,7 +382,7 @@ class Px4State(NamedTuple):
         unallocated: Moment that the rotors did not give at the last tick [N m].
         gyro: State of the rate's low-pass filter; () without one.
         rate: The last filtered rate [rad/s].
-        turning: Its filtered slope [rad/s^2].
+        turning: Filtered slope of the filtered rate [rad/s^2].
         bounded: Whether the thrust is at its lower limit.
     """
 
@@ -329,33 +398,3 @@ class Px4State(NamedTuple):
     rate: Vec3
     turning: Vec3
     bounded: Scalar
-
-
-def torque_units(craft: Craft) -> Vec3:
-    """The moment of a torque setpoint of 1 in PX4, whose allocation scales the pseudo-inverse [N m].
-
-    Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
-    """
-    scales = scales_of(craft.allocation)
-    tilting = craft.rotor_limit / scales.turning
-    return Vec3(tilting, tilting, craft.rotor_limit / scales.yaw)
-
-
-def attitude_of(thrust: Vec3, present: Quaternion) -> Quaternion:
-    """The attitude whose body z points along a thrust, at the heading of the present attitude."""
-    rotation = present.matrix()
-    flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))
-    heading = rotation.a.x * flat, rotation.b.x * flat
-    along = thrust / jnp.sqrt(jnp.maximum(thrust.dot(thrust), 1e-12))
-    forward = along.x * heading[0] + along.y * heading[1]
-    left = along.y * heading[0] - along.x * heading[1]
-    lean = jnp.sqrt(forward * forward + along.z * along.z)
-    cr, sr = half_angle(lean, -left)
-    cp, sp = half_angle(along.z / lean, forward / lean)
-    cy, sy = half_turn(*heading)
-    return Quaternion(
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )

@@ -22,7 +22,7 @@ PARAMETERS = {
     "gyro_cutoff": "IMU_GYRO_CUTOFF",
     "derivative_cutoff": "IMU_DGYRO_CUTOFF",
 }
-"""PX4's parameters of the fields that are single numbers in the same units."""
+"""PX4's parameter of each field that is a single number in the same unit."""
 TRIPLES = {
     "attitude_p": ("MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P"),
     "rate_i": ("MC_ROLLRATE_I", "MC_PITCHRATE_I", "MC_YAWRATE_I"),
@@ -31,13 +31,36 @@ TRIPLES = {
     "rate_ff": ("MC_ROLLRATE_FF", "MC_PITCHRATE_FF", "MC_YAWRATE_FF"),
     "rate_integral_max": ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM"),
 }
+"""PX4's parameters of each field that has a number for roll, pitch and yaw, in the same unit."""
 DEGREES = {"rate_max": ("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX")}
+"""PX4's parameters in degrees, of fields in radians."""
 FACTORS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
 """PX4's factors of the gains P, I and D of the rate loops."""
 FACTORED = ("rate_p", "rate_i", "rate_d")
+"""The fields of these gains."""
 TILT = "MPC_TILTMAX_AIR"
 GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
 """All parameters of PX4 that :func:`gains_from` takes."""
+
+
+def triple(field: str, names: tuple[str, str, str], parameters: Mapping[str, float]) -> list[float]:
+    """The gains of roll, pitch and yaw for a field; a gain that the parameters do not set has its default.
+
+    PX4 multiplies some gains of the rate loops by a factor, which is 1 unless it is set.
+    """
+    values = []
+    for name, factor, default in zip(names, FACTORS, Px4Gains._field_defaults[field], strict=True):
+        value = parameters.get(name, default)
+        values.append(value * parameters.get(factor, 1.0) if field in FACTORED else value)
+    return values
+
+
+def triple_of_degrees(field: str, names: tuple[str, str, str], parameters: Mapping[str, float]) -> list[float]:
+    """The values of roll, pitch and yaw for a field in radians [rad/s], from parameters in degrees."""
+    values = []
+    for name, default in zip(names, Px4Gains._field_defaults[field], strict=True):
+        values.append(math.radians(parameters.get(name, math.degrees(default))))
+    return values
 
 
 def gains_from(parameters: Mapping[str, float]) -> TomlTable:
@@ -46,17 +69,13 @@ def gains_from(parameters: Mapping[str, float]) -> TomlTable:
     for field, name in PARAMETERS.items():
         if name in parameters:
             table[field] = parameters[name]
-    for field, names in (TRIPLES | DEGREES).items():
-        involved = names + FACTORS if field in FACTORED else names
-        if not any(name in parameters for name in involved):
-            continue
-        values = []
-        for place, name in enumerate(names):
-            default = Px4Gains._field_defaults[field][place]
-            value = parameters.get(name, math.degrees(default) if field in DEGREES else default)
-            value = math.radians(value) if field in DEGREES else value
-            values.append(value * parameters.get(FACTORS[place], 1.0) if field in FACTORED else value)
-        table[field] = values
+    for field, names in TRIPLES.items():
+        factors = FACTORS if field in FACTORED else ()
+        if any(name in parameters for name in (*names, *factors)):
+            table[field] = triple(field, names, parameters)
+    for field, names in DEGREES.items():
+        if any(name in parameters for name in names):
+            table[field] = triple_of_degrees(field, names, parameters)
     if TILT in parameters:
         table["tilt_max"] = math.radians(parameters[TILT])
     return table

@@ -68,13 +68,13 @@ class Angles(NamedTuple):
 
 
 class Trim(NamedTuple):
-    """An equilibrium of the vehicle.
+    """An equilibrium of the vehicle: its attitude, and the commands that hold it there.
 
     Args:
         angles: Angles of the attitude.
-        thrust: Net thrust [N].
-        moment: Moment in the body frame [N m].
-        rotor: Thrusts of the rotors [N].
+        thrust: Wanted net thrust [N].
+        moment: Wanted moment in the body frame [N m].
+        rotor: Commanded thrusts of the rotors [N].
     """
 
     angles: Angles
@@ -84,18 +84,18 @@ class Trim(NamedTuple):
 
     @property
     def upward(self) -> Vec3:
-        """Body z, inertial."""
+        """The direction of body z in the inertial frame, of length 1."""
         rotation = turned(self.angles).matrix()
         return Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
 
 
 def turned(angles: Angles) -> Quaternion:
-    """The attitude of angles."""
+    """The attitude, body to inertial, that has some roll, pitch and yaw."""
     return quaternion_from_euler(*angles)
 
 
 def body_angles(upward: Vec3, psi: Scalar) -> Angles:
-    """The angles at which body z points along a vector of length 1, at a yaw [rad]."""
+    """The angles at which body z points along ``upward``, a vector of length 1, at the yaw ``psi`` [rad]."""
     cosine = jnp.cos(psi)
     sine = jnp.sin(psi)
     forward = upward.x * cosine + upward.y * sine
@@ -110,11 +110,11 @@ def angles_of(rotation: Mat3) -> Vec3:
 
 
 class StartsSettled(Protocol):
-    """The gains of an inner loop that may start in an equilibrium."""
+    """What :func:`require_integral` reads of the gains of an inner loop that may start in an equilibrium."""
 
     @property
     def start(self) -> Start:
-        """The choice of the integrals at the start."""
+        """Whether the integrals start at the study's numbers alone, or at these plus their values in equilibrium."""
         ...
 
     @property
@@ -124,14 +124,14 @@ class StartsSettled(Protocol):
 
 
 def require_integral(gains: StartsSettled, gain: str) -> None:
-    """Require three first integrals of velocity, and of a settled start an integral gain of climb.
+    """Require that the integrals at the start are three and, with a settled start, that they can hold the weight.
 
     Args:
         gains: Gains of an inner loop.
         gain: Name of its integral gain of the vertical velocity.
 
     Raises:
-        ConfigError: They are not three, or the gain is 0.
+        ConfigError: The integrals of velocity are not three, or the start is settled and the gain is 0.
     """
     count = len(gains.velocity_integral)
     if count != 3:
@@ -147,7 +147,10 @@ def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
 
 
 def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
-    """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those."""
+    """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those.
+
+    The thrust is the first row of the allocation's pseudo-inverse times the rotor thrusts.
+    """
     rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
     return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
 
@@ -158,24 +161,30 @@ def limited(vector: Vec3, limit: Vec3) -> Vec3:
 
 
 def smoothing(cutoff: float | None, dt: float) -> float:
-    """Weight of a new value in a first-order low-pass filter of a cutoff frequency [Hz]; 1 without a filter."""
+    """Weight of a new value in a first-order low-pass filter with a cutoff frequency [Hz]; None, no filter: 1."""
     return 1.0 if cutoff is None else dt / (dt + 1.0 / (2.0 * math.pi * cutoff))
 
 
 def blend(old: Vec3, new: Vec3, weight: float) -> Vec3:
-    """One step of a first-order low-pass filter."""
+    """One step of a first-order low-pass filter.
+
+    ``weight`` is the weight of the new value, from :func:`smoothing`.
+    """
     return new if weight == 1.0 else old + (new - old) * weight
 
 
 class LowPass(NamedTuple):
-    """Two last internal values of a second-order filter in direct form II."""
+    """The two last internal values of a second-order filter in direct form II: the last one, and the one before it."""
 
     last: Vec3
     earlier: Vec3
 
 
 def butterworth(cutoff: float, dt: float) -> tuple[float, float, float]:
-    """(b_0, a_1, a_2) of the second-order Butterworth low-pass, sampled by the bilinear transform with prewarping."""
+    """Coefficients (b_0, a_1, a_2) of the second-order Butterworth low-pass with a cutoff frequency [Hz].
+
+    It is sampled every dt [s] by the bilinear transform with prewarping. Its numerator is b_0 (1 + 2/z + 1/z^2).
+    """
     c = math.tan(math.pi * cutoff * dt)
     root = 2.0 * math.cos(0.25 * math.pi)
     scale = 1.0 / (1.0 + root * c + c * c)
@@ -183,13 +192,20 @@ def butterworth(cutoff: float, dt: float) -> tuple[float, float, float]:
 
 
 def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
-    """The filter's state after a constant input."""
+    """The filter's state after a constant input.
+
+    Both internal values are then value/(4 b_0), because the numerator's coefficients sum to 4 b_0.
+    """
     b0, _, _ = butterworth(cutoff, dt)
     return LowPass(value * (0.25 / b0), value * (0.25 / b0))
 
 
 def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[LowPass, Vec3]:
-    """One step of the second-order Butterworth low-pass."""
+    """One step of the second-order Butterworth low-pass.
+
+    Returns:
+        The next state, and the filtered value.
+    """
     b0, a1, a2 = butterworth(cutoff, dt)
     inner = value - state.last * a1 - state.earlier * a2
     return LowPass(inner, state.last), (inner + state.last * 2.0 + state.earlier) * b0
@@ -202,7 +218,10 @@ def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def half_turn(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
-    """(cos, sin) of half an angle of any size, up to the sign of both, which turns nothing."""
+    """(cos, sin) of half an angle of any size, up to the sign of both, which turns nothing.
+
+    The larger of the two is computed by a root, and the smaller one by a quotient, so that nothing cancels.
+    """
     back = cosine < 0.0
     large = jnp.sqrt(0.5 * (1.0 + jnp.abs(cosine)))
     small = 0.5 * sine / large

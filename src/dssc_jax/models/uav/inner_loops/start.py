@@ -7,7 +7,10 @@ import jax
 
 @jax.tree_util.register_static
 class Start(StrEnum):
-    """The values to which the study's start values of the integrals are added: zero, or those in the equilibrium."""
+    """The choice of the integrals at the start.
+
+    The study's start values are added to zeros, or to the values that the integrals have in the equilibrium.
+    """
 
     ZERO = "zero"
     SETTLED = "settled"

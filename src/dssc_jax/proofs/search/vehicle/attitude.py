@@ -1,6 +1,6 @@
-"""Bounds of the attitude and the lift under bounds of the signals, in floating point.
+"""Bounds of the tilt, its rates and the lift of a vehicle, from bounds of its signals, in floating point.
 
-docs/vehicle_proofs.md has the formulas.
+docs/vehicle_proofs.md has the formulas, by the symbols that stand beside each line here.
 """
 
 import math
@@ -14,29 +14,29 @@ Signals = dict[str, dict[str, float]]
 
 
 class OutOfRange(Exception):
-    """Raised where bounds are so large that the vehicle may leave the range of the theorem."""
+    """Raised where bounds of the signals are so large that the vehicle may leave the range of the theorem (V3)."""
 
 
 @dataclass(frozen=True)
 class Attitude:
-    """Bounds of how far the vehicle tilts and turns, with their symbols in docs/vehicle_proofs.md.
+    """Upper bounds of how far the vehicle tilts and turns, and how fast.
 
     Args:
-        tilt: beta, of the tilt [rad].
-        tangent: t, of its tangent.
-        secant: S, of the inverse of its cosine.
-        tilt_rate: beta_1, of the rate at which b changes [rad/s].
-        yaw_rate: psi_1, of |psi'| [rad/s].
-        lift: A_z, of the wanted vertical acceleration [m/s^2].
-        achieved_lift: Q, of the vertical acceleration that the rotors achieve [m/s^2]; A_z without a rotor lag.
-        tilt_defect: r_2, of |b_d - a_h/g|, the deviation of the desired tilt from a linear law [rad].
-        euler_rate: T, of |(phi', theta')| [rad/s].
-        tilt_demand: H, of |(eta_phi, eta_theta)| [rad/s^2].
-        yaw_demand: H_psi, of |eta_psi| [rad/s^2].
-        frame_h: w_h, of B' E' across body z [rad/s^2].
-        frame_z: w_z, of B' E' along body z [rad/s^2].
-        rate_h: Omega_h, of the body rate across body z [rad/s].
-        rate_z: Omega_z, of the body rate along body z [rad/s].
+        tilt: beta (and s, that of its sine): bound of the tilt [rad].
+        tangent: t, bound of the tilt's tangent.
+        secant: S, bound of the inverse of the tilt's cosine.
+        tilt_rate: beta_1, bound of |b'|, where b is the tilt as a vector of the horizontal plane [rad/s].
+        yaw_rate: psi_1, bound of |psi'| [rad/s].
+        lift: A_z, bound of the wanted vertical acceleration [m/s^2].
+        achieved_lift: Q, bound of the vertical acceleration that the rotors achieve [m/s^2]; A_z without a rotor lag.
+        tilt_defect: r_2, bound of |b_d - a_h/g|: how far the desired tilt is from the linear law [rad].
+        euler_rate: T, bound of |(phi', theta')| [rad/s].
+        tilt_demand: H, bound of |(eta_phi, eta_theta)|, the wanted second derivative of roll and pitch [rad/s^2].
+        yaw_demand: H_psi, bound of |eta_psi|, the wanted second derivative of yaw [rad/s^2].
+        frame_h: w_h, bound of B' E' across body z [rad/s^2]; B takes the Euler rates E' to the body rate.
+        frame_z: w_z, bound of B' E' along body z [rad/s^2].
+        rate_h: Omega_h, bound of the body rate across body z [rad/s].
+        rate_z: Omega_z, bound of the body rate along body z [rad/s].
     """
 
     tilt: float
@@ -57,26 +57,26 @@ class Attitude:
 
     @property
     def rate(self) -> float:
-        """Omega_n, the bound of the whole body rate [rad/s]."""
+        """Omega_n, bound of the norm of the body rate [rad/s]."""
         return math.hypot(self.rate_h, self.rate_z)
 
 
 def attitude_of(problem: VehicleProblem, bounds: Signals) -> Attitude:
-    """Bounds of the attitude under bounds of the signals.
+    """Bounds of the attitude and its rates, while the signals stay within their bounds.
 
     Raises:
         OutOfRange: The lift may vanish, the tilt may exceed 1 rad, or the yaw error may reach half a turn.
     """
     x, z, psi = bounds["x"], bounds["z"], bounds["psi"]
-    tilt = x["alpha"] / GRAVITY
-    lift = z["wanted"]
+    tilt = x["alpha"] / GRAVITY  # beta, where alpha = g b
+    lift = z["wanted"]  # A_z
     if not (tilt < 1.0 and lift < 0.9 * GRAVITY and psi["e"] < math.pi):
         raise OutOfRange
-    tilt_rate = x["alpha_dot"] / GRAVITY
-    yaw_rate = psi["e_dot"]
-    desired_tangent = x["wanted"] / (GRAVITY - lift)
-    tilt_defect = desired_tangent**3 / 2.0 + lift * desired_tangent / GRAVITY
-    euler_rate = tilt_rate + yaw_rate * tilt
+    tilt_rate = x["alpha_dot"] / GRAVITY  # beta_1
+    yaw_rate = psi["e_dot"]  # psi_1
+    desired_tangent = x["wanted"] / (GRAVITY - lift)  # t_d, bound of |beta_d| = |a_h|/(g + a_z)
+    tilt_defect = desired_tangent**3 / 2.0 + lift * desired_tangent / GRAVITY  # r_2
+    euler_rate = tilt_rate + yaw_rate * tilt  # T
     return Attitude(
         tilt=tilt,
         tangent=math.tan(tilt),
@@ -84,7 +84,7 @@ def attitude_of(problem: VehicleProblem, bounds: Signals) -> Attitude:
         tilt_rate=tilt_rate,
         yaw_rate=yaw_rate,
         lift=lift,
-        achieved_lift=z.get("lift", lift),
+        achieved_lift=z.get("lift", lift),  # the signal exists with a rotor lag only
         tilt_defect=tilt_defect,
         euler_rate=euler_rate,
         tilt_demand=x["turn"] / GRAVITY + problem.stiffness * tilt_defect + problem.damping * yaw_rate * tilt,

@@ -1,34 +1,28 @@
-"""Bounds of all signals of a vehicle that imply themselves, searched in floating point as fixed points."""
+"""Bounds Y of all signals of a vehicle that imply themselves, F(Y) < Y, searched in floating point.
+
+The map F of :mod:`dssc_jax.proofs.search.vehicle.bounds_map` is applied to small bounds until they no longer grow.
+"""
 
 import math
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.search.impulse_responses import decay_of, spectral_radius
+from dssc_jax.proofs.search.impulse_responses import decay_of
 from dssc_jax.proofs.search.obstacles import Obstacle
 from dssc_jax.proofs.search.vehicle.attitude import OutOfRange, Signals
-from dssc_jax.proofs.search.vehicle.channels import (
-    GRAVITY,
-    LinearChannel,
-    planar_channel,
-    sampled_channel,
-    vertical_channel,
-    yaw_channel,
+from dssc_jax.proofs.search.vehicle.bounds_map import (
+    LinearVehicle,
+    apply_map,
+    is_stable,
+    linear_channels,
+    slides,
+    vehicle_totals,
 )
-from dssc_jax.proofs.search.vehicle.deviations import (
-    ChannelDeviations,
-    Slopes,
-    best_slopes,
-    deviations_of,
-    points_of,
-)
-from dssc_jax.proofs.search.vehicle.nominal import Nominal, nominal_of
-from dssc_jax.proofs.search.vehicle.remainders import Couplings, remainders_of
-from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, axes_of, channel_response
+from dssc_jax.proofs.search.vehicle.channels import LinearChannel, sampled_channel
+from dssc_jax.proofs.search.vehicle.deviations import Slopes, best_slopes, points_of
+from dssc_jax.proofs.search.vehicle.nominal import nominal_of
+from dssc_jax.proofs.search.vehicle.responses import channel_response
 from dssc_jax.proofs.search.vehicle.rotors import Rotors
-from dssc_jax.proofs.search.vehicle.slopes import signal_slopes
 from dssc_jax.proofs.search.vehicle.waves import derivative, reference_waves, size
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
@@ -37,36 +31,39 @@ INFLATION = 2e-3
 FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
 FAST_INFLATION = 1.5e-2
+"""The same excess for the fast signals."""
 SMALLEST_BOUND = 1e-12
+"""Smallest bound of a signal, so that none of them is 0."""
 FIRST_REGION = 1e-3
 """Smallest |sigma| for which slopes are chosen at first."""
 ROUNDS = 12
-"""Times that the slopes are chosen anew."""
+"""Largest number of times that the slopes are chosen."""
 ITERATIONS = 400
-"""Times that a map is applied."""
+"""Largest number of times that the map F is applied for one choice of slopes."""
 SETTLED = 1e-5
-"""Relative growth of a bound at which it counts as a fixed point."""
+"""Relative growth of the bounds below which they count as a fixed point."""
 REGION_KEPT = 0.01
-"""Relative change of |sigma| in a region for which the slopes are kept."""
+"""Relative change of |sigma|'s bound up to which the slopes are kept."""
 LARGEST_GROWTH = 2.0
-"""Growth of a region at which the slopes are chosen anew."""
+"""Ratio of |sigma|'s bound to the one for which the slopes were chosen, above which they are chosen anew."""
 DAMPING_SHARE = 1.7
-"""The first damping of drag, over k W/M."""
+"""The first damping of drag that is tried, over k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
+"""Further dampings that are tried, over the first one."""
 FINE_STEPS = (0.88, 0.92, 0.96, 1.04, 1.08, 1.12)
-"""Further steps from the best damping: it determines the nominal flight, too."""
+"""Dampings that are tried for a moving reference besides, over the best one so far: they shape the nominal flight."""
 
 
 @dataclass(frozen=True)
 class VehicleBounds:
-    """Bounds of all signals that imply themselves.
+    """Bounds of all signals that imply themselves, with the linear channels from which they follow.
 
     Args:
-        slopes: Slopes k_1, k_2, k_3 of the lines in place of each channel's functions, and the share of omega_u.
+        slopes: For each channel, the slopes k_1, k_2, k_3 of the straight lines and the share s_q.
         damping: Damping of drag in the plane and along z [1/s].
-        bounds: Bounds of the signals; with a moving reference, of what they deviate from the nominal flight's.
+        bounds: Y, bounds of the signals; with a moving reference, of their deviation from the nominal flight.
         rotors: Bounds of the rotors.
-        totals: Bounds of the vehicle's signals.
+        totals: Bounds of the vehicle's own signals; the same as ``bounds`` where the vehicle hovers.
     """
 
     slopes: dict[str, Slopes]
@@ -82,137 +79,17 @@ class VehicleBounds:
 
     @property
     def regions(self) -> dict[str, float]:
-        """Bounds of |sigma|, by channel."""
+        """Bounds of the vehicle's |sigma|, by channel."""
         return {name: signals["sigma"] for name, signals in self.totals.items()}
-
-
-@dataclass(frozen=True)
-class LinearVehicle:
-    """The linear channels of a vehicle and their responses: what the map F of bounds to bounds follows from.
-
-    Args:
-        problem: The vehicle.
-        damping: Damping of drag in the plane and along z [1/s].
-        slopes: Slopes of the straight lines in place of each channel's functions.
-        responses: Responses of each channel.
-        nominal: The nominal flight, from which the bounds count; None: the vehicle hovers.
-    """
-
-    problem: VehicleProblem
-    damping: tuple[float, float]
-    slopes: dict[str, Slopes]
-    responses: dict[str, ChannelResponse]
-    nominal: Nominal | None
-
-    def deviations(self, totals: Signals) -> dict[str, ChannelDeviations]:
-        """What the functions of every channel deviate by from straight lines under bounds of the vehicle's signals."""
-        deviations = {}
-        for name in CHANNELS:
-            points = points_of(self.problem, name, totals[name]["sigma"])
-            deviations[name] = deviations_of(points, self.slopes[name])
-        return deviations
-
-
-def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, LinearChannel]:
-    """The linear channels by name, with the damping of drag in the plane and along z [1/s]."""
-    return {
-        "x": planar_channel(problem, damping[0]),
-        "z": vertical_channel(problem, damping[1]),
-        "psi": yaw_channel(problem),
-    }
-
-
-def input_sizes(
-    response: ChannelResponse, deviations: ChannelDeviations, sigma: float, remainders: dict[str, float]
-) -> np.ndarray:
-    """Bounds of a channel's inputs omega_u, omega_q and remainders, (inputs,), for |sigma| up to a bound."""
-    by_functions = [deviations.of_command(sigma), deviations.of_integral(sigma)]
-    return np.array([*by_functions, *(remainders[key] for key in response.remainders)])
-
-
-def with_slopes(
-    problem: VehicleProblem, response: ChannelResponse, point_bounds: np.ndarray, slopes: dict[str, float]
-) -> dict[str, float]:
-    """Bounds at all times by signal, from those at the points of a sample, (points, signals), and the slopes."""
-    largest = point_bounds.max(axis=0)
-    eighth = problem.sample_time / 8.0
-    return {key: float(largest[i]) + eighth * slopes[key] for i, key in enumerate(response.names)}
-
-
-def bounds_at_points(
-    problem: VehicleProblem, name: str, response: ChannelResponse, deviations: ChannelDeviations, sizes: np.ndarray
-) -> np.ndarray:
-    """Bounds of a channel's signals at the points of a sample, (points, signals).
-
-    Args:
-        problem: The vehicle.
-        name: The channel.
-        response: Responses of the channel.
-        deviations: What its functions deviate by.
-        sizes: Bounds of its inputs, (inputs,).
-    """
-    channel = problem.channels[name]
-    axes = axes_of(name, response)
-    bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
-    bound = bound + problem.thrust_deviation * GRAVITY * response.constant + response.start_offset
-    by_start = response.starts[..., :2] @ np.array(channel.initial)
-    start_deviation = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)
-    return bound + by_start + axes * start_deviation * response.starts[..., 2]
-
-
-def apply_map(
-    vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals
-) -> tuple[Signals, Signals, Rotors]:
-    """The map F: the bounds that follow from bounds ``y`` of the signals, the remainders, and the rotors.
-
-    Raises:
-        OutOfRange: The vehicle may leave the range of the theorem.
-    """
-    problem = vehicle.problem
-    totals, couplings = vehicle_totals(vehicle.nominal, y)
-    remainders, rotors = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
-    slopes = signal_slopes(problem, y, remainders, vehicle.damping)
-    implied: Signals = {}
-    for name in CHANNELS:
-        response = vehicle.responses[name]
-        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
-        point_bounds = bounds_at_points(problem, name, response, deviations[name], sizes)
-        implied[name] = with_slopes(problem, response, point_bounds, slopes[name])
-    return implied, remainders, rotors
-
-
-def slides(
-    problem: VehicleProblem, deviations: dict[str, ChannelDeviations], totals: Signals, remainders: Signals
-) -> bool:
-    """Whether the equivalent control of every channel stays within rho.
-
-    Args:
-        problem: The vehicle.
-        deviations: What the functions of each channel deviate by.
-        totals: Bounds of the vehicle's signals.
-        remainders: Bounds of the remainders.
-    """
-    t = problem.sample_time
-    for name, channel in problem.channels.items():
-        steepest, integral, reach = deviations[name].steepest
-        force = remainders[name].get("force", remainders[name].get("torque", 0.0))
-        if name == "z":
-            force += problem.thrust_deviation * GRAVITY
-        integral_rate = integral * totals[name]["sigma"]
-        level = max(totals[name]["u_av"] + deviations[name].distance[0], 0.5 * t * integral_rate)
-        if level + t * reach * (steepest * (totals[name]["bend"] + force) + integral_rate) > channel.rho:
-            return False
-        if channel.start == "zero" and reach * (steepest + t * integral) * problem.first_sigma(name) > channel.rho:
-            return False
-    return True
 
 
 def vehicle_bounds(
     problem: VehicleProblem, damping: tuple[float, float], room_factor: float, *, from_start: bool
 ) -> VehicleBounds | Obstacle:
-    """Search bounds that imply themselves with a damping of drag.
+    """Search bounds that imply themselves, with one damping of drag.
 
-    The slopes of the lines suit a region of |sigma|, and are chosen again where the bounds of |sigma| have moved.
+    The slopes of the straight lines suit a region of |sigma|. They are chosen again if the bounds of |sigma| turn out
+    to be others.
 
     Args:
         problem: The vehicle.
@@ -224,37 +101,61 @@ def vehicle_bounds(
         The bounds, or why there are none: ``GAIN`` or ``SLIDING``.
     """
     linear = linear_channels(problem, damping)
-    nominal: Nominal | None = None
-    y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
+    first_bounds: Signals = {
+        name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()
+    }
+    vehicle = LinearVehicle(problem, damping, slopes={}, responses={}, nominal=None)
     regions = {name: max(problem.first_sigma(name), FIRST_REGION) for name in CHANNELS}
-    slopes: dict[str, Slopes] = {}
-    responses: dict[str, ChannelResponse] = {}
-    slope_regions: dict[str, float] = {}
+    slope_regions: dict[str, float] = {}  # those for which the slopes were chosen
     for _ in range(ROUNDS):
-        outdated_names = [name for name in CHANNELS if has_moved(regions[name], slope_regions.get(name))]
-        for name in outdated_names:
-            slope_regions[name] = regions[name]
-            slopes[name] = best_slopes(points_of(problem, name, regions[name]), joint=problem.reference is not None)
-        if outdated_names:
-            if not is_stable(problem, linear, slopes):
+        moved_regions = {name: regions[name] for name in CHANNELS if has_moved(regions[name], slope_regions.get(name))}
+        if moved_regions:
+            refitted = with_new_slopes(vehicle, linear, moved_regions, from_start=from_start)
+            if refitted is None:
                 return Obstacle.GAIN
-            nominal = nominal_of(problem, linear, slopes, damping[0])
-        for name in outdated_names:
-            start_offsets = nominal.starts[name] if nominal is not None and from_start else None
-            response = channel_response(problem, problem.channels[name], linear[name], slopes[name], start_offsets)
-            if response is None:
-                return Obstacle.GAIN
-            responses[name] = response
-        vehicle = LinearVehicle(problem, damping, dict(slopes), responses, nominal)
-        outcome = fixed_point_from(vehicle, y, slope_regions, room_factor)
+            vehicle = refitted
+            slope_regions |= moved_regions
+        outcome = fixed_point_from(vehicle, first_bounds, slope_regions, room_factor)
         if outcome is None:
             return Obstacle.GAIN
         bounds, is_fixed_point = outcome
-        totals, _ = vehicle_totals(nominal, bounds)
+        totals, _ = vehicle_totals(vehicle.nominal, bounds)
         regions = {name: totals[name]["sigma"] for name in CHANNELS}
         if is_fixed_point and not any(has_moved(regions[name], slope_regions[name]) for name in CHANNELS):
             return checked_bounds(vehicle, bounds)
     return Obstacle.GAIN
+
+
+def with_new_slopes(
+    vehicle: LinearVehicle, linear: dict[str, LinearChannel], regions: dict[str, float], *, from_start: bool
+) -> LinearVehicle | None:
+    """Choose the slopes of some channels anew, and compute their responses and the nominal flight with them.
+
+    Args:
+        vehicle: The vehicle before.
+        linear: The linear channels.
+        regions: Bound of |sigma| of each channel whose slopes are chosen.
+        from_start: Whether the responses include that to the start's difference from the nominal flight.
+
+    Returns:
+        None if a channel is not stable, or its responses last too long.
+    """
+    problem = vehicle.problem
+    slopes = dict(vehicle.slopes)
+    for name, region in regions.items():
+        slopes[name] = best_slopes(points_of(problem, name, region), joint=problem.reference is not None)
+    if not is_stable(problem, linear, slopes):
+        return None
+    plane_damping, _ = vehicle.damping
+    nominal = nominal_of(problem, linear, slopes, plane_damping)
+    responses = dict(vehicle.responses)
+    for name in regions:
+        start_offsets = nominal.starts[name] if nominal is not None and from_start else None
+        response = channel_response(problem, problem.channels[name], linear[name], slopes[name], start_offsets)
+        if response is None:
+            return None
+        responses[name] = response
+    return replace(vehicle, slopes=slopes, responses=responses, nominal=nominal)
 
 
 def has_moved(region: float, slope_region: float | None) -> bool:
@@ -262,28 +163,10 @@ def has_moved(region: float, slope_region: float | None) -> bool:
     return slope_region is None or abs(region - slope_region) > REGION_KEPT * slope_region
 
 
-def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
-    """Bounds of the vehicle's signals and of the couplings of its channels.
-
-    Args:
-        nominal: The nominal flight; None: the vehicle hovers, and has no couplings.
-        y: Bounds of the vehicle's deviation from it.
-    """
-    if nominal is None:
-        return y, None
-    return nominal.totals(y), nominal.couplings(y)
-
-
-def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, Slopes]) -> bool:
-    """Whether all sampled channels are stable."""
-    steps = [sampled_channel(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
-    return all(spectral_radius(step.a) < 1.0 for step in steps)
-
-
 def fixed_point_from(
     vehicle: LinearVehicle, start: Signals, regions: dict[str, float], room_factor: float
 ) -> tuple[Signals, bool] | None:
-    """Apply the map F of :func:`apply_map` to small bounds, again and again, until they no longer grow.
+    """Apply the map F again and again, from small bounds on, until the bounds no longer grow.
 
     Args:
         vehicle: The linear channels and their responses.
@@ -292,8 +175,8 @@ def fixed_point_from(
         room_factor: Factor of the room that is left for the verifier.
 
     Returns:
-        The bounds, and whether they are a fixed point. They are none if they outgrew the regions; then the slopes must
-        be chosen again. None if the bounds leave the range of the theorem, or still grow after the last application.
+        The bounds, and True if they are a fixed point, False if |sigma| outgrew its region so that the slopes must be
+        chosen again. None if the bounds leave the range of the theorem, or still grow after ``ITERATIONS``.
     """
     y = start
     for _ in range(ITERATIONS):
@@ -309,20 +192,34 @@ def fixed_point_from(
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
             return y, True
-        growing = y if vehicle.nominal is None else totals  # of a moving vehicle, one step later
+        growing = y if vehicle.nominal is None else totals  # the totals are those of the bounds before this step
         if any(growing[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return y, False
     return None
 
 
 def inflated_bound(signal: str, bound: float, room_factor: float) -> float:
-    """A bound of a signal, widened for the verifier by ``room_factor`` times the usual room."""
+    """Widen the bound of a signal for what the verifier's balls and tails add.
+
+    Args:
+        signal: Name of the signal; sums of fast signals need more room.
+        bound: The bound.
+        room_factor: Factor of the usual room.
+    """
     share = FAST_INFLATION if signal in FAST else INFLATION
     return max((1.0 + room_factor * share) * bound, SMALLEST_BOUND)
 
 
 def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstacle:
-    """The fixed point ``y`` of F as a result; ``SLIDING`` if the equivalent control of a channel may exceed rho."""
+    """Check that all channels keep sliding under a fixed point of F, and return it with the rotors' bounds.
+
+    Args:
+        vehicle: The linear channels and their responses.
+        y: Bounds that imply themselves.
+
+    Returns:
+        ``SLIDING`` if the equivalent control of a channel may exceed rho.
+    """
     totals, _ = vehicle_totals(vehicle.nominal, y)
     deviations = vehicle.deviations(totals)
     _, remainders, rotors = apply_map(vehicle, deviations, y)
@@ -332,7 +229,10 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
 
 
 def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
-    """Search the bounds with the smallest |e| in the plane, over several dampings of drag there.
+    """Search the bounds with the smallest |e| in the plane, over several dampings c of drag there.
+
+    c is about k_h W/M, the slope of the drag over the vehicle's velocity in the wind W. With a moving reference the
+    reference's speed adds to the wind's.
 
     Args:
         problem: The vehicle.
@@ -344,50 +244,60 @@ def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool
     """
     wind_h, wind_z = problem.wind
     k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
-    speed = math.hypot(wind_h, wind_z)
+    air_speed = math.hypot(wind_h, wind_z)
     if problem.reference is not None:
-        speed = math.hypot(speed, max(size(derivative(reference_waves(problem)[axis])) for axis in ("x", "y")))
-    first_damping = DAMPING_SHARE * k_h * speed
-    vertical_damping = DAMPING_SHARE * k_z * speed
+        waves = reference_waves(problem)
+        reference_speed = max(size(derivative(waves[axis])) for axis in ("x", "y"))
+        air_speed = math.hypot(air_speed, reference_speed)
+    first_damping = DAMPING_SHARE * k_h * air_speed
+    vertical_damping = DAMPING_SHARE * k_z * air_speed
 
     def bounds_with(damping: float) -> VehicleBounds | Obstacle:
+        """Bounds that imply themselves, with a damping of drag in the plane [1/s]."""
         return vehicle_bounds(problem, (damping, vertical_damping), room_factor, from_start=from_start)
 
     best = bounds_with(first_damping)
     for step in DAMPING_STEPS:
         best = with_smaller_error(best, bounds_with(step * first_damping))
     if problem.reference is not None and not isinstance(best, Obstacle):
-        coarse_damping = best.damping[0]
+        coarse_damping, _ = best.damping
         for step in FINE_STEPS:
             best = with_smaller_error(best, bounds_with(step * coarse_damping))
     return best
 
 
 def with_smaller_error(best: VehicleBounds | Obstacle, trial: VehicleBounds | Obstacle) -> VehicleBounds | Obstacle:
-    """Those of two outcomes that are bounds, with the smaller |e| in the plane; else the first."""
+    """The better one of two outcomes: bounds before an obstacle, then the smaller |e| in the plane, then the first."""
     if isinstance(trial, Obstacle):
         return best
-    return trial if isinstance(best, Obstacle) or trial.error < best.error else best
+    if isinstance(best, Obstacle):
+        return trial
+    return trial if trial.error < best.error else best
 
 
 def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
-    """The proof without time cells, as a certificate holds it."""
+    """Put bounds that hold at all times into the form of a certificate's proof, without time cells."""
     channels = linear_channel_proofs(problem, result)
     for name in CHANNELS:
         channels[name]["bounds"] = result.bounds[name]
-    return {"channels": channels, "cells": None, "settled": None}
+    return {"channels": channels, "cells": None, "settled": None}  # the upper limits use the same channels
 
 
 def linear_channel_proofs(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
-    """Slopes, damping of drag, lambda and P of each linear channel, as a certificate holds them."""
+    """Put the linear channels into the form of a certificate: slopes, share, damping, lambda and P of each."""
     linear = linear_channels(problem, result.damping)
+    plane_damping, vertical_damping = result.damping
+    dampings = {"x": plane_damping, "z": vertical_damping, "psi": 0.0}
     channels: JsonObject = {}
-    for name, damping in zip(CHANNELS, (*result.damping, 0.0), strict=True):
+    for name in CHANNELS:
         step = sampled_channel(problem, problem.channels[name], linear[name], result.slopes[name])
-        decay, p = decay_of(step.a)
-        rate = decay / problem.sample_time
+        *slopes, share = result.slopes[name]
+        lost_share, p = decay_of(step.a)  # of V = z'Pz in a sample
         channels[name] = {
-            "slopes": list(result.slopes[name][:3]), "share": result.slopes[name][3], "drag_damping": damping,
-            "rate": rate, "p": p.tolist(),
-        }  # fmt: skip
+            "slopes": slopes,
+            "share": share,
+            "drag_damping": dampings[name],
+            "rate": lost_share / problem.sample_time,
+            "p": p.tolist(),
+        }
     return channels

@@ -1,4 +1,9 @@
-"""What the inputs of each time cell and the start do to a channel's signals in each cell, in floating point."""
+"""What the inputs of each time cell, the constant and the start do to a channel's signals in every cell.
+
+An input that changes from cell to cell is the input of the first cell from t = 0 on, plus each change from the first
+sample of its cell on. So the responses here are sums of the effects of an input that acts from some sample on, G_l in
+docs/vehicle_proofs.md. In floating point.
+"""
 
 from dataclasses import dataclass
 
@@ -10,18 +15,20 @@ from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
 @dataclass(frozen=True)
 class CellResponses:
-    """Responses of a channel in time cells; each row is a point of a sample and a signal.
+    """Responses of a channel in time cells. A row is one point of a sample and one signal.
 
-    ``upper``, ``lower`` and ``total_sum`` are sums of the effects of inputs of size 1 that act from the beginning of a
-    cell on.
+    ``upper``, ``lower`` and ``total_sum`` belong to inputs of size 1 that act from the first sample of a cell on.
 
     Args:
-        response: The channel's response without cells.
-        upper: Entry k is the sum up to the last sample of the cell k cells later, (cells, rows, inputs).
-        lower: Entry k is the sum before the first sample of the cell k cells later, (cells, rows, inputs).
-        total_sum: The sum over all later samples, (rows, inputs).
-        constant: Largest response to the constant in each cell and in the last, (cells, rows).
-        starts: Largest responses in each cell: to the start with e and e', and to q_(-1), (cells, rows, 2).
+        response: The channel's responses without cells.
+        upper: Entry k is the sum of the effects up to the last sample of the cell k cells later, shape (cells, rows,
+            inputs).
+        lower: Entry k is the sum of the effects before the first sample of the cell k cells later, for k = 0 the effect
+            in the same sample; shape (cells, rows, inputs).
+        total_sum: The sum of the effects over all samples, shape (rows, inputs).
+        constant: Largest response to the constant in each cell, the last one included, shape (cells + 1, rows).
+        starts: Largest responses in each cell, the last one included: to the start's e and e' together, and to a
+            q_(-1) of 1; shape (cells + 1, rows, 2).
     """
 
     response: ChannelResponse
@@ -35,26 +42,26 @@ class CellResponses:
 def cell_responses(
     problem: VehicleProblem, name: str, response: ChannelResponse, series: ChannelSeries, samples: int, count: int
 ) -> CellResponses:
-    """The responses of a channel in time cells.
+    """Gather the responses of a channel, sample by sample, into time cells.
 
     Args:
         problem: The vehicle.
-        name: The channel.
+        name: Name of the channel.
         response: Its responses without cells.
         series: Its responses sample by sample.
         samples: Number of samples of a cell.
         count: Number of cells before the last one.
     """
     e, speed = problem.channels[name].initial
-    by_error = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
-    starts = np.stack([by_error + series.start_offset, np.abs(series.starts[..., 2])], axis=-1)
-    sums = np.cumsum(series.effects, axis=0)
-    axes = np.tile(axes_of(name, response), response.gains.shape[0])
+    by_e, by_e_dot, by_q = np.moveaxis(np.abs(series.starts), -1, 0)
+    starts = np.stack([e * by_e + speed * by_e_dot + series.start_offset, by_q], axis=-1)
+    sums = np.cumsum(series.effects, axis=0)  # G_l
+    axes = np.tile(axes_of(name, response), response.gains.shape[0])  # h of each row
     factors = np.ones((axes.size, sums.shape[-1]))
-    factors[:, :2] = axes[:, None]  # the deviations of both axes as one vector
+    factors[:, :2] = axes[:, None]  # omega_u and omega_r of both axes are one vector
     starts_in_cells = with_last(in_cells(starts, samples), count)
     starts_in_cells[..., 1] *= axes
-    upper = sums[samples - 1 :: samples] * factors
+    upper = sums[samples - 1 :: samples] * factors  # at the last sample of each cell
     return CellResponses(
         response=response,
         upper=upper,
@@ -66,10 +73,10 @@ def cell_responses(
 
 
 def in_cells(values: np.ndarray, samples: int) -> np.ndarray:
-    """The largest value in each cell of ``samples`` samples, (samples in all, ...) -> (cells, ...)."""
+    """The largest value in each cell of some samples, shape (cells, ...), from values of shape (cells samples, ...)."""
     return values.reshape(-1, samples, *values.shape[1:]).max(axis=1)
 
 
 def with_last(values: np.ndarray, count: int) -> np.ndarray:
-    """The values of the first ``count`` cells, and the largest of all later ones, (count + 1, ...)."""
+    """The values of the first ``count`` cells, then the largest of all later cells, shape (count + 1, ...)."""
     return np.concatenate([values[:count], values[count:].max(axis=0)[None]])

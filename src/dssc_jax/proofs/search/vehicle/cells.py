@@ -1,11 +1,13 @@
 """Bounds in cells of time, for a vehicle that starts away from where it hovers, searched in floating point.
 
-Cell after cell, the bounds are fixed points: what earlier cells still cause is known. docs/vehicle_proofs.md has the
-theorem.
+One bound for all times is loose while the effect of a start decays. So each cell of time has its own bounds; the last
+cell is all the time after the others. What the inputs of earlier cells still cause is known, so that the bounds of a
+cell are a fixed point of their own. docs/vehicle_proofs.md has the theorem.
 """
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -16,11 +18,13 @@ from dssc_jax.proofs.search.vehicle.bounds import (
     VehicleBounds,
     best_bounds,
     inflated_bound,
+    linear_channel_proofs,
+    proof_of,
+)
+from dssc_jax.proofs.search.vehicle.bounds_map import (
     input_sizes,
     is_stable,
-    linear_channel_proofs,
     linear_channels,
-    proof_of,
     slides,
     vehicle_totals,
     with_slopes,
@@ -42,22 +46,27 @@ from dssc_jax.proofs.search.vehicle.slopes import signal_slopes
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
-"""Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
+"""Duration of a cell and time at which the last cell begins [s]; the first layout that leads to bounds is taken."""
 MOVING_LAYOUTS = LAYOUTS[2:]
-"""Those ``LAYOUTS`` that are tried where the reference moves. The vehicle then starts far from the nominal flight, and
-its wind acts for long."""
+"""The layouts for a moving reference: the vehicle starts far from the nominal flight, and its wind acts for long."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 """Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
+"""The same with a widening of the region of 1."""
 MOVING_REGIONS = ((0.3, 1.0), (0.3, 1.12), (0.3, 1.25))
-"""Shares of the way, and widenings of the region, for the slopes of a vehicle whose reference moves."""
+"""Shares of the way, and widenings of the region, for which slopes are tried if the reference moves."""
 EXTRA_CELLS = 20
-"""Cells beyond the first ones over which what they cause in the last cell is compared."""
+"""Number of cells of the last cell's time whose responses to start and constant are compared for the largest."""
 ITERATIONS = 400
+"""Largest number of times that the map F is applied in a cell."""
 SETTLED = 1e-4
+"""Relative change of the bounds below which they count as a fixed point."""
 TABLE_RATIO = 1.005
-"""Ratio of the regions at which the deviations are tabulated."""
+"""Ratio of neighbouring regions for which the deviations are tabulated."""
 SMALLEST_REGION = 1e-7
+"""Smallest |sigma| in the table."""
+FIRST_BOUND = 1e-9
+"""Bound of every signal with which the search in the first cell begins."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +74,8 @@ class CellBounds:
     """Bounds of all signals in time cells that imply themselves.
 
     Args:
-        final: The bounds of the last cell, which is all the time after the others, with slopes and damping.
-        settled: The bounds of the vehicle that starts at rest, with slopes and damping for the upper limits.
+        final: The bounds of the last cell, with the slopes and the damping of all cells.
+        settled: The bounds of the vehicle that starts at rest, with the slopes and the damping of the upper limits.
         samples: Number of samples of a cell other than the last.
         cells: Bounds of the signals in each cell other than the last.
     """
@@ -78,20 +87,25 @@ class CellBounds:
 
 
 class DeviationTable:
-    """The deviations of a channel's functions from straight lines by the size of the region, on a grid.
+    """How far a channel's functions are from straight lines, for regions of |sigma| on a geometric grid.
 
-    They are computed when they are first asked for.
+    An entry is computed when it is first asked for, since the search asks for the same regions often.
+
+    Args:
+        problem: The vehicle.
+        name: Name of the channel.
+        slopes: Slopes of the lines, and the share s_q.
     """
 
     def __init__(self, problem: VehicleProblem, name: str, slopes: Slopes) -> None:
-        """An empty table for the channel ``name``."""
+        """Begin with an empty table."""
         self.problem = problem
         self.name = name
         self.slopes = slopes
         self.entries: dict[int, ChannelDeviations] = {}
 
     def at(self, sigma: float) -> ChannelDeviations:
-        """The deviations in the smallest tabulated region that holds |sigma|."""
+        """The deviations in the smallest region of the grid that contains all |sigma| up to ``sigma``."""
         step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
         if step not in self.entries:
             region = TABLE_RATIO**step
@@ -101,14 +115,14 @@ class DeviationTable:
 
 @dataclass(frozen=True)
 class CellSearch:
-    """The data that the search has in common for all time cells.
+    """What the search in all time cells has in common.
 
     Args:
         problem: The vehicle.
         damping: Damping of drag in the plane and along z [1/s].
-        nominal: The nominal flight, from which the bounds count; None: the vehicle hovers.
-        responses: Responses of each channel.
-        tables: Deviations of each channel's functions.
+        nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
+        responses: Responses of each channel in time cells.
+        tables: How far each channel's functions are from straight lines.
         room_factor: Factor of the room that is left for the verifier.
     """
 
@@ -121,7 +135,7 @@ class CellSearch:
 
 
 def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
-    """Search bounds in time cells, with several cells and slopes until one choice succeeds.
+    """Search bounds in time cells, with several layouts of cells and several slopes, until one choice succeeds.
 
     Args:
         problem: The vehicle.
@@ -133,15 +147,16 @@ def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obs
     settled = settled_bounds(problem, room_factor)
     if isinstance(settled, Obstacle):
         return settled
+    is_moving = problem.reference is not None
+    layouts = MOVING_LAYOUTS if is_moving else LAYOUTS
+    regions = MOVING_REGIONS if is_moving else REGIONS
     result: CellBounds | Obstacle = Obstacle.GAIN
-    has_reference = problem.reference is not None
-    for duration, horizon in MOVING_LAYOUTS if has_reference else LAYOUTS:
+    for (duration, last_begin), (share, widening) in product(layouts, regions):
         samples = max(1, round(duration / problem.sample_time))
-        for share, widening in MOVING_REGIONS if has_reference else REGIONS:
-            slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-            result = bounds_cell_by_cell(problem, settled, slopes, samples, round(horizon / duration), room_factor)
-            if not isinstance(result, Obstacle):
-                return result
+        slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
+        result = bounds_cell_by_cell(problem, settled, slopes, samples, round(last_begin / duration), room_factor)
+        if not isinstance(result, Obstacle):
+            return result
     return result
 
 
@@ -152,14 +167,14 @@ def settled_bounds(problem: VehicleProblem, room_factor: float) -> VehicleBounds
 
 
 def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
-    """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one.
+    """The best slopes of a channel for a region of |sigma| between the settled vehicle's and the start's.
 
     Args:
         problem: The vehicle.
-        name: The channel.
+        name: Name of the channel.
         sigma: Bound of |sigma| of the settled vehicle.
-        share: Share of the way from it to the start's, in logarithms.
-        widening: Factor on the region.
+        share: Share of the way from this bound to the start's, in logarithms.
+        widening: Factor that widens the region.
     """
     start_sigma = problem.first_sigma(name)
     region = sigma * (start_sigma / sigma) ** share if start_sigma > sigma else sigma
@@ -174,12 +189,12 @@ def bounds_cell_by_cell(
     count: int,
     room_factor: float,
 ) -> CellBounds | Obstacle:
-    """Search bounds in cell after cell, and in the time after them.
+    """Search bounds that imply themselves in one cell after the other, the last one included.
 
     Args:
         problem: The vehicle.
         settled: Bounds of the settled vehicle, whose damping of drag is taken.
-        slopes: Slopes of the straight lines in place of each channel's functions.
+        slopes: For each channel, the slopes of the straight lines and the share s_q.
         samples: Number of samples of a cell.
         count: Number of cells before the last one.
         room_factor: Factor of the room that is left for the verifier.
@@ -190,7 +205,7 @@ def bounds_cell_by_cell(
     cells: list[Signals] = []
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in CHANNELS}
     rotors: Rotors | None = None
-    y: Signals = {name: dict.fromkeys(search.responses[name].response.names, 1e-9) for name in CHANNELS}
+    y: Signals = {name: dict.fromkeys(search.responses[name].response.names, FIRST_BOUND) for name in CHANNELS}
     for _ in range(count + 1):
         fixed_point = cell_fixed_point(search, inputs, y, rotors, final=len(cells) == count)
         if fixed_point is None:
@@ -215,11 +230,16 @@ def cell_search(
     count: int,
     room_factor: float,
 ) -> CellSearch | None:
-    """The data of the search; None if a channel is not stable, or its responses last too long."""
+    """Compute what the search in all cells has in common; None if a channel is unstable or its responses last too long.
+
+    The arguments are those of :func:`bounds_cell_by_cell`, with the damping of drag in the plane and along z [1/s].
+    """
     linear = linear_channels(problem, damping)
     if not is_stable(problem, linear, slopes):
         return None
-    nominal = nominal_of(problem, linear, slopes, damping[0])
+    plane_damping, _ = damping
+    nominal = nominal_of(problem, linear, slopes, plane_damping)
+    length = samples * (count + EXTRA_CELLS)
     responses = {}
     for name in CHANNELS:
         channel = problem.channels[name]
@@ -227,7 +247,6 @@ def cell_search(
         response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
         if response is None:
             return None
-        length = samples * (count + EXTRA_CELLS)
         series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
         responses[name] = cell_responses(problem, name, response, series, samples, count)
     tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
@@ -235,7 +254,10 @@ def cell_search(
 
 
 def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
-    """The proof with time cells, as a certificate holds it."""
+    """Put bounds in time cells into the form of a certificate's proof.
+
+    With a moving reference the upper limits use the channels of the cells (M0), else those of the settled vehicle.
+    """
     bounds = {}
     for name in CHANNELS:
         bounds[name] = {key: [cell[name][key] for cell in result.cells] for key in result.cells[0][name]}
@@ -252,23 +274,23 @@ def cell_fixed_point(
     *,
     final: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
-    """Bounds of a cell that imply themselves, bounds of the inputs that they allow, and the rotors.
+    """Search bounds of the signals in one cell that imply themselves, given the inputs of the cells before.
 
-    The search for the fixed point begins at the bounds of the cell before: in the last cell, smaller bounds are not
-    better ones, since earlier inputs exceed them by more.
+    The search begins at the bounds of the cell before: in the last cell, smaller bounds are not better, since earlier
+    inputs then exceed them by more.
 
     Args:
-        search: The data of the search.
-        inputs: Bounds of each channel's inputs in the cells before.
+        search: What the search in all cells has in common.
+        inputs: Bounds of each channel's inputs in the cells before, shape (inputs,) each.
         start: Bounds of the signals to begin with.
-        earlier: The rotors in the cells before; None in the first one.
+        earlier: Bounds of the rotors in the cells before; None in the first one.
         final: Whether the cell is the last one.
 
     Returns:
-        None if there are no such bounds.
+        Bounds of the signals, bounds of the inputs that they allow, and bounds of the rotors; None if there are none.
     """
     problem = search.problem
-    base = {name: start_effects(search, name, len(inputs[name])) for name in CHANNELS}
+    from_start = {name: start_effects(search, name, cell=len(inputs[name])) for name in CHANNELS}
     y = start
     for _ in range(ITERATIONS):
         totals, couplings = vehicle_totals(search.nominal, y)
@@ -283,8 +305,8 @@ def cell_fixed_point(
             responses = search.responses[name]
             sigma = totals[name]["sigma"]
             sizes[name] = input_sizes(responses.response, search.tables[name].at(sigma), sigma, remainders[name])
-            rows = base[name] + input_effects(responses, inputs[name], sizes[name], final=final)
-            point_bounds = rows.reshape(responses.response.gains.shape[:2])
+            rows = from_start[name] + input_effects(responses, inputs[name], sizes[name], final=final)
+            point_bounds = rows.reshape(responses.response.gains.shape[:2])  # (points, signals)
             bounds = with_slopes(problem, responses.response, point_bounds, slopes[name])
             implied[name] = {key: inflated_bound(key, bound, search.room_factor) for key, bound in bounds.items()}
         changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
@@ -297,40 +319,54 @@ def cell_fixed_point(
 def input_effects(
     responses: CellResponses, inputs: list[np.ndarray], current: np.ndarray, *, final: bool
 ) -> np.ndarray:
-    """Bounds of what a channel's inputs in a cell and in those before cause in the cell, (rows,).
+    """Bounds of what a channel's inputs in a cell and in the cells before cause in the cell, shape (rows,).
 
-    An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
+    The input of the first cell acts from t = 0 on; its change from cell to cell acts from that cell on. A rise counts
+    with an upper bound of the sum of effects, a fall with a lower bound.
 
     Args:
-        responses: Responses of the channel.
-        inputs: Bounds of its inputs in the cells before, (inputs,) each.
-        current: Bounds of its inputs in the cell, (inputs,).
+        responses: Responses of the channel in time cells.
+        inputs: Bounds of its inputs in the cells before, shape (inputs,) each.
+        current: Bounds of its inputs in the cell, shape (inputs,).
         final: Whether the cell is the last one.
     """
     sizes = np.array([*inputs, current])
-    changes = np.diff(sizes, axis=0)
+    first = sizes[0]
+    changes = np.diff(sizes, axis=0)  # at the beginning of cells 1 to the current one
+    rises = np.maximum(changes, 0.0)
+    falls = np.maximum(-changes, 0.0)
     count = len(changes)
+    # entry k of ``upper`` and ``lower`` belongs to a change k cells ago: the last change has entry 0
+    upper = np.flip(responses.upper[:count], axis=0)
+    lower = np.flip(responses.lower[:count], axis=0)
     if final:
-        result = responses.total_sum @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
+        effects = responses.total_sum @ (first + rises.sum(axis=0))
     else:
-        result = responses.upper[count] @ sizes[0]
-        result = result + np.einsum("cri,ci->r", responses.upper[:count][::-1], np.maximum(changes, 0.0))
-    return result - np.einsum("cri,ci->r", responses.lower[:count][::-1], np.maximum(-changes, 0.0))
+        effects = responses.upper[count] @ first
+        effects = effects + np.einsum("cri,ci->r", upper, rises)
+    return effects - np.einsum("cri,ci->r", lower, falls)
 
 
 def start_effects(search: CellSearch, name: str, cell: int) -> np.ndarray:
-    """Bounds of what the start and the constant of a channel cause in a cell, (rows,)."""
+    """Bounds of what the start and the constant |o| <= k g cause in a channel in one cell, shape (rows,).
+
+    Args:
+        search: What the search in all cells has in common.
+        name: Name of the channel.
+        cell: Number of the cell.
+    """
     problem = search.problem
     responses = search.responses[name]
     start_sigma = problem.first_sigma(name)
     deviations = search.tables[name].at(start_sigma)
-    deviation = deviations.of_start(problem.channels[name].start, start_sigma, problem.sample_time)
-    result = responses.starts[cell, :, 0] + deviation * responses.starts[cell, :, 1]
-    return result + problem.thrust_deviation * GRAVITY * responses.constant[cell]
+    q_deviation = deviations.of_start(problem.channels[name].start, start_sigma, problem.sample_time)
+    by_error, by_q = np.moveaxis(responses.starts[cell], -1, 0)  # E_0 and V_0 are in the first
+    effects = by_error + q_deviation * by_q
+    return effects + problem.thrust_deviation * GRAVITY * responses.constant[cell]
 
 
 def slides_in_all_cells(search: CellSearch, cells: list[Signals]) -> bool:
-    """Whether every channel slides under the largest bounds of all cells."""
+    """Whether every channel keeps sliding (V5) under the largest bounds of all cells."""
     largest: Signals = {}
     for name in CHANNELS:
         largest[name] = {key: max(cell[name][key] for cell in cells) for key in cells[0][name]}

@@ -1,4 +1,8 @@
-"""The linear channel of each controller, and the channel at its samples, in floating point."""
+"""The linear channels of a vehicle: between the samples, and at the samples with the controller, in floating point.
+
+Near hover the vehicle is nearly three linear channels, x (and y), z and psi, that do not depend on each other. What it
+has besides are the remainders r_j. docs/vehicle_proofs.md has the equations.
+"""
 
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,21 +13,20 @@ from scipy.linalg import expm
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 GRAVITY = 9.81
-
-
+"""g [m/s^2]."""
 Signal: TypeAlias = tuple[np.ndarray, float]
-"""The row C and the number d of a signal C chi + d U."""
+"""The row C, shape (m,), and the number d of a signal C chi + d U."""
 
 
 @dataclass(frozen=True)
 class LinearChannel:
-    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
+    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U; U is the command that acts.
 
     Args:
-        f: A_c, (m, m).
-        g: B_c, (m,).
-        b: Columns b_j of the remainders by name, (m,) each.
-        signals: Rows C and numbers d by name.
+        f: A_c, shape (m, m).
+        g: B_c, shape (m,).
+        b: Columns b_j of the remainders r_j, by name, shape (m,) each.
+        signals: Rows C and numbers d of the signals, by name.
     """
 
     f: np.ndarray
@@ -34,15 +37,18 @@ class LinearChannel:
 
 @dataclass(frozen=True)
 class SampledChannel:
-    """One sample of a channel: z+ = A z, z = (chi, earlier commands, q).
+    """One sample of a channel with its controller, z+ = A z + b_u omega_u + b_q omega_r.
+
+    z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)) with a delay of D samples, rounded up. omega_u and omega_q are what the
+    functions deviate by from straight lines, and omega_q = s_q omega_u + omega_r.
 
     Args:
-        a: A, (n, n).
-        acting: Row of the command that acts, (n,).
-        direct: Share of this sample's command in it.
-        u: Column of omega_u, together with its share in omega_q, (n,).
-        q: Column of what omega_q has besides this share, (n,).
-        u_av: Row of q_k + k_1 sigma_k, (n,).
+        a: A, shape (n, n).
+        acting: The command that acts, as a row over z, shape (n,).
+        direct: Share of this sample's command in it; 1 without a delay.
+        u: b_u, with the share s_q of b_q, shape (n,).
+        q: b_q, shape (n,).
+        u_av: q_k + k_1 sigma_k as a row over z, shape (n,).
     """
 
     a: np.ndarray
@@ -54,14 +60,18 @@ class SampledChannel:
 
 
 class ChannelBuilder:
-    """Puts a :class:`LinearChannel` together.
+    """A :class:`LinearChannel` under construction, chi' = slopes chi + control U + remainders.
 
-    ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's factor
-    in these, and ``remainders`` the columns of the remainders by name.
+    ``states`` has each state as a row over chi. ``slopes`` has the rows of A_c, ``control`` is B_c, ``remainders`` has
+    the columns b_j by name, and ``signals`` the signals besides e, e', sigma and bend.
+
+    Args:
+        count: Number of states without a rotor lag; the first two are e and e'.
+        lag: Whether there is a rotor lag, which adds one state at the end.
     """
 
     def __init__(self, count: int, *, lag: bool) -> None:
-        """A channel of ``count`` states whose slopes are zero; a lag adds one more state, the last one."""
+        """Begin with chi' = 0, no remainders and no signals."""
         m = count + lag
         self.states = np.eye(m)
         self.slopes = np.zeros((m, m))
@@ -70,27 +80,31 @@ class ChannelBuilder:
         self.signals: dict[str, Signal] = {}
 
     def drive(self, index: int, demand: Signal, lag: float, response: str) -> None:
-        """Let a demand drive the slope of a state, at once or through a lag.
+        """Let a demand be the derivative of a state, at once or through the rotors' lag.
+
+        With a lag tau the derivative is the last state, and its own derivative is (demand - last state)/tau plus the
+        remainder ``lag``.
 
         Args:
-            index: The state.
-            demand: The demand.
-            lag: Time constant of the lag [s]; 0: none.
-            response: Name of the signal that the lag makes of the demand.
+            index: Place of the driven state.
+            demand: The demand, a signal C chi + d U.
+            lag: tau [s]; 0: none.
+            response: Name of the last state as a signal; how far it is behind the demand becomes ``behind``.
         """
+        row, direct = demand
         if not lag:
-            self.slopes[index], self.control[index] = demand
+            self.slopes[index] = row
+            self.control[index] = direct
             return
-        state = self.states[-1]
-        error = (demand[0] - state, demand[1])
-        self.slopes[index] = state
-        self.slopes[-1] = error[0] / lag
-        self.control[-1] = error[1] / lag
-        self.remainders["lag"] = state
-        self.signals |= {response: (state, 0.0), "behind": error}
+        achieved = self.states[-1]
+        self.slopes[index] = achieved
+        self.slopes[-1] = (row - achieved) / lag
+        self.control[-1] = direct / lag
+        self.remainders["lag"] = achieved  # a unit column at the last state
+        self.signals |= {response: (achieved, 0.0), "behind": (row - achieved, direct)}
 
     def channel(self, controller: ChannelProblem) -> LinearChannel:
-        """The channel with its signals, to which e, e', sigma and the slope of sigma are added."""
+        """The finished channel, with the controller's signals e, e', sigma = e' + l_0 e and bend = e'' + l_0 e'."""
         e, e_dot = self.states[:2]
         errors = {
             "e": (e, 0.0),
@@ -102,17 +116,22 @@ class ChannelBuilder:
 
 
 def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
-    """The channel of x and y: chi = (e, e', alpha, alpha'), or with a lag (e, e', alpha, alpha', gamma).
+    """The channel of x and y: e'' = alpha - c e' + r_force and alpha'' = m + r_torque, where alpha is g times the tilt.
 
-    ``damping`` is that of drag [1/s].
+    m = a_0 (a_h - alpha) - a_1 alpha', and chi = (e, e', alpha, alpha'). With a rotor lag chi has gamma besides,
+    alpha'' = gamma + r_torque and gamma' = (m - gamma)/tau + r_lag.
+
+    Args:
+        problem: The vehicle.
+        damping: c, the damping of drag [1/s].
     """
     k_v = problem.velocity_gain
     a_0 = problem.stiffness
     a_1 = problem.damping
     builder = ChannelBuilder(4, lag=problem.rotor_lag > 0.0)
     _, e_dot, alpha, alpha_dot = builder.states[:4]
-    demand = (-k_v * e_dot, k_v)
-    turn = (a_0 * (demand[0] - alpha) - a_1 * alpha_dot, a_0 * k_v)
+    demand = (-k_v * e_dot, k_v)  # a_h = k_v (U - e')
+    turn = (a_0 * (-k_v * e_dot - alpha) - a_1 * alpha_dot, a_0 * k_v)  # m
     builder.slopes[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
     builder.drive(3, turn, problem.rotor_lag, "gamma")
     builder.remainders |= {"force": e_dot, "torque": alpha_dot}
@@ -122,16 +141,21 @@ def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
 
 
 def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
-    """The channel of z: chi = (e, e'), or with a lag (e, e', q), where q is the acceleration that the rotors achieve.
+    """The channel of z: e'' = a_z - c e' + r_force with the wanted acceleration a_z; chi = (e, e').
 
-    ``damping`` is that of drag [1/s].
+    With a rotor lag chi has besides q, the acceleration that the rotors achieve: e'' = q - c e' + r_force and q' = (a_z
+    - q)/tau + r_lag.
+
+    Args:
+        problem: The vehicle.
+        damping: c, the damping of drag [1/s].
     """
     k_v = problem.velocity_gain
     builder = ChannelBuilder(2, lag=problem.rotor_lag > 0.0)
     e_dot = builder.states[1]
-    demand = (-k_v * e_dot, k_v)
+    demand = (-k_v * e_dot, k_v)  # a_z = k_v (U - e')
     builder.slopes[0] = e_dot
-    builder.drive(1, demand, problem.rotor_lag, "lift")  # e'' also has the damping of drag
+    builder.drive(1, demand, problem.rotor_lag, "lift")
     builder.slopes[1] -= damping * e_dot
     builder.remainders["force"] = e_dot
     builder.signals |= {"wanted": demand, "acceleration": (builder.slopes[1], builder.control[1])}
@@ -139,11 +163,15 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
 
 
 def yaw_channel(problem: VehicleProblem) -> LinearChannel:
-    """The channel of psi: chi = (e, psi', I), or with a lag (e, psi', I, gamma_psi); I is the integral of U - psi'."""
+    """The channel of psi: psi'' = eta_psi + r_torque with eta_psi = k_y (U - psi') + i_y I and I' = U - psi'.
+
+    chi = (e, psi', I). With a rotor lag chi has gamma_psi besides, psi'' = gamma_psi + r_torque and gamma_psi' =
+    (eta_psi - gamma_psi)/tau + r_lag.
+    """
     builder = ChannelBuilder(3, lag=problem.rotor_lag > 0.0)
     _, rate, integral = builder.states[:3]
-    follow = (-rate, 1.0)
-    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)
+    follow = (-rate, 1.0)  # U - psi'
+    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)  # eta_psi
     builder.slopes[0] = rate
     builder.drive(1, demand, problem.rotor_lag, "gamma")
     builder.slopes[2], builder.control[2] = follow
@@ -153,7 +181,11 @@ def yaw_channel(problem: VehicleProblem) -> LinearChannel:
 
 
 def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A_c t), (m, m), and what a command 1 that is held for the time t [s] adds to chi, (m,)."""
+    """The exact solution of a channel without remainders after a time t [s]: chi(t) = exp(A_c t) chi(0) + gamma(t) U.
+
+    Returns:
+        exp(A_c t), shape (m, m), and gamma(t), what a held command 1 adds to chi, shape (m,).
+    """
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
@@ -165,27 +197,31 @@ def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
 def sampled_channel(
     problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
 ) -> SampledChannel:
-    """A channel at its samples, with straight lines in place of its functions.
+    """A channel at its samples, with straight lines in place of the controller's functions.
+
+    In sliding q_k = q_(k-1) + T_s (k_2 sigma + omega_q) and u_k = -(k_1 + k_3) sigma - q_k - omega_u, less the nominal
+    control's feedback.
 
     Args:
         problem: The vehicle.
         channel: The controller of the channel.
-        linear: Its linear channel.
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share of omega_u in omega_q.
+        linear: The channel between the samples.
+        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q.
     """
     k_1, k_2, k_3, share = slopes
     t = problem.sample_time
     weights = problem.delay_weights
     m = linear.g.size
-    memory = len(weights) - 1
+    memory = len(weights) - 1  # D, the number of earlier commands in z
     n = m + memory + 1
     unit = np.eye(n)
-    sigma = unit[1] + channel.l0 * unit[0]
+    e, e_dot = unit[:2]
+    sigma = e_dot + channel.l0 * e
     q = unit[n - 1] + t * k_2 * sigma
     command = -(k_1 + k_3) * sigma - q
     if channel.nominal:
-        a_n, gain, _ = channel.nominal
-        command = command - ((a_n - channel.l0) * channel.l0 * unit[0] + (channel.l0 - a_n) * sigma) / gain
+        a_n, k_n, _ = channel.nominal
+        command = command - ((a_n - channel.l0) * channel.l0 * e + (channel.l0 - a_n) * sigma) / k_n
     acting = weights[0] * command
     for i, weight in enumerate(weights[1:]):
         acting = acting + weight * unit[m + i]
@@ -193,15 +229,20 @@ def sampled_channel(
     a = np.zeros((n, n))
     a[:m, :m] = phi
     a[:m] += np.outer(gamma, acting)
-    u = np.zeros(n)
-    u[:m] = -gamma * weights[0]
-    if memory:
+    by_omega_u = np.zeros(n)
+    by_omega_u[:m] = -gamma * weights[0]
+    if memory:  # the command joins the earlier ones, and these move on by one place
         a[m] = command
-        u[m] = -1.0
+        by_omega_u[m] = -1.0
         for i in range(1, memory):
             a[m + i] = unit[m + i - 1]
     a[n - 1] = q
-    sum_column = t * (u + unit[n - 1])
+    by_omega_q = t * (by_omega_u + unit[n - 1])  # omega_q adds T_s omega_q to q, and q is subtracted from the command
     return SampledChannel(
-        a=a, acting=acting, direct=weights[0], u=u + share * sum_column, q=sum_column, u_av=q + k_1 * sigma
+        a=a,
+        acting=acting,
+        direct=weights[0],
+        u=by_omega_u + share * by_omega_q,
+        q=by_omega_q,
+        u_av=q + k_1 * sigma,
     )

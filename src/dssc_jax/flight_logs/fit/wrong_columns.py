@@ -1,0 +1,155 @@
+"""Whether a flight is described by other columns than those that were given: an error in place of y, or exchanged ones.
+
+Each hypothesis is the same log with other outputs and commands, which is fitted once more. It is told where the study
+then describes nearly all of the outputs, and described little of them as they were given.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.refits import Refit, refit
+from dssc_jax.flight_logs.fit.sampled_log import SampledLog
+from dssc_jax.flight_logs.hints.conversions import FEWER
+from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
+
+DESCRIBED = 0.2  # largest residual of other columns, as a share of the outputs' standard deviation
+LEAST_SHARE = 0.05  # of the outputs' standard deviation: a smaller residual is that of the right columns
+
+
+class OtherColumns(NamedTuple):
+    """A log in which signals come from other columns.
+
+    Args:
+        signal: A signal whose column is wrong.
+        words: What is wrong with them.
+        channels: Channels whose outputs or commands differ.
+        log: The log with the right ones.
+    """
+
+    signal: str
+    words: str
+    channels: list[int]
+    log: SampledLog
+
+
+def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
+    """The doubt about columns of outputs and commands, if others describe the flight far better, with the remedy.
+
+    Other commands are tried where other outputs explain nothing: each of them is another simulation.
+
+    Args:
+        problem: The problem.
+        minimum: Its minimum.
+    """
+    given = Refit(problem, minimum)
+    candidates = list(other_columns(problem))
+    for is_same_command in (True, False):
+        chosen = [one for one in candidates if (one.log.commands is problem.log.commands) == is_same_command]
+        best, share = best_columns(given, chosen)
+        if best is not None:
+            text = (
+                f"{best.words}: with that, the study describes the flight, and the residual is {100 * share:.2g} % of "
+                "the output. Correct the columns, and fit again"
+            )
+            return (SignalWarning(best.signal, "exchanged-columns", text),)
+    return ()
+
+
+def best_columns(given: Refit, candidates: Sequence[OtherColumns]) -> tuple[OtherColumns | None, float]:
+    """The hypothesis that describes the flight best, and the share of the outputs that its residual is.
+
+    None if no hypothesis describes it far better than the columns that were given.
+    """
+    best = None
+    least_share = DESCRIBED
+    for candidate in candidates:
+        squares = given.squares(candidate.channels)
+        if squares is None or squares.share < LEAST_SHARE:
+            continue
+        other = refit(given.problem, given.minimum, candidate.log)
+        other_squares = other.squares(candidate.channels)
+        if other_squares is None or other.problem.is_far_outside(other.minimum.x):
+            continue
+        if other_squares.share < min(least_share, FEWER * squares.share):
+            least_share = other_squares.share
+            best = candidate
+    return best, least_share
+
+
+def other_columns(problem: FitProblem) -> Iterator[OtherColumns]:
+    """All hypotheses about the columns of a log; in a study of several channels fewer, as each takes longer."""
+    channels = [readings.channel for readings in problem.readings]
+    for channel in channels:
+        yield from errors_as_outputs(problem, channel)
+        if len(channels) == 1:
+            yield from exchanged_signals(problem, channel)
+    for first, second in itertools.combinations(channels, 2):
+        if problem.study.units[first] == problem.study.units[second]:
+            yield from exchanged_channels(problem, first, second)
+
+
+def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
+    """The hypotheses that the column of y holds the error, by the logged reference and by that of the study."""
+    log = problem.log
+    name = problem.study.loop.channels[channel]
+    y = signal_name(name, "y")
+    y_ref = signal_name(name, "y_ref")
+    logged_reference = log.signals[channel].get("y_ref")
+    for reference in (logged_reference, log.references[channel]):
+        if reference is None or np.ptp(reference[np.isfinite(reference)]) == 0.0:
+            continue
+        for error, output in (
+            (f"{y_ref} - {y}", reference - log.outputs[channel]),
+            (f"{y} - {y_ref}", reference + log.outputs[channel]),
+        ):
+            words = f"the column of {y} seems to hold the error {error}"
+            yield OtherColumns(y, words, [channel], log._replace(outputs=with_row(log.outputs, channel, output)))
+
+
+def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumns]:
+    """The hypotheses that y and the command of a channel have other columns of it, such as each other's."""
+    log = problem.log
+    name = problem.study.loop.channels[channel]
+    signals = log.signals[channel]
+    for output, command in itertools.permutations(signals, 2):
+        wrong = {"y": output, "u_total": command}
+        wrong = {signal: column for signal, column in wrong.items() if signal != column}
+        if not wrong or not np.isfinite(signals[command]).any():
+            continue
+        pairs = []
+        for signal, column in wrong.items():
+            pairs.append(f"{signal_name(name, signal)} in that of {signal_name(name, column)}")
+        first = signal_name(name, next(iter(wrong)))
+        words = f"columns seem to be exchanged, {' and '.join(pairs)}"
+        outputs = with_row(log.outputs, channel, signals[output])
+        commands = with_row(log.commands, channel, forward_filled(signals[command]))
+        yield OtherColumns(first, words, [channel], log._replace(outputs=outputs, commands=commands))
+
+
+def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator[OtherColumns]:
+    """The hypotheses that two channels have each other's column of the output, or of the command."""
+    log = problem.log
+    channels = problem.study.loop.channels
+    exchanged = np.arange(len(channels))
+    exchanged[[first, second]] = second, first
+    outputs = [signal_name(channels[channel], "y") for channel in (first, second)]
+    commands = [signal_name(channels[channel], "u_total") for channel in (first, second)]
+    words = "seem to have each other's column"
+    changed = log._replace(outputs=log.outputs[exchanged], offsets=log.offsets[exchanged])
+    either = f"{' and '.join(outputs)}, or {' and '.join(commands)}, {words}"  # the same, where both begin alike
+    yield OtherColumns(outputs[0], either, [first, second], changed)
+    changed = log._replace(commands=log.commands[exchanged])
+    yield OtherColumns(commands[0], f"{' and '.join(commands)} {words}", [first, second], changed)
+
+
+def with_row(rows: np.ndarray, row: int, values: np.ndarray) -> np.ndarray:
+    """Signals of all channels with that of one replaced, shape (channels, samples)."""
+    changed = rows.copy()
+    changed[row] = values
+    return changed

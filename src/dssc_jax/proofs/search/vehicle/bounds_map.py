@@ -1,0 +1,202 @@
+"""The map F from bounds Y of a vehicle's signals to the bounds F(Y) that follow from them, in floating point.
+
+Bounds of the signals bound the remainders, what the vehicle has besides its linear channels. The responses of the
+linear channels to the remainders, to what the functions deviate by from straight lines, to the constant and to the
+start add up to F(Y). docs/vehicle_proofs.md has the formulas.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dssc_jax.proofs.search.impulse_responses import spectral_radius
+from dssc_jax.proofs.search.vehicle.attitude import Signals
+from dssc_jax.proofs.search.vehicle.channels import (
+    GRAVITY,
+    LinearChannel,
+    planar_channel,
+    sampled_channel,
+    vertical_channel,
+    yaw_channel,
+)
+from dssc_jax.proofs.search.vehicle.deviations import ChannelDeviations, Slopes, deviations_of, points_of
+from dssc_jax.proofs.search.vehicle.nominal import Nominal
+from dssc_jax.proofs.search.vehicle.remainders import Couplings, remainders_of
+from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, axes_of
+from dssc_jax.proofs.search.vehicle.rotors import Rotors
+from dssc_jax.proofs.search.vehicle.slopes import signal_slopes
+from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
+
+
+@dataclass(frozen=True)
+class LinearVehicle:
+    """The linear channels of a vehicle and their responses, from which the map F follows.
+
+    Args:
+        problem: The vehicle.
+        damping: Damping of drag in the plane and along z [1/s].
+        slopes: For each channel, the slopes of the straight lines and the share s_q.
+        responses: Responses of each channel.
+        nominal: The nominal flight; the bounds are those of the deviation from it. None: the vehicle hovers.
+    """
+
+    problem: VehicleProblem
+    damping: tuple[float, float]
+    slopes: dict[str, Slopes]
+    responses: dict[str, ChannelResponse]
+    nominal: Nominal | None
+
+    def deviations(self, totals: Signals) -> dict[str, ChannelDeviations]:
+        """How far each channel's functions are from their straight lines, while |sigma| is within its bound.
+
+        Args:
+            totals: Bounds of the vehicle's signals.
+        """
+        deviations = {}
+        for name in CHANNELS:
+            points = points_of(self.problem, name, totals[name]["sigma"])
+            deviations[name] = deviations_of(points, self.slopes[name])
+        return deviations
+
+
+def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, LinearChannel]:
+    """The linear channels by name, with the damping of drag in the plane and along z [1/s]."""
+    plane_damping, vertical_damping = damping
+    return {
+        "x": planar_channel(problem, plane_damping),
+        "z": vertical_channel(problem, vertical_damping),
+        "psi": yaw_channel(problem),
+    }
+
+
+def input_sizes(
+    response: ChannelResponse, deviations: ChannelDeviations, sigma: float, remainders: dict[str, float]
+) -> np.ndarray:
+    """Bounds of a channel's inputs omega_u, omega_r and remainders, in this order, shape (inputs,).
+
+    Args:
+        response: Responses of the channel, which know the order of its remainders.
+        deviations: How far its functions are from straight lines.
+        sigma: Bound of |sigma|.
+        remainders: Bounds of its remainders, by name.
+    """
+    omega_u = deviations.of_command(sigma)
+    omega_r = deviations.of_integral(sigma)
+    return np.array([omega_u, omega_r, *(remainders[key] for key in response.remainders)])
+
+
+def with_slopes(
+    problem: VehicleProblem, response: ChannelResponse, point_bounds: np.ndarray, slopes: dict[str, float]
+) -> dict[str, float]:
+    """Bounds of a channel's signals at all times, by name, from bounds at four points of a sample.
+
+    Every time is within T_s/8 of one of the points, so T_s/8 times the slope is added.
+
+    Args:
+        problem: The vehicle.
+        response: Responses of the channel.
+        point_bounds: Bounds at the points of a sample, shape (points, signals).
+        slopes: Bounds of the signals' slopes within a sample, by name.
+    """
+    largest = point_bounds.max(axis=0)
+    eighth = problem.sample_time / 8.0
+    return {key: float(largest[i]) + eighth * slopes[key] for i, key in enumerate(response.names)}
+
+
+def bounds_at_points(
+    problem: VehicleProblem, name: str, response: ChannelResponse, deviations: ChannelDeviations, sizes: np.ndarray
+) -> np.ndarray:
+    """Bounds of a channel's signals at the points of a sample, shape (points, signals).
+
+    They are the sum of the responses to omega_u and omega_r, to the remainders, to the constant |o| <= k g and to the
+    start.
+
+    Args:
+        problem: The vehicle.
+        name: The channel.
+        response: Responses of the channel.
+        deviations: How far its functions are from straight lines.
+        sizes: Bounds of its inputs omega_u, omega_r and remainders, shape (inputs,).
+    """
+    channel = problem.channels[name]
+    axes = axes_of(name, response)  # h, the factor for the vector of both axes' omegas
+    bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
+    bound = bound + problem.thrust_deviation * GRAVITY * response.constant + response.start_offset
+    by_start = response.starts[..., :2] @ np.array(channel.initial)  # E_0 and V_0
+    start_deviation = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)  # of q_(-1)
+    return bound + by_start + axes * start_deviation * response.starts[..., 2]
+
+
+def apply_map(
+    vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals
+) -> tuple[Signals, Signals, Rotors]:
+    """Apply the map F to bounds of the signals.
+
+    Args:
+        vehicle: The linear channels and their responses.
+        deviations: How far each channel's functions are from straight lines.
+        y: Y, bounds of the signals, or of their deviation from the nominal flight.
+
+    Returns:
+        F(Y), bounds of the remainders, and bounds of the rotors.
+
+    Raises:
+        OutOfRange: The vehicle may leave the range of the theorem.
+    """
+    problem = vehicle.problem
+    totals, couplings = vehicle_totals(vehicle.nominal, y)
+    remainders, rotors = remainders_of(problem, totals, vehicle.damping, couplings=couplings)
+    slopes = signal_slopes(problem, y, remainders, vehicle.damping)
+    implied: Signals = {}
+    for name in CHANNELS:
+        response = vehicle.responses[name]
+        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
+        point_bounds = bounds_at_points(problem, name, response, deviations[name], sizes)
+        implied[name] = with_slopes(problem, response, point_bounds, slopes[name])
+    return implied, remainders, rotors
+
+
+def slides(
+    problem: VehicleProblem, deviations: dict[str, ChannelDeviations], totals: Signals, remainders: Signals
+) -> bool:
+    """Whether the equivalent control of every channel stays within rho (V5).
+
+    Args:
+        problem: The vehicle.
+        deviations: How far each channel's functions are from straight lines.
+        totals: Bounds of the vehicle's signals.
+        remainders: Bounds of the remainders.
+    """
+    t = problem.sample_time
+    for name, channel in problem.channels.items():
+        k_p, k_i, reach = deviations[name].steepest  # K_P, K_I and 1 + tau_av/T_s
+        largest_phi_1_distance, _, _ = deviations[name].distance  # D_1
+        force = remainders[name]["torque" if name == "psi" else "force"]
+        if name == "z":
+            force += problem.thrust_deviation * GRAVITY  # |o| <= k g
+        sigma_dot = totals[name]["bend"] + force  # S'
+        integral_rate = k_i * totals[name]["sigma"]
+        level = max(totals[name]["u_av"] + largest_phi_1_distance, 0.5 * t * integral_rate)  # V_a
+        if level + t * reach * (k_p * sigma_dot + integral_rate) > channel.rho:
+            return False
+        if channel.start == "zero" and reach * (k_p + t * k_i) * problem.first_sigma(name) > channel.rho:
+            return False
+    return True
+
+
+def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
+    """Bounds of the vehicle's own signals, N + Y, and of the products that couple the channels of a moving vehicle.
+
+    Args:
+        nominal: The nominal flight, whose signals are at most N; None: the vehicle hovers, and has no couplings.
+        y: Y, bounds of the vehicle's deviation from it.
+    """
+    if nominal is None:
+        return y, None
+    return nominal.totals(y), nominal.couplings(y)
+
+
+def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, Slopes]) -> bool:
+    """Whether all channels are stable at their samples, with straight lines in place of the functions."""
+    steps = [sampled_channel(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
+    return all(spectral_radius(step.a) < 1.0 for step in steps)
