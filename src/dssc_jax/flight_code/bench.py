@@ -9,13 +9,13 @@ from dssc_jax.lanes.c.names import c_string
 def channels_text(code: FlightCode) -> str:
     """The text of ``bench_channels.h``: functions and names of each channel, and the choice among channels."""
     controllers = code.controllers
-    prepare: list[str] = []
+    prepare: list[str] = []  # cases of four switch statements in C, which choose the function of a channel
     restart: list[str] = []
     check: list[str] = []
     advance: list[str] = []
-    for place, controller in enumerate(controllers):
+    for position, controller in enumerate(controllers):
         name = controller.prefix
-        case = f"case {place}:"
+        case = f"case {position}:"
         prepare += [case, f"    prepare_{name}(given);", "    break;"]
         restart += [case, f"    {name}_reset(&controller_of_{name});", "    break;"]
         check += [case, f"    return {name}_check(&controller_of_{name}.parameters);"]
@@ -45,29 +45,28 @@ def channel_functions(controller: SampledController) -> str:
     variable = f"controller_of_{controller.prefix}"
     members = [f"command.{member}" for member in COMMAND]
     members += [f"{variable}.state.{state}" for state in controller.states]
-    results = [f"results[{place}] = {member};" for place, member in enumerate(members)]
+    results = [f"results[{position}] = {member};" for position, member in enumerate(members)]
     if controller.infos:
         results.append("if (telemetry) {")
-        for place, info in enumerate(controller.infos, start=len(members)):
-            results.append(f"    results[{place}] = seen.{info};")
+        for position, info in enumerate(controller.infos, start=len(members)):
+            results.append(f"    results[{position}] = seen.{info};")
         results.append("}")
-    parameters = [
-        f"{variable}.parameters.{parameter.name} = given[{place}];"
-        for place, parameter in enumerate(controller.parameters)
-    ]
-    measured_count = len(controller.measured_signals)
+    parameters = []
+    for position, parameter in enumerate(controller.parameters):
+        parameters.append(f"{variable}.parameters.{parameter.name} = given[{position}];")
+    first_reference = len(controller.measured_signals)
     return fill(
         "bench_channel.h",
         name=controller.prefix,
         parameters=parameters,
         results=results,
-        measurement=", ".join(f"row[{place}]" for place in range(measured_count)),
-        reference=", ".join(f"row[{place}]" for place in range(measured_count, len(controller.signals))),
+        measurement=", ".join(f"row[{position}]" for position in range(first_reference)),
+        reference=", ".join(f"row[{position}]" for position in range(first_reference, len(controller.signals))),
     )
 
 
 def name_tables(controller: SampledController) -> list[str]:
-    """The tables in C with the names of a channel's results and parameters."""
+    """The tables in C with the names of a channel's results and parameters; C has no empty tables."""
     parameters = [parameter.name for parameter in controller.parameters]
     tables = {"results": row_names(controller), "numbers": parameters or [""]}
     lines = []

@@ -54,7 +54,8 @@ def unit_length_condition(members: Sequence[str], real: np.dtype) -> str:
     """The condition in C that a vector has the length 1, up to :data:`LENGTH_ERROR`; ``members`` are its components."""
     suffix = "f" if real.itemsize == 4 else ""
     square = " + ".join(f"{member} * {member}" for member in members)
-    return f"{absolute_value(real)}({square} - 1.0{suffix}) <= {2.0 * LENGTH_ERROR:g}{suffix}"
+    square_error = 2.0 * LENGTH_ERROR  # (1 + error)^2 - 1, to first order
+    return f"{absolute_value(real)}({square} - 1.0{suffix}) <= {square_error:g}{suffix}"
 
 
 def joined_definitions(definitions: Iterable[str]) -> str:

@@ -39,7 +39,7 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
         raise ConfigError(source, f"is rejected by the verifier: {verdict.reason}")
     assert isinstance(content, dict)
     try:
-        problem = json.loads(json.dumps(problem_of(study).to_dict()))
+        problem = json.loads(json.dumps(problem_of(study).to_dict()))  # lists and floats, as the file has them
     except NotCovered as error:
         raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
     if problem != content["problem"]:
@@ -55,7 +55,7 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
 
 
 def differing_entry(problem: JsonObject, certified_problem: JsonObject) -> str:
-    """The name of the first entry in which two different problems differ."""
+    """The name of the first entry in which two different problems differ; "kind" if only their kinds differ."""
     for name in (*problem, *certified_problem):
         if problem.get(name) != certified_problem.get(name):
             return name
@@ -65,29 +65,9 @@ def differing_entry(problem: JsonObject, certified_problem: JsonObject) -> str:
 def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict) -> Premises:
     """The premises of a vehicle's certificate, from its content and the verifier's verdict."""
     problem = content["problem"]
-    labels = channel_labels(study.loop.channels)
-    channels = []
-    for i, name in enumerate(CHANNELS_OF_VEHICLE):
-        controller = problem["channels"][name]
-        bounds = verdict.bounds[name]
-        largest_distance, largest_speed = controller["initial"]
-        channels.append(
-            ChannelPremises(
-                label=labels[i],
-                l0=controller["l0"],
-                angle=is_angle(study.loop, i),
-                e=bounds["e"],
-                e_dot=bounds["e_dot"],
-                sigma=bounds["sigma"],
-                sigma_slope=verdict.slopes[name],
-                slides=True,
-                start=None if i < PLANE else ((-largest_distance, largest_distance), (-largest_speed, largest_speed)),
-                disturbance=None,
-                units=study.units[i],
-            )
-        )
+    channels = [vehicle_channel(study, problem, verdict, i) for i in range(len(CHANNELS_OF_VEHICLE))]
     wind_h, wind_z = problem["wind"]
-    largest_distance, largest_speed = problem["channels"]["x"]["initial"]
+    largest_distance, largest_speed = problem["channels"]["x"]["initial"]  # of both horizontal channels together
     return Premises(
         sample_time=problem["sample_time"],
         channels=tuple(channels),
@@ -100,11 +80,40 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
     )
 
 
+def vehicle_channel(study: Study, problem: JsonObject, verdict: VehicleVerdict, i: int) -> ChannelPremises:
+    """The premises of one channel of a vehicle's certificate.
+
+    Args:
+        study: The study.
+        problem: The problem of the certificate.
+        verdict: The verifier's verdict.
+        i: Position of the channel in the loop.
+    """
+    name = CHANNELS_OF_VEHICLE[i]
+    controller = problem["channels"][name]
+    bounds = verdict.bounds[name]
+    largest_distance, largest_speed = controller["initial"]
+    start = ((-largest_distance, largest_distance), (-largest_speed, largest_speed))
+    return ChannelPremises(
+        label=channel_labels(study.loop.channels)[i],
+        l0=controller["l0"],
+        angle=is_angle(study.loop, i),
+        e=bounds["e"],
+        e_dot=bounds["e_dot"],
+        sigma=bounds["sigma"],
+        sigma_slope=verdict.slopes[name],
+        slides=True,
+        start=None if i < PLANE else start,  # the horizontal channels start within bounds of the plane
+        disturbance=None,
+        units=study.units[i],
+    )
+
+
 def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> Premises:
     """The premises of a certificate of one axis, from its content and the verifier's verdict."""
     problem = content["problem"]
     units = study.units[0]
-    stages = [proof["stages"][0] for proof in content["proofs"]]
+    stages = [proof["stages"][0] for proof in content["proofs"]]  # the first stage of a box holds from the start on
     depends_on_state = any(problem["by_state"])
     level = max(stage["level"] for stage in stages) if depends_on_state else problem["level"]
     slope = max(stage["slope"] for stage in stages) if depends_on_state else problem["slope"]
@@ -121,7 +130,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
             lag_order=lag_order,
             delay_weights=delay_weights(problem["delay"]),
         )
-    e, e_dot = problem["initial"][:2]
+    e, e_dot = problem["initial"][:2]  # without the state of the zero dynamics
     channel = ChannelPremises(
         label="",
         l0=problem["l0"],
@@ -158,6 +167,7 @@ def hidden_disturbance_reason(problem: JsonObject, lag_order: int) -> str:
         return "the state of the zero dynamics, which acts like one, is not measured"
     if problem["sensor_lag"]:
         return "the sensor lags behind the output"
-    if problem["denominator"] and (not lag_order or tuple(problem["numerator"]) != (1.0,)):
+    is_of_lags = lag_order > 0 and tuple(problem["numerator"]) == (1.0,)
+    if problem["denominator"] and not is_of_lags:
         return "the output of a general transfer function is not enclosed"
     return ""

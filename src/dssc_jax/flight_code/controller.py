@@ -22,8 +22,9 @@ from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
 
 FLOWN_SLOTS = ("controller", "differentiator")
+"""Parts of a channel that run on the flight computer as generated code, by their names in a study."""
 COMMAND = ("u", "u_n", "u_p")
-"""The command in its two parts and their sum (11)."""
+"""Names of the parts of a command: robust part u, nominal part u_n, and their sum u_p (11)."""
 
 OF_CHANNEL = ("y", "y_dot")
 """Names of the measured signals that every controller takes."""
@@ -36,7 +37,7 @@ class MeasuredSignal(NamedTuple):
         name: Name in C.
         unit: Unit.
         meaning: Meaning in words.
-        signal: Name in the study, of a signal beside y and y'; empty for these two.
+        signal: Name in the study of a signal beside y and y'; empty for y and y'.
     """
 
     name: str
@@ -47,22 +48,25 @@ class MeasuredSignal(NamedTuple):
 
 def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
     """The measured signals of a channel's controller: y, y' and, if it takes any, those of the study's ``measures``."""
-    loop = study.loop
     units = study.units[index]
     y, y_dot = OF_CHANNEL
-    signals = [MeasuredSignal(y, units.output, f"measured {units.output_meaning}")]
-    signals.append(MeasuredSignal(y_dot, units.of("y/s"), f"derivative of measured {units.output_meaning}"))
+    signals = [
+        MeasuredSignal(y, units.output, f"measured {units.output_meaning}"),
+        MeasuredSignal(y_dot, units.of("y/s"), f"derivative of measured {units.output_meaning}"),
+    ]
     if takes_signals(study):
-        names = member_names([*OF_CHANNEL, *(f"signal_{signal.name}" for signal in loop.measures)])
-        for name, signal in zip(list(names)[len(OF_CHANNEL) :], loop.measures, strict=True):
-            signals.append(MeasuredSignal(name, signal.unit or "1", f"measured {signal.quantity.meaning}", signal.name))
+        measures = study.loop.measures
+        _, _, *names = member_names([y, y_dot, *(f"signal_{measure.name}" for measure in measures)])
+        for name, measure in zip(names, measures, strict=True):
+            unit = measure.unit or "1"  # of a number without a unit
+            signals.append(MeasuredSignal(name, unit, f"measured {measure.quantity.meaning}", measure.name))
     return tuple(signals)
 
 
 def takes_signals(study: Study) -> bool:
-    """Whether any controller of a study takes measured signals beside y and y'."""
-    pairs = zip(study.loop.controller, study.template.controller, strict=True)
-    return any(controller.takes(gains) for controller, gains in pairs)
+    """Whether any controller of a study, with its gains, takes measured signals beside y and y'."""
+    controllers_with_gains = zip(study.loop.controller, study.template.controller, strict=True)
+    return any(controller.takes(gains) for controller, gains in controllers_with_gains)
 
 
 class TracedFunction(NamedTuple):
@@ -193,6 +197,8 @@ def trace_controller(study: Study, index: int) -> SampledController:
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]
 
+    # Generated C would repeat docstrings of these three functions; SampledController tells what they compute.
+
     def start(numbers: tuple[Scalar, ...], measurement: Measurement, reference: ReferencePoint) -> Any:
         params = study.params(dict(zip(keys, numbers, strict=True)))
         return as_arrays(initial_control(loop, params, index, measurement, reference))
@@ -216,8 +222,8 @@ def trace_controller(study: Study, index: int) -> SampledController:
     number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
     channel_signals = measured_signals(study, index)
-    signal_shapes = (number,) * (len(channel_signals) - len(OF_CHANNEL))
-    signals = (Measurement(number, number, signal_shapes), ReferencePoint(number, number, number))
+    further_signals = (number,) * (len(channel_signals) - len(OF_CHANNEL))  # beside y and y'
+    signals = (Measurement(number, number, further_signals), ReferencePoint(number, number, number))
     traced_transfer = None
     require_real_numbers(loop.channels[index], jax.eval_shape(start, numbers, *signals))
     try:
@@ -228,10 +234,11 @@ def trace_controller(study: Study, index: int) -> SampledController:
             traced_transfer, _ = traced_function(transfer, numbers, number, *signals)
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
+    label = channel_labels(loop.channels)[index]
     return SampledController(
         channel=loop.channels[index],
         index=index,
-        prefix="_".join(filter(None, (prefix_name(study.name), channel_labels(loop.channels)[index]))),
+        prefix=f"{prefix_name(study.name)}_{label}" if label else prefix_name(study.name),
         parameters=parameters,
         states=leaf_names(state, root="controller"),
         infos=leaf_names(info),
@@ -248,15 +255,16 @@ def require_real_numbers(channel: str, state: ControlState) -> None:
 
     Args:
         channel: Name of the channel; empty for a plant with one channel.
-        state: Shapes and types of the state, as the loop keeps it: it makes signed integers and flags real numbers.
+        state: Shapes and types of the state as the loop keeps it, which makes signed integers and flags real numbers.
 
     Raises:
         ConfigError: A state is an array or an unsigned integer; the message has its field.
     """
-    for path, leaf in tree_flatten_with_path(state)[0]:
+    leaves, _ = tree_flatten_with_path(state)
+    for path, leaf in leaves:
         if leaf.shape == () and jnp.issubdtype(leaf.dtype, jnp.floating):
             continue
-        slot, _, field = keystr(path, simple=True, separator=".").partition(".")
+        slot, _, field = keystr(path, simple=True, separator=".").partition(".")  # such as "controller", "z.value"
         if leaf.shape:
             kind, remedy = f"an array of shape {leaf.shape}", "keep its numbers in fields of their own, such as a tuple"
         else:
@@ -278,24 +286,26 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
     """The parameters of a channel's code: the numbers of its differentiator and its controller."""
     channel = study.loop.channels[index]
 
-    def selects(path: str) -> bool:
-        slot, place, *_ = path.split(".")
-        return slot in FLOWN_SLOTS and int(place) == index
+    def is_of_channel(path: str) -> bool:
+        """Whether a number of the loop belongs to the channel; a path is SLOT.POSITION OF THE CHANNEL.FIELD."""
+        slot, position, *_ = path.split(".")
+        return slot in FLOWN_SLOTS and int(position) == index
 
-    def name(key: str) -> str:
+    def name_in_c(key: str) -> str:
         """The name in C of a number: its path without slot and channel; only ``differentiator`` stays in front."""
         slot, *fields = key.split(".")
         if fields[0] in {str(index), channel}:
             fields = fields[1:]
         return "_".join(fields if slot == "controller" else [slot, *fields])
 
-    return loop_parameters(study, selects, name, study.units[index])
+    return loop_parameters(study, is_of_channel, name_in_c, study.units[index])
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:
-    """A name in C for each leaf of a tree, from its path; a path that begins with ``root`` goes without it."""
+    """A name in C for each leaf of a tree: the fields of its path, without a first field that is ``root``."""
     names = []
-    for path, _ in tree_flatten_with_path(tree)[0]:
+    leaves, _ = tree_flatten_with_path(tree)
+    for path, _ in leaves:
         fields = keystr(path, simple=True, separator=".").split(".")
         names.append("_".join(fields[1:] if fields[0] == root else fields))
     return tuple(member_names(names))
@@ -305,11 +315,13 @@ def channel_labels(channels: tuple[str, ...]) -> list[str]:
     """The part of names in C for each channel, numbered where two would be equal; empty for an unnamed channel."""
     labels: list[str] = []
     for channel in channels:
-        plain_label = underscored(channel) or ("channel" if channel else "")
-        label = plain_label
+        base = underscored(channel)
+        if channel and not base:  # no character of its name may be in a name of C
+            base = "channel"
+        label = base
         count = 2
         while label in labels:
-            label = f"{plain_label}_{count}"
+            label = f"{base}_{count}"
             count += 1
         labels.append(label)
     return labels

@@ -15,7 +15,7 @@ FREE = ("input", "constant", "bitcast", "state", "result", "joined", "any")
 class StepCost(NamedTuple):
     """The cost of one step.
 
-    Of a branch, the side with more operations counts. Operations of a loop count once, because the number of its
+    A branch counts as its side with more operations. The operations of a loop count once, because the number of its
     iterations is not known in advance.
 
     Args:
@@ -32,46 +32,58 @@ class StepCost(NamedTuple):
 def step_cost(controller: SampledController, telemetry: bool = False) -> StepCost:
     """The cost of a controller's step, with or without its telemetry."""
     program = controller.step.program
-    count = len(program.outputs) if telemetry else len(controller.states) + len(COMMAND)
-    return program_cost(Program(program.inputs, program.body, program.outputs[:count]))
+    first_info = len(controller.states) + len(COMMAND)  # states and command come first, then telemetry
+    outputs = program.outputs if telemetry else program.outputs[:first_info]
+    return program_cost(Program(program.inputs, program.body, outputs))
 
 
 def program_cost(program: Program) -> StepCost:
     """The cost of one run of a program."""
     count = OperationCount(program)
-    operations = count.block(program.body, 0)
-    return StepCost(dict(sorted(operations.items())), max(count.depths.values(), default=0), count.loops)
+    operations = count.block(program.body, start=0)
+    longest_chain = max(count.depths.values(), default=0)
+    return StepCost(dict(sorted(operations.items())), longest_chain, count.loops)
 
 
 class OperationCount:
     """Counts the operations of a program.
 
     The depth of a value is the length of the longest chain of operations that it needs, its own included.
+
+    Args:
+        program: The program.
     """
 
     def __init__(self, program: Program) -> None:
-        self.depths: dict[int, int] = {}
+        """Begin without depths and loops."""
+        self.depths: dict[int, int] = {}  # by the id of the value
         self.loops = 0
         self._reachable = reachable(program)
 
     def block(self, block: CodeBlock, start: int) -> Counter[str]:
-        """Count the operations of a block by name, whose first operations can begin at the depth ``start``."""
+        """Count the operations of a block by name.
+
+        Args:
+            block: The block.
+            start: Depth at which its first operations can begin.
+        """
         counts: Counter[str] = Counter()
         for node in block.nodes:
             if id(node) not in self._reachable:
                 continue
             if isinstance(node, Value):
-                is_counted = node.operation not in FREE
-                self.depths[id(node)] = self.deepest(node.operands, start) + is_counted
-                if is_counted:
-                    counts[node.operation] += 1
+                operations = 0 if node.operation in FREE else 1
+                self.depths[id(node)] = self.deepest(node.operands, start) + operations
+                if operations:
+                    counts[node.operation] += operations
             elif isinstance(node, CodeLoop):
                 self.loops += 1
                 counts += self.block(node.body, self.deepest(node.initial_states, start))
                 self.finish(node.results, self.deepest([*node.initial_states, *node.next_states], start))
             elif isinstance(node, Branch):
                 depth = self.deepest([node.condition], start)
-                counts += max((self.block(branch_side, depth) for branch_side in node.sides), key=Counter.total)
+                counts_of_sides = [self.block(side, depth) for side in node.sides]
+                counts += max(counts_of_sides, key=Counter.total)
                 self.finish(node.results, self.deepest([node.condition, *node.values[0], *node.values[1]], start))
         return counts
 

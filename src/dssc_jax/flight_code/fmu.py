@@ -12,6 +12,7 @@ import io
 import platform
 import shutil
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dssc_jax.flight_code.controller import FlightCode
@@ -27,7 +28,9 @@ FMI_PLATFORMS = {("Linux", "x86_64"): "linux64"}
 COMPILERS = ("cc", "gcc", "clang")
 LIBRARY_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
 WRAPPER = "fmu.c"
+"""Template and source with FMI's functions, which is the same for every study."""
 VARIABLES_HEADER = "fmu_variables.h"
+"""Header with the study's variables, which the wrapper includes."""
 EARLIEST_TIME = (1980, 1, 1, 0, 0, 0)
 """The earliest time that a zip can state; with it, the same study always gives the same file."""
 
@@ -62,24 +65,33 @@ class ControllerFmu:
             for name, content in contents.items():
                 entry = zipfile.ZipInfo(name, EARLIEST_TIME)
                 entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.external_attr = 0o644 << 16
+                entry.external_attr = 0o644 << 16  # Unix permissions
                 archive.writestr(entry, content)
         return buffer.getvalue()
 
 
 def controller_fmu(code: FlightCode) -> ControllerFmu:
-    """The FMU of a study's controllers, from the same texts as the folder of ``dssc-jax code``."""
+    """The FMU of a study's controllers, from the same texts as the folder of ``dssc-jax code``.
+
+    A digest of all texts identifies it, so that FMUs of equal texts have one identifier.
+    """
     sources = {
         f"{code.name}_controller.h": header_text(code),
         f"{code.name}_controller.c": source_text(code),
         WRAPPER: template_text(WRAPPER),
     }
     c_files = [file for file in sources if file.endswith(".c")]
-    contents = [description_text(code, "", c_files), variables_text(code, ""), *sources.values()]
-    digest = hashlib.sha256("\0".join(contents).encode()).hexdigest()
-    guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
+    guid = ""  # not known yet
+    contents = [description_text(code, guid, c_files), variables_text(code, guid), *sources.values()]
+    guid = identifier(contents)
     sources[VARIABLES_HEADER] = variables_text(code, guid)
     return ControllerFmu(code.name, description_text(code, guid, c_files), sources)
+
+
+def identifier(texts: Sequence[str]) -> str:
+    """A digest of some texts in the form of a GUID: 32 hexadecimal digits in groups of 8, 4, 4, 4 and 12."""
+    digest = hashlib.sha256("\0".join(texts).encode()).hexdigest()
+    return f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
 
 
 def machine_platform() -> str | None:

@@ -32,7 +32,9 @@ ROLES = {
     INPUT: {"causality": "input", "variability": "discrete"},
     OUTPUT: {"causality": "output", "variability": "discrete", "initial": "calculated"},
 }
+"""Attributes of FMI that tell what a variable is for, by its causality."""
 STRUCTURED_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
+"""A name with dots, as FMI's convention "structured" allows it without quotation marks."""
 NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot express."""
 
@@ -80,6 +82,7 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
     )
     elements = [variable_element(variable, reference, "Real") for reference, variable in enumerate(reals)]
     elements += [variable_element(variable, reference, "Integer") for reference, variable in enumerate(flags)]
+    units = sorted({xml_text(variable.unit) for variable in reals if variable.unit})
     return fill(
         "modelDescription.xml",
         study=attribute(study.name),
@@ -89,7 +92,7 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
         convention="structured" if has_structured_names else "flat",
         name=code.name,
         files=[element("File", {"name": name}) for name in sources],
-        units=[unit_element(unit) for unit in sorted({xml_text(variable.unit) for variable in reals if variable.unit})],
+        units=[unit_element(unit) for unit in units],
         stop_time=repr(sample_time * study.loop.steps),
         sample_time=repr(sample_time),
         variables=elements,
@@ -110,9 +113,11 @@ def element(tag: str, attributes: Mapping[str, str], content: str = "") -> str:
 
 def xml_number(number: float) -> str:
     """A number in XML, with all its digits."""
-    if math.isfinite(number):
-        return repr(float(number))
-    return {math.inf: "INF", -math.inf: "-INF"}.get(number, "NaN")
+    if math.isnan(number):
+        return "NaN"
+    if math.isinf(number):
+        return "INF" if number > 0 else "-INF"
+    return repr(float(number))
 
 
 def unit_element(unit: str) -> str:

@@ -61,30 +61,33 @@ def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
     variables: dict[str, FmuVariable] = {}
     for controller in code.controllers:
         for parameter in controller.parameters:
-            name = parameter_name(controller, parameter)
-            start = float(controller.real.type(parameter.value))
-            quantity = parameter.quantity
-            if quantity is None:
-                variables[name] = FmuVariable(name, PARAMETER, "1", "computed from the study", start)
-                continue
-            meaning = quantity.meaning + (", median of its law" if parameter.uncertain else "")
-            lower = finite_bound(quantity.at_least, quantity.above)
-            upper = finite_bound(quantity.at_most, quantity.below)
-            variables[name] = FmuVariable(
-                name=name,
-                causality=PARAMETER,
-                unit=quantity.unit,
-                meaning=meaning,
-                start=start,
-                lower=lower,
-                upper=upper,
-            )
+            variable = parameter_variable(controller, parameter)
+            variables[variable.name] = variable
     return list(variables.values())
 
 
-def finite_bound(*bounds: float | None) -> float | None:
-    """The first finite one of several bounds, exclusive or inclusive, between which FMI makes no difference."""
-    for bound in bounds:
+def parameter_variable(controller: SampledController, parameter: Parameter) -> FmuVariable:
+    """The variable of a parameter, with the study's value as its start, rounded to the controller's numbers."""
+    name = parameter_name(controller, parameter)
+    start = float(controller.real.type(parameter.value))
+    quantity = parameter.quantity
+    if quantity is None:
+        return FmuVariable(name, PARAMETER, "1", "computed from the study", start)
+    median = ", median of its law" if parameter.uncertain else ""
+    return FmuVariable(
+        name=name,
+        causality=PARAMETER,
+        unit=quantity.unit,
+        meaning=f"{quantity.meaning}{median}",
+        start=start,
+        lower=finite_bound(quantity.at_least, quantity.above),
+        upper=finite_bound(quantity.at_most, quantity.below),
+    )
+
+
+def finite_bound(inclusive: float | None, exclusive: float | None) -> float | None:
+    """The bound that is finite, the inclusive one first; None if neither is. FMI makes no difference between both."""
+    for bound in (inclusive, exclusive):
         if bound is not None and math.isfinite(bound):
             return bound
     return None
@@ -93,7 +96,7 @@ def finite_bound(*bounds: float | None) -> float | None:
 def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]:
     """The inputs of a channel: measurement and reference."""
     units = study.units[controller.index]
-    derivatives = (
+    derivatives = (  # unit and order in words of each member of a reference
         (units.of("y"), ""),
         (units.of("y/s"), "derivative of "),
         (units.of("y/s^2"), "second derivative of "),
@@ -101,20 +104,21 @@ def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]
     variables = []
     for signal in controller.measured_signals:
         name = channel_variable(controller, f"measurement.{signal.name}")
-        variables.append(FmuVariable(name, INPUT, signal.unit, signal.meaning, 0.0))
-    for member, (unit, derivative) in zip(ReferencePoint._fields, derivatives, strict=True):
+        variables.append(FmuVariable(name, INPUT, signal.unit, signal.meaning, start=0.0))
+    for member, (unit, order) in zip(ReferencePoint._fields, derivatives, strict=True):
         name = channel_variable(controller, f"reference.{member}")
-        variables.append(FmuVariable(name, INPUT, unit, f"{derivative}desired {units.output_meaning}", 0.0))
+        variables.append(FmuVariable(name, INPUT, unit, f"{order}desired {units.output_meaning}", start=0.0))
     return variables
 
 
 def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable]:
     """The outputs of a channel: command and telemetry."""
     units = study.units[controller.index]
+    parts = ("robust part of the", "nominal part of the", "whole")
     variables = []
-    for member, part_text in zip(COMMAND, ("robust part of the", "nominal part of the", "whole"), strict=True):
+    for member, part in zip(COMMAND, parts, strict=True):
         name = channel_variable(controller, f"command.{member}")
-        variables.append(FmuVariable(name, OUTPUT, units.command, f"{part_text} {units.command_meaning}"))
+        variables.append(FmuVariable(name, OUTPUT, units.command, f"{part} {units.command_meaning}"))
     for info in controller.infos:
         name = channel_variable(controller, f"telemetry.{info}")
         variables.append(FmuVariable(name, OUTPUT, "", "what the controller reports"))
@@ -147,12 +151,13 @@ def variables_text(code: FlightCode, guid: str) -> str:
     rules: list[str] = []
     checks: list[str] = []
     steps: list[str] = []
-    for place, controller in enumerate(code.controllers):
+    for position, controller in enumerate(code.controllers):
         parameters += parameter_assignments(controller, references)
-        steps.append(channel_step(controller, references, f"flag[{place}]"))
+        steps.append(channel_step(controller, references, f"flag[{position}]"))
         if controller.parameters:
-            rules += [*rule_table(controller), ""]
+            rules += [*rule_table(controller), ""]  # with an empty line after it
             checks += parameter_check(controller.prefix)
+    starts = [c_literal(np.float64(variable.start or 0.0), np.dtype(float)) for variable in variables]
     return fill(
         "fmu_variables.h",
         study=code.name,
@@ -162,7 +167,7 @@ def variables_text(code: FlightCode, guid: str) -> str:
         first_output=str(causalities.index(OUTPUT)),
         flags=str(len(names)),
         controllers=[f"{name}_controller {name};" for name in names],
-        starts=", ".join(c_literal(np.float64(variable.start or 0.0), np.dtype(float)) for variable in variables),
+        starts=", ".join(starts),
         labels=", ".join(c_string(channel_label(controller)) for controller in code.controllers),
         prepare=[f"{name}_init(&all->{name});" for name in names],
         rules="".join(f"{line}\n" for line in rules),
@@ -178,7 +183,7 @@ def channel_label(controller: SampledController) -> str:
 
 
 def plain_message(text: str) -> str:
-    """A message with ? in place of % and #, which simulators would expand."""
+    """A message with ? in place of % and #, which simulators would replace by other texts."""
     return text.replace("%", "?").replace("#", "?")
 
 
@@ -232,9 +237,11 @@ def channel_step(controller: SampledController, references: dict[str, int], flag
     """
 
     def value(variable: str) -> str:
+        """C's expression of the channel's variable of a name."""
         return f"value[{references[channel_variable(controller, variable)]}]"
 
     def inputs(group: str, members: Iterable[str]) -> str:
+        """The initial values in C of a structure: the inputs of a group, ``measurement`` or ``reference``."""
         return ", ".join(real_cast(controller) + value(f"{group}.{member}") for member in members)
 
     results = [f"{value(f'command.{member}')} = command.{member};" for member in COMMAND]

@@ -36,7 +36,7 @@ RECORDED_SAMPLES = 2000
 def certificate_sentence(study: Study) -> str:
     """The verdict of Theorem 1 on the study, in a sentence."""
     verdict = mark(study)
-    if verdict.certified is None:
+    if verdict.certified is None:  # the theorem does not cover it
         return f"No certificate: {verdict.reason}."
     if bool(verdict.certified.all()):
         return "Theorem 1 certifies the study's loop in continuous time, for every value of its laws."
@@ -55,6 +55,7 @@ class FlightFolder:
     """
 
     def __init__(self, study: Study, premises: Premises | None = None) -> None:
+        """Trace the controllers and, if there are any, the software on board and the monitor."""
         study = study.without_sweep()
         study.require_single_laws()
         self.code = FlightCode(study, sampled_controllers(study), certificate_sentence(study))
@@ -66,19 +67,22 @@ class FlightFolder:
         """Contents of the text files by name."""
         name = self.code.name
         study = self.code.study.name
-        software = {} if self.software is None else software_texts(self.software, study)
-        monitor = {} if self.monitor is None else monitor_texts(self.monitor, study)
-        sections = [] if self.software is None else software_lines(self.software)
-        sections += [] if self.monitor is None else monitor_lines(self.monitor)
-        additional_texts = software | monitor
-        includes = [f"include {file}" for file in additional_texts if file.endswith(".mk")]
-        return additional_texts | {
+        further_texts: dict[str, str] = {}
+        further_sections: list[str] = []
+        if self.software is not None:
+            further_texts |= software_texts(self.software, study)
+            further_sections += software_lines(self.software)
+        if self.monitor is not None:
+            further_texts |= monitor_texts(self.monitor, study)
+            further_sections += monitor_lines(self.monitor)
+        includes = [f"include {file}" for file in further_texts if file.endswith(".mk")]
+        return further_texts | {
             f"{name}_controller.h": header_text(self.code),
             f"{name}_controller.c": source_text(self.code),
             "bench.c": fill("bench.c", same_bits=template_text("same_bits.c"), hostile=template_text("hostile.c")),
             "bench_channels.h": channels_text(self.code),
             "Makefile": fill("Makefile", name=name, includes=includes),
-            "README.md": readme_text(self.code, sections),
+            "README.md": readme_text(self.code, further_sections),
         }
 
     def fmu(self) -> ControllerFmu:
@@ -114,11 +118,18 @@ class FlightFolder:
         return self._with_config_errors(recording_bytes(SOFTWARE, flights, self.code.precision))
 
     def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
-        """Numbers of draws and samples to record; raises ConfigError if one is below 1."""
-        for name, count in (("draws", draws), ("samples", samples or 1)):
+        """Numbers of draws and of samples to record; arguments as for :meth:`recording`.
+
+        Raises:
+            ConfigError: A number is below 1.
+        """
+        study = self.code.study
+        if not samples:  # None or 0
+            samples = min(RECORDED_SAMPLES, study.loop.steps)
+        for name, count in (("draws", draws), ("samples", samples)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
-        return min(draws, self.code.study.config.draws), samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
+        return min(draws, study.config.draws), samples
 
     def _with_config_errors(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         """The parts of a recording, with a ConfigError where the lane has no strict machine code."""
@@ -129,16 +140,20 @@ class FlightFolder:
 
     def summary(self) -> dict[str, Json]:
         """The JSON object of ``dssc-jax code --json``: the channels with their names in C and their cost."""
-        return {
-            "study": self.code.study.name,
-            "hash": self.code.study.hash,
+        study = self.code.study
+        summary: dict[str, Json] = {
+            "study": study.name,
+            "hash": study.hash,
             "precision": self.code.precision,
-            "sample_time": self.code.study.loop.sample_time,
+            "sample_time": study.loop.sample_time,
             "certificate": self.code.certificate,
             "channels": [channel_summary(controller) for controller in self.code.controllers],
-            **({} if self.monitor is None else {"monitor": monitor_summary(self.monitor)}),
-            **({} if self.software is None else {"inner_loop": {"prefix": self.software.software.prefix}}),
         }
+        if self.monitor is not None:
+            summary["monitor"] = monitor_summary(self.monitor)
+        if self.software is not None:
+            summary["inner_loop"] = {"prefix": self.software.software.prefix}
+        return summary
 
 
 def monitor_summary(monitor: TracedMonitor) -> dict[str, Json]:

@@ -51,26 +51,26 @@ def declarations(study: Study, controller: SampledController) -> str:
     """The declarations in C of the structures and functions of one channel."""
     units = study.units[controller.index]
     command = units.command
-    rates = (units.output, f"{units.output}/s", f"{units.output}/s^2")
+    reference_units = (units.output, f"{units.output}/s", f"{units.output}/s^2")
     command_comments = (f"{command}, robust", f"{command}, nominal", f"{command}, u + u_n (11)")
-    parameter_comments = {
-        parameter.name: parameter_comment(number, parameter)
-        for number, parameter in enumerate(controller.parameters, start=1)
-    }
+    parameter_comments = {}
+    for number, parameter in enumerate(controller.parameters, start=1):
+        parameter_comments[parameter.name] = parameter_comment(number, parameter)
 
-    def members(comments: Iterable[tuple[str, str]]) -> list[str]:
-        """The members of a structure of numbers; C has no empty structures."""
-        return [member_text(controller.c_real, *pair) for pair in comments or [("unused", "there is none")]]
+    def members(comments: dict[str, str]) -> list[str]:
+        """The members of a structure of numbers, each with its comment; C has no empty structures."""
+        comments = comments or {"unused": "there is none"}
+        return [member_text(controller.c_real, name, explanation) for name, explanation in comments.items()]
 
     return fill(
         "channel.h",
         name=controller.prefix,
-        parameters=members(parameter_comments.items()),
-        measurement=members((signal.name, signal.unit) for signal in controller.measured_signals),
-        reference=members(zip(ReferencePoint._fields, rates, strict=True)),
-        command=members(zip(COMMAND, command_comments, strict=True)),
-        state=members([(state, "") for state in controller.states]),
-        telemetry=members([(info, "") for info in controller.infos]),
+        parameters=members(parameter_comments),
+        measurement=members({signal.name: signal.unit for signal in controller.measured_signals}),
+        reference=members(dict(zip(ReferencePoint._fields, reference_units, strict=True))),
+        command=members(dict(zip(COMMAND, command_comments, strict=True))),
+        state=members(dict.fromkeys(controller.states, "")),
+        telemetry=members(dict.fromkeys(controller.infos, "")),
         angle=ANGLE_NOTE if is_angle(study, controller) else "",
         transfer=transfer_declaration(controller),
     )
@@ -104,12 +104,12 @@ def transfer_declaration(controller: SampledController) -> str:
     )
 
 
-def readme_text(code: FlightCode, monitor: Iterable[str]) -> str:
+def readme_text(code: FlightCode, further_sections: Iterable[str]) -> str:
     """``README.md`` of the folder of generated code.
 
     Args:
         code: The controllers.
-        monitor: Lines of the sections on software on board and on the monitor.
+        further_sections: Lines of the sections on software on board and on the monitor.
     """
     return fill(
         "README.md",
@@ -121,7 +121,7 @@ def readme_text(code: FlightCode, monitor: Iterable[str]) -> str:
         certificate=code.certificate,
         channels=[channel_item(code.study, controller) for controller in code.controllers],
         not_generated=[f"* {part}" for part in missing_parts(code.study)],
-        monitor=monitor,
+        monitor=further_sections,
     )
 
 

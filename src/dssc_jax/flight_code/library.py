@@ -27,38 +27,54 @@ def description_text(code: FlightCode) -> str:
 def channel_text(code: FlightCode, controller: SampledController) -> str:
     """The tables and the description of one channel's controller in C."""
     name = controller.prefix
+    tables = {
+        "parameter": parameter_rows(controller),
+        "telemetry": telemetry_rows(code, controller),
+        "measured": measured_rows(controller),
+    }
+    table_arguments = {kind: table_argument(f"{name}_{kind}_table", rows) for kind, rows in tables.items()}
+    return fill(
+        "description_channel.c",
+        name=name,
+        sample_time=c_literal(DOUBLE.type(code.study.loop.sample_time), DOUBLE),
+        tables=[line for kind, rows in tables.items() for line in table_lines(f"{name}_{kind}_table", rows)],
+        parameters=table_arguments["parameter"],
+        telemetry=table_arguments["telemetry"],
+        measured=table_arguments["measured"],
+    )
+
+
+def parameter_rows(controller: SampledController) -> list[str]:
+    """The rows in C of the table of parameters: unit, meaning, least and greatest value of each."""
     computed_quantity = Quantity("", "computed from the study")
-    parameter_rows: list[str] = []
+    rows = []
     for parameter in read_parameters(controller):
         quantity = parameter.quantity or computed_quantity
         low, high = limits(quantity, controller.real)
         texts = f"{c_string(quantity.unit)}, {c_string(quantity.meaning)}"
-        parameter_rows.append(f"DSSC_JAX_PARAMETER({name}, {parameter.name}, {texts}, {low}, {high})")
+        rows.append(f"DSSC_JAX_PARAMETER({controller.prefix}, {parameter.name}, {texts}, {low}, {high})")
+    return rows
+
+
+def telemetry_rows(code: FlightCode, controller: SampledController) -> list[str]:
+    """The rows in C of the table of telemetry: unit and meaning of each number."""
     info_quantities = quantities_of(code.study.loop.controller[controller.index].info)
     units = code.study.units[controller.index]
-    telemetry_rows: list[str] = []
+    rows = []
     for info in controller.infos:
         quantity = info_quantities.get(info, Quantity("1", info))
         texts = f"{c_string(units.of(quantity.unit))}, {c_string(quantity.meaning)}"
-        telemetry_rows.append(f"DSSC_JAX_TELEMETRY({name}, {info}, {texts})")
-    measured_rows: list[str] = []
+        rows.append(f"DSSC_JAX_TELEMETRY({controller.prefix}, {info}, {texts})")
+    return rows
+
+
+def measured_rows(controller: SampledController) -> list[str]:
+    """The rows in C of the table of measured signals beside y and y': name in the study, unit and meaning of each."""
+    rows = []
     for signal in controller.measured_signals[len(OF_CHANNEL) :]:
         texts = f"{c_string(signal.signal)}, {c_string(signal.unit)}, {c_string(signal.meaning)}"
-        measured_rows.append(f"DSSC_JAX_MEASURED({name}, {signal.name}, {texts})")
-    sample_time = c_literal(DOUBLE.type(code.study.loop.sample_time), DOUBLE)
-    return fill(
-        "description_channel.c",
-        name=name,
-        sample_time=sample_time,
-        tables=[
-            *table_lines(f"{name}_parameter_table", parameter_rows),
-            *table_lines(f"{name}_telemetry_table", telemetry_rows),
-            *table_lines(f"{name}_measured_table", measured_rows),
-        ],
-        parameters=table_argument(f"{name}_parameter_table", parameter_rows),
-        telemetry=table_argument(f"{name}_telemetry_table", telemetry_rows),
-        measured=table_argument(f"{name}_measured_table", measured_rows),
-    )
+        rows.append(f"DSSC_JAX_MEASURED({controller.prefix}, {signal.name}, {texts})")
+    return rows
 
 
 def read_parameters(controller: SampledController) -> list[Parameter]:
@@ -75,7 +91,7 @@ def table_lines(name: str, rows: Sequence[str]) -> list[str]:
 
 
 def table_argument(name: str, rows: Sequence[str]) -> str:
-    """The arguments in C for a table: the table and its length."""
+    """The arguments in C for a table: the table and its length; NULL and 0 for a table without rows."""
     return f"{name}, DSSC_JAX_COUNT({name})" if rows else "NULL, 0"
 
 

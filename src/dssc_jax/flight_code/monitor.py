@@ -71,10 +71,10 @@ class ChannelMemory(NamedTuple):
 
 
 class MonitorState(NamedTuple):
-    """State of the monitor.
+    """The monitor's state between two samples.
 
     Args:
-        latched: Flags that were raised so far, a bit for each.
+        latched: Flags that were raised so far, a bit for each in the order of ``premises.flags()``.
         sample: Number of the next sample, from 0 on.
         first: Sample at which each flag was first raised, or :data:`NEVER`.
         started: 1 if the start of the flight was compared with its bounds, else 0.
@@ -111,17 +111,21 @@ def initial_monitor(premises: Premises) -> MonitorState:
     memories = []
     for channel in premises.channels:
         disturbance_state = () if channel.disturbance is None else initial_seen(channel.disturbance)
-        memories.append(ChannelMemory(0.0, 0.0, disturbance_state))
-    no_flag = jnp.zeros((), jnp.uint32)
-    no_sample = jnp.full((), NEVER, jnp.int32)
-    first = (no_sample,) * len(premises.flags())
-    return MonitorState(no_flag, jnp.zeros((), jnp.int32), first, 0.0, tuple(memories))
+        memories.append(ChannelMemory(sigma=0.0, gap=0.0, seen=disturbance_state))
+    never = jnp.full((), NEVER, jnp.int32)
+    return MonitorState(
+        latched=jnp.zeros((), jnp.uint32),
+        sample=jnp.zeros((), jnp.int32),
+        first=(never,) * len(premises.flags()),
+        started=0.0,
+        channels=tuple(memories),
+    )
 
 
 def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
     """One sample.
 
-    It is compared with the bounds of the certificate.
+    Its signals are compared with the bounds of the certificate, and the flags of violated bounds are latched.
 
     Args:
         premises: The bounds.
@@ -235,7 +239,7 @@ def is_finite(number: Scalar) -> jax.Array:
 def exceeds(number: Scalar, bound: float) -> jax.Array:
     """Whether a known number is beyond a bound.
 
-    Known means finite; the bound is one of the absolute value.
+    A number is known if it is finite. It is beyond the bound if its absolute value exceeds the bound.
     """
     return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 

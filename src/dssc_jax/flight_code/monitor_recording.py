@@ -33,7 +33,7 @@ Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
 
 
 def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
-    """The monitor's inputs at a simulated sample."""
+    """The monitor's inputs at a simulated sample; () in place of each number that no bound of ``premises`` uses."""
     channels = []
     for channel, controlled, reference in zip(premises.channels, recorded.controlled, recorded.references, strict=True):
         command = () if channel.disturbance is None else controlled.command.total
@@ -73,29 +73,32 @@ def exaggerate(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorS
 def recording_lane(
     study: Study, premises: Premises, samples: int
 ) -> Callable[[dict[str, Scalar], jax.Array], tuple[Row, Row]]:
-    """The program that records a draw: (numbers by name, draw index) -> rows of both flights.
+    """Make the program that records a draw: ``(numbers by name, draw index) -> rows`` of both flights.
 
     Each member of a row is a column of shape (samples,).
     """
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> tuple[Row, Row]:
+        """Simulate a draw with two monitors, and return the rows of both flights."""
         loop = study.loop
         params = study.params(values)
         key = draw_key(study.config.seed, index)
         advance = held_between_samples(loop, params)
 
         def sample(carry: Carry, _: None) -> tuple[Carry, tuple[Row, Row]]:
-            state, k, monitors = carry
+            """Simulate one sample, and show it to one monitor as it is, and to the other exaggerated."""
+            state, k, (plain_monitor, exaggerated_monitor) = carry
             after, recorded = step(loop, params, key, state, k, advance)
             monitor_sample = sample_of(premises, recorded)
-            plain_state, plain_row = monitor_row(premises, monitors[0], monitor_sample)
+            plain_state, plain_row = monitor_row(premises, plain_monitor, monitor_sample)
             exaggerated_sample = exaggerate(premises, monitor_sample, k)
-            exaggerated_state, exaggerated_row = monitor_row(premises, monitors[1], exaggerated_sample)
+            exaggerated_state, exaggerated_row = monitor_row(premises, exaggerated_monitor, exaggerated_sample)
             return (after, k + 1, (plain_state, exaggerated_state)), (plain_row, exaggerated_row)
 
         monitors = (typed(initial_monitor(premises)), typed(initial_monitor(premises)))
-        initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32), monitors)
-        return jax.lax.scan(sample, initial, length=samples)[1]
+        first_sample = jnp.zeros((), jnp.int32)
+        _, rows = jax.lax.scan(sample, (initial_state(loop, params, key), first_sample, monitors), length=samples)
+        return rows
 
     return lane
 

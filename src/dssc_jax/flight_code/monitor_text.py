@@ -10,7 +10,9 @@ from dssc_jax.lanes.c.text import CText, comment
 from dssc_jax.lanes.program import Value
 
 LABEL = "monitor"
+"""Name of the software in words."""
 RECORDING = "monitored.bin"
+"""Name of the file with the bench's recording."""
 LOCAL_NAMES = {"monitor", "seen", "before", "memory", "current", "latched", "sample", "first"}
 """Names in the template files, which no computed variable may have."""
 INPUT_MEANINGS = {
@@ -23,7 +25,7 @@ INPUT_MEANINGS = {
     "tilt": "rad: angle between body z and the vertical",
     "rotor": "N: commanded thrust of a rotor",
 }
-"""Meanings of the numbers of a sample, by the end of their names."""
+"""Meanings of the numbers of a sample, by the end of their names; a rotor's number follows its name."""
 
 
 def monitor_texts(monitor: TracedMonitor, study: str) -> dict[str, str]:
@@ -54,7 +56,7 @@ def file_comment(monitor: TracedMonitor, study: str) -> list[str]:
 
 
 def flag_name(monitor: TracedMonitor, name: str) -> str:
-    """Name of the constant in C with a flag's bit."""
+    """Name of the constant in C with a flag's bit, from the flag's name."""
     return f"{monitor.prefix}_{name}".upper()
 
 
@@ -86,10 +88,10 @@ def input_meaning(name: str) -> str:
 
 def source_text(monitor: TracedMonitor, study: str) -> str:
     """The source of the monitor: its start and its step."""
-    count = len(monitor.premises.flags())
-    firsts = [f"first[{bit}]" for bit in range(count)]
+    flag_count = len(monitor.premises.flags())
+    first_samples = [f"first[{bit}]" for bit in range(flag_count)]
     memories = [f"memory.{name}" for name in monitor.memories]
-    members = ["latched", "sample", *firsts, *memories]
+    members = ["latched", "sample", *first_samples, *memories]  # in the order of MonitorState's leaves
     inputs = [*(f"before.{member}" for member in members), *(f"seen->{name}" for name in monitor.inputs)]
     function = CText(monitor.step.program, monitor.step.origins, inputs, monitor.real, LOCAL_NAMES)
     outputs = [output for output in monitor.step.program.outputs if isinstance(output, Value)]
@@ -114,13 +116,13 @@ def replay_bench(monitor: TracedMonitor) -> ReplayBench:
     name = monitor.prefix
     advance = [
         f"{name}_sample seen;",
-        *(f"seen.{member} = row[{place}];" for place, member in enumerate(monitor.inputs)),
+        *(f"seen.{member} = row[{position}];" for position, member in enumerate(monitor.inputs)),
         "if (k == 0) {",
         f"    {name}_init(held);",
         "}",
         f"results[0] = (real){name}_step(held, &seen);",
         "results[1] = (real)held->latched;",
-        *(f"results[{place}] = held->memory.{memory};" for place, memory in enumerate(monitor.memories, start=2)),
+        *(f"results[{position}] = held->memory.{memory};" for position, memory in enumerate(monitor.memories, start=2)),
         "return held->latched;",
     ]
     results = ("current", "latched", *monitor.memories)

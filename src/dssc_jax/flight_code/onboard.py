@@ -26,7 +26,10 @@ from dssc_jax.study import Study
 
 @dataclass(frozen=True)
 class TracedSoftware:
-    """Traced software on board. The first inputs of each function are parameters, laws and readings.
+    """Traced software on board.
+
+    The first inputs of each function are the parameters, the numbers with laws and the readings, in this order; they
+    are the dots below.
 
     Args:
         prefix: Prefix of its functions and types in C.
@@ -72,8 +75,8 @@ class TracedSoftware:
 
 
 def without_software(software: Onboard, state: State) -> State:
-    """The plant's state with () in place of the software's part, which leaves the software's measurements."""
-    return software.holding(state, ())
+    """The plant's state without the software's part, which leaves the software's measurements."""
+    return software.holding(state, ())  # (): nothing held
 
 
 def traced_software(study: Study, name: str) -> TracedSoftware | None:
@@ -95,6 +98,8 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     keys = [parameter.key for parameter in parameters]
     laws = tuple(sorted(set(study.laws).difference(keys)))
     count = len(loop.channels)
+
+    # Generated C would repeat docstrings of these functions; TracedSoftware tells what the last four compute.
 
     def params_of(values: Sequence[Scalar]) -> Any:
         return study.params(dict(zip((*keys, *laws), values, strict=True))).plant
@@ -119,11 +124,11 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         with arithmetic(study.config.loop.precision):
             number = jax.ShapeDtypeStruct((), jnp.result_type(float))
             values = (number,) * (len(keys) + len(laws))
-            plant_state = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
+            plant_state = jax.eval_shape(lambda numbers: as_arrays(loop.plant.init(params_of(numbers))), values)
             estimation = loop.mimo_plant.estimation
             if estimation is not None and estimation.is_enabled(study.template.plant):
                 plant_state = jax.eval_shape(
-                    lambda at: as_arrays(estimation.estimated_state(study.template.plant, at)), plant_state
+                    lambda state: as_arrays(estimation.estimated_state(study.template.plant, state)), plant_state
                 )
             readings = jax.tree.map(lambda leaf: number, without_software(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))
@@ -141,7 +146,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     command_names = member_names(channel or "command" for channel in loop.channels)
     reading_names = leaf_names(readings)
-    directions = []
+    directions = []  # the components of a field's vector are named FIELD_1, FIELD_2, ...
     for field in software.directions:
         directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
     return TracedSoftware(
@@ -166,14 +171,17 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
 
 def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:
     """The numbers of the software that may be changed in flight."""
+    gains, *_ = software.tunable or ("",)  # the field with the gains comes first
 
-    def selects(path: str) -> bool:
-        slot, field, *_ = [*path.split("."), ""]
+    def is_tunable(path: str) -> bool:
+        """Whether a number of the loop belongs to a tunable field of the plant; a path is SLOT.FIELD..."""
+        slot, _, path_in_slot = path.partition(".")
+        field = path_in_slot.partition(".")[0]
         return slot == "plant" and field in software.tunable
 
-    def name(key: str) -> str:
+    def name_in_c(key: str) -> str:
         """The name in C of a number: its path without the plant and, for gains, without their field."""
         _, field, *fields = key.split(".")
-        return "_".join(fields if field == software.tunable[0] else [field, *fields])
+        return "_".join(fields if field == gains else [field, *fields])
 
-    return loop_parameters(study, selects, name)
+    return loop_parameters(study, is_tunable, name_in_c)

@@ -19,15 +19,16 @@ from dssc_jax.flight_code.replay_bench import recorded_columns
 from dssc_jax.study import Study
 
 NO_FLAGS = 0.0
+"""The flags of a tick without a fault, as a number of a row."""
 
 Row: TypeAlias = tuple[Scalar, ...]
-"""Readings, commands, parameters with a law, flags (none) and states after one tick."""
+"""Numbers of one tick: readings, commands and parameters with a law; then the results: no flags, and the states."""
 
 
 def recording_lane(
     study: Study, traced: TracedSoftware, samples: int
 ) -> Callable[[dict[str, Scalar], jax.Array], list[Row]]:
-    """The program that records a draw: (numbers by name, draw index) -> a row for each tick of a sample.
+    """Make the program that records a draw: ``(numbers by name, draw index) -> rows``, one for each tick of a sample.
 
     Each member of a row is a column of shape (samples,).
     """
@@ -37,6 +38,7 @@ def recording_lane(
     assert software is not None
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> list[Row]:
+        """Simulate a draw, and return the rows of its ticks."""
         params = study.params(values)
         key = draw_key(study.config.seed, index)
         real = jnp.result_type(float)
@@ -48,24 +50,28 @@ def recording_lane(
             return without_software(software, estimated_state)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], list[Row]]:
+            """Simulate one sample of the loop, and record each of its ticks."""
             state, k = carry
             rows: list[Row] = []
 
-            def observe(earlier: State, drive: PlantInput, after: State) -> None:
+            def record_tick(earlier: State, drive: PlantInput, after: State) -> None:
+                """Add the row of a tick, between two states of the plant."""
                 readings = jax.tree.leaves(measured_state(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 gains = (values[key] for key in uncertain)
                 row = (*readings, *commands, *gains, NO_FLAGS, *jax.tree.leaves(software.held(after)))
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
 
-            advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, observe)
-            following = step(loop, params, key, state, k, advance)[0]
+            advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, record_tick)
+            following, _ = step(loop, params, key, state, k, advance)
             return (following, k + 1), rows
 
         start = initial_state(loop, params, key)
-        held = software.start(params.plant, measured_state(start.plant), None)  # as in C, which never settles
+        held = software.start(params.plant, measured_state(start.plant), None)  # None: as in C, it never settles
         start = as_arrays(start._replace(plant=software.holding(start.plant, held)))
-        return jax.lax.scan(sample, (start, jnp.zeros((), jnp.int32)), length=samples)[1]
+        first_sample = jnp.zeros((), jnp.int32)
+        _, rows = jax.lax.scan(sample, (start, first_sample), length=samples)
+        return rows
 
     return lane
 
@@ -78,7 +84,9 @@ def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: in
     lane = recording_lane(study, traced, samples)
     constants = {parameter.key: parameter.value for parameter in traced.parameters}
     for _, ticks in recorded_columns(study, lane, draws, constants):
-        tick_rows = [np.stack(columns, axis=1) for columns in ticks]
-        rows = np.stack(tick_rows, axis=1).reshape(-1, tick_rows[0].shape[1])
+        rows_of_ticks = [np.stack(columns, axis=1) for columns in ticks]  # (samples, numbers) for each tick of a sample
+        _, numbers = rows_of_ticks[0].shape
+        rows = np.stack(rows_of_ticks, axis=1).reshape(-1, numbers)
         is_finite = np.isfinite(rows).all(axis=1)
-        yield rows if is_finite.all() else rows[: int(np.argmin(is_finite))]
+        first_unknown = len(rows) if is_finite.all() else int(np.argmin(is_finite))
+        yield rows[:first_unknown]

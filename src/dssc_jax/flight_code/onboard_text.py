@@ -1,6 +1,6 @@
 """The files of software on board: header and source in C99 that is C++ as well, its bench, and the README's section."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
@@ -25,8 +25,11 @@ from dssc_jax.lanes.passes.liveness import read_inputs
 from dssc_jax.lanes.program import Value
 
 LABEL = "inner loop"
+"""Name of the software in words."""
 RECORDING = "inner_loop.bin"
+"""Name of the file with the bench's recording."""
 CARRIED = "carried"
+"""Name in C of the number that tells whether a takeover is possible: 1, or 0 if limits forbid it."""
 LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "driven", "parameters", "p", "flag", CARRIED}
 """Names in the template files, which no computed variable may have."""
 
@@ -50,7 +53,7 @@ class FunctionLines(NamedTuple):
 def write_function(
     software: TracedSoftware, function: TracedFunction, arguments: Sequence[str], extra_outputs: Sequence[str] = ()
 ) -> FunctionLines:
-    """Write the body of one function.
+    """Write the body of one function of the software in C.
 
     Args:
         software: The software.
@@ -61,13 +64,16 @@ def write_function(
     Raises:
         ConfigError: The function reads a number that has a law.
     """
-    read_positions = read_inputs(function.program)
     first_law = len(software.parameters)
     first_reading = first_law + len(software.laws)
-    for place, name in enumerate(software.laws, start=first_law):
-        if place in read_positions:
-            rule = "has a law, and is a constant in the inner loop's C"
-            raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
+    read_positions = read_inputs(function.program)
+    read_parameters = names_at(read_positions, [parameter.name for parameter in software.parameters], first=0)
+    read_laws = names_at(read_positions, software.laws, first_law)
+    read_readings = names_at(read_positions, software.readings, first_reading)
+    if read_laws:
+        name = read_laws[0]
+        rule = "has a law, and is a constant in the inner loop's C"
+        raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
     members = [f"p->{parameter.name}" for parameter in software.parameters]
     readings = [f"seen->{name}" for name in software.readings]
     inputs = [*members, *software.laws, *readings, *arguments]
@@ -75,17 +81,24 @@ def write_function(
     outputs = [output for output in function.program.outputs if isinstance(output, Value)]
     text.compute(outputs)
     text.line("")
-    count = len(software.state_names)
-    for name, output in zip(software.state_names, outputs[:count], strict=True):
+    state_count = len(software.state_names)
+    for name, output in zip(software.state_names, outputs[:state_count], strict=True):
         text.line(f"updated.{name} = {text.read(output)};")
-    for name, output in zip(extra_outputs, outputs[count:], strict=True):
+    for name, output in zip(extra_outputs, outputs[state_count:], strict=True):
         text.line(f"const {c_type(software.real)} {name} = {text.read(output)};")
-    parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in read_positions]
-    needed_readings = [
-        name for place, name in enumerate(software.readings, start=first_reading) if place in read_positions
-    ]
     definitions = [*text.tables, *text.notation.helpers(), *text.functions.values()]
-    return FunctionLines(text.lines, parameters, needed_readings, definitions)
+    return FunctionLines(text.lines, read_parameters, read_readings, definitions)
+
+
+def names_at(read_positions: Set[int], names: Sequence[str], first: int) -> list[str]:
+    """The names of a function's inputs that the function reads.
+
+    Args:
+        read_positions: Positions of the inputs that it reads.
+        names: Names of consecutive inputs.
+        first: Position of the first of them.
+    """
+    return [name for position, name in enumerate(names, start=first) if position in read_positions]
 
 
 class SoftwareFiles(NamedTuple):
@@ -140,9 +153,17 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         files: The software.
         study: Name of the study.
     """
-    software = files.software
-    real = c_type(software.real)
-    name = software.prefix
+    name = files.software.prefix
+    remarks = file_comment(files.software, study)
+    return {
+        f"{name}.h": header_file(name, remarks, declarations(files)),
+        f"{name}.c": source_file(LABEL, f"{name}.h", remarks, source_body(files)),
+        **bench_files(replay_bench(files), RECORDING),
+    }
+
+
+def file_comment(software: TracedSoftware, study: str) -> list[str]:
+    """The lines of the first comment of header and source; ``study`` is the study's name."""
     sentences = [
         f"Inner loop and mixer of the study {study}, generated by dssc-jax code. Do not edit: generate it again.",
         f"A tick every {software.period:g} s, {software.ticks} in a sample. Gains are parameters.",
@@ -150,34 +171,41 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
     ]
     sentences += [sentence.replace("`", "") for sentence in software.outputs]
-    remarks = [line for sentence in sentences for line in comment(sentence)]
-    definitions = dict.fromkeys(text for function in files.functions for text in function.definitions)
-    readings = [f"seen->{reading}" for reading in files.readings]
-    commands = [f"wanted->{command}" for command in software.commands]
-    lengths = []
-    for direction in software.directions:
-        if set(direction) <= set(files.readings):
-            lengths.append(unit_length_condition([f"seen->{reading}" for reading in direction], software.real))
-    comments = [parameter_comment(number, parameter) for number, parameter in enumerate(files.parameters, start=1)]
-    members = zip(files.parameters, comments, strict=True)
-    declarations = fill(
+    return [line for sentence in sentences for line in comment(sentence)]
+
+
+def declarations(files: SoftwareFiles) -> str:
+    """The declarations of the header: the structures and functions of the software."""
+    software = files.software
+    real = c_type(software.real)
+    parameters = []
+    for number, parameter in enumerate(files.parameters, start=1):
+        parameters.append(member_text(real, parameter.name, parameter_comment(number, parameter)))
+    return fill(
         "inner_loop.h",
-        name=name,
-        parameters=[member_text(real, parameter.name, text) for parameter, text in members] or f"{real} unused;",
+        name=software.prefix,
+        parameters=parameters or f"{real} unused;",
         readings=[f"{real} {reading};" for reading in files.readings],
         commands=[f"{real} {command};" for command in software.commands],
         held=[f"{real} {member};" for member in software.state_names],
         ticks=str(software.ticks),
-        length_error=f"{100.0 * LENGTH_ERROR:g}",
+        length_error=f"{100.0 * LENGTH_ERROR:g}",  # in per cent
         transfer="" if files.transfer is None else transfer_declaration(software),
     )
-    body = fill(
+
+
+def source_body(files: SoftwareFiles) -> str:
+    """The definitions of the source: tables, helpers and the functions of the software."""
+    software = files.software
+    name = software.prefix
+    definitions = dict.fromkeys(text for function in files.functions for text in function.definitions)  # each once
+    return fill(
         "inner_loop.c",
         name=name,
         is_finite=finite_function(software.real),
         definitions=joined_definitions(definitions),
-        readings_valid="\n        && ".join([finite_condition(readings), *lengths]),
-        commands_finite=finite_condition(commands),
+        readings_valid=valid_readings_condition(files),
+        commands_finite=finite_condition([f"wanted->{command}" for command in software.commands]),
         held_finite=finite_condition([f"updated.{member}" for member in software.state_names]),
         parameters=assignment_lines("inner_loop->parameters", files.parameters, software.real),
         checks=check_lines(files.parameters, software.real),
@@ -186,15 +214,20 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         tick=body_lines(files.tick, name),
         transfer="" if files.transfer is None else transfer_definition(files.transfer, software),
     )
-    return {
-        f"{name}.h": header_file(name, remarks, declarations),
-        f"{name}.c": source_file(LABEL, f"{name}.h", remarks, body),
-        **bench_files(replay_bench(files), RECORDING),
-    }
+
+
+def valid_readings_condition(files: SoftwareFiles) -> str:
+    """The condition in C that all readings are finite, and that vectors of length 1 have this length."""
+    conditions = [finite_condition([f"seen->{reading}" for reading in files.readings])]
+    for direction in files.software.directions:
+        if set(direction) <= set(files.readings):
+            components = [f"seen->{reading}" for reading in direction]
+            conditions.append(unit_length_condition(components, files.software.real))
+    return "\n        && ".join(conditions)
 
 
 def body_lines(function: FunctionLines, name: str) -> list[str]:
-    """The body of a function, with the pointer to its parameters; the argument ``seen`` may be unused.
+    """The lines of a function's body with their first lines, which C needs: the pointer p, and a use of ``seen``.
 
     Args:
         function: The function.
@@ -226,29 +259,55 @@ def transfer_definition(function: FunctionLines, software: TracedSoftware) -> st
 
 
 def replay_bench(files: SoftwareFiles) -> ReplayBench:
-    """The bench of the software, whose rows are ticks; a row has all readings, even those that no function reads."""
+    """The bench of the software, whose rows are ticks.
+
+    A row has the inputs readings, commands and uncertain parameters, also those that no function reads; then the
+    results.
+    """
+    software = files.software
+    uncertain = [parameter.name for parameter in software.parameters if parameter.uncertain]
+    disturbance_lines = [
+        "real *const numbers = (real *)&held->parameters;",
+        "numbers[random_bits() % (sizeof held->parameters / sizeof(real))] = hostile_number();",
+    ]
+    return ReplayBench(
+        label=LABEL,
+        prefix=software.prefix,
+        precision=software.precision,
+        row="tick",
+        inputs=len(software.readings) + len(software.commands) + len(uncertain),
+        results=("flags", *software.state_names),
+        advance=advance_lines(files, uncertain),
+        disturb=disturbance_lines,
+        stays_finite=True,
+        shows_arithmetic=True,
+    )
+
+
+def advance_lines(files: SoftwareFiles, uncertain: Sequence[str]) -> list[str]:
+    """Statements in C that call the software for a row of the bench, which begins with its start.
+
+    Args:
+        files: The software.
+        uncertain: Names of the parameters that a row has.
+    """
     software = files.software
     name = software.prefix
-    count = len(software.readings)
-    needed_readings = [(place, reading) for place, reading in enumerate(software.readings) if reading in files.readings]
-    reading_assignments = [f"seen.{reading} = row[{place}];" for place, reading in needed_readings]
-    uncertain = [parameter.name for parameter in software.parameters if parameter.uncertain]
-    inputs = count + len(software.commands) + len(uncertain)
-    needed_parameters = {parameter.name for parameter in files.parameters}
-    parameter_assignments = [
-        f"held->parameters.{parameter} = row[{place}];"
-        for place, parameter in enumerate(uncertain, start=count + len(software.commands))
-        if parameter in needed_parameters
-    ]
-    advance = [
+    first_command = len(software.readings)
+    first_parameter = first_command + len(software.commands)
+    read_parameters = {parameter.name for parameter in files.parameters}
+    readings = [f"seen.{reading}" if reading in files.readings else "" for reading in software.readings]
+    commands = [f"wanted.{command}" for command in software.commands]
+    parameters = [f"held->parameters.{parameter}" if parameter in read_parameters else "" for parameter in uncertain]
+    return [
         f"{name}_readings seen;",
         f"{name}_commands wanted;",
         "uint32_t flags = 0;",
-        *reading_assignments,
-        *(f"wanted.{command} = row[{place}];" for place, command in enumerate(software.commands, start=count)),
+        *row_assignments(readings, first=0),
+        *row_assignments(commands, first_command),
         "if (k == 0) {",
         f"    {name}_init(held);",
-        *(f"    {line}" for line in parameter_assignments),
+        *(f"    {line}" for line in row_assignments(parameters, first_parameter)),
         f"    flags |= {name}_start(held, &seen);",
         "}",
         f"if (k % {software.ticks} == 0) {{",
@@ -256,26 +315,19 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
         "}",
         f"flags |= {name}_tick(held, &seen);",
         "results[0] = (real)flags;",
-        *(f"results[{place}] = held->{member};" for place, member in enumerate(software.state_names, start=1)),
+        *(f"results[{position}] = held->{member};" for position, member in enumerate(software.state_names, start=1)),
         "return flags;",
     ]
-    disturbance_lines = [
-        "real *const numbers = (real *)&held->parameters;",
-        "numbers[random_bits() % (sizeof held->parameters / sizeof(real))] = hostile_number();",
-    ]
-    results = ("flags", *software.state_names)
-    return ReplayBench(
-        label=LABEL,
-        prefix=name,
-        precision=software.precision,
-        row="tick",
-        inputs=inputs,
-        results=results,
-        advance=advance,
-        disturb=disturbance_lines,
-        stays_finite=True,
-        shows_arithmetic=True,
-    )
+
+
+def row_assignments(members: Sequence[str], first: int) -> list[str]:
+    """Statements in C that assign consecutive numbers of a row.
+
+    Args:
+        members: What gets each number; empty: nothing gets it.
+        first: Position of the first number in the row.
+    """
+    return [f"{member} = row[{position}];" for position, member in enumerate(members, start=first) if member]
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:

@@ -48,15 +48,15 @@ def loop_parameters(
             it.
         units: Units of y and u, for numbers that the study computes.
     """
-    names = {path: name_in_study for name_in_study, number in study.numbers.items() for path in number.paths}
+    number_of_path = {path: number for number in study.numbers.values() for path in number.paths}
     leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:
         dotted_path = keystr(path, simple=True, separator=".")
         if not selects(dotted_path) or not isinstance(leaf, float | UncertainValue):
             continue
-        number = study.numbers.get(names.get(dotted_path, ""))
-        if number is not None and not number.quantity.law:
+        number = number_of_path.get(dotted_path)  # None: the study computes it
+        if number is not None and not number.quantity.law:  # it decides the shape of the program
             continue
         key = dotted_path if number is None else number.name
         quantity = declared_quantity(study.template, dotted_path, units) if number is None else number.quantity
@@ -71,21 +71,21 @@ def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity |
     """The quantity that the field of a number declares, by the number's dotted path in ``params``.
 
     Returns:
-        The quantity in the units of a channel; None if the field declares none, as that of a matrix.
+        The quantity in the units of a channel; None if the field declares none, as the field of a matrix.
     """
     quantity = None
     node = params
-    for step in path.split("."):
-        if step.isdecimal():
-            node = node[int(step)]
+    for name in path.split("."):
+        if name.isdecimal():  # a position in a tuple
+            node = node[int(name)]
         else:
-            quantity = quantities_of(type(node)).get(step)
-            node = getattr(node, step)
+            quantity = quantities_of(type(node)).get(name)
+            node = getattr(node, name)
     return None if quantity is None else replace(quantity, unit=units.of(quantity.unit))
 
 
 def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """Numbers of some draws by their keys in ``Study.params``, shape (draws,) each.
+    """The numbers that some draws have, by their keys in ``Study.params``; a column of shape (draws,) for each.
 
     Args:
         study: The study.
@@ -109,8 +109,13 @@ def parameter_comment(number: int, parameter: Parameter) -> str:
 
 def assignment_lines(structure: str, parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
     """Statements in C that assign the study's values to the members of a structure."""
-    literals = {parameter.name: c_literal(real.type(parameter.value), real) for parameter in parameters}
-    return [f"{structure}.{name} = {literal};" for name, literal in (literals or {"unused": "0"}).items()]
+    if not parameters:  # C has no empty structures
+        return [f"{structure}.unused = 0;"]
+    lines = []
+    for parameter in parameters:
+        literal = c_literal(real.type(parameter.value), real)
+        lines.append(f"{structure}.{parameter.name} = {literal};")
+    return lines
 
 
 def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
@@ -123,7 +128,7 @@ def check_lines(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
 
 
 def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
-    """Conditions in C that all admissible values of a parameter satisfy, and no others; NaN is not admissible."""
+    """Conditions in C that hold for exactly the admissible values of a parameter; NaN is not admissible."""
     member = f"parameters->{parameter.name}"
     conditions = [f"is_finite({member})"]
     quantity = parameter.quantity

@@ -73,7 +73,9 @@ class ChannelPremises:
 
     def flags(self) -> list[Flag]:
         """The channel's flags, in the order of their bits."""
-        y, rate, change = (self.units.of(symbol) for symbol in ("y", "y/s", "y/s^2"))
+        y = self.units.of("y")
+        rate = self.units.of("y/s")
+        change = self.units.of("y/s^2")  # of sigma'
         place = f" of {self.label}" if self.label else ""
         channel_flags = [Flag("e", f"|e|{place} exceeds {self.e:.4g} {y}, the certificate's bound.")]
         if self.e_dot is not None:
@@ -143,21 +145,27 @@ class Premises:
     def rounded(self, real: np.dtype) -> "Premises":
         """The same premises with bounds in another dtype, each rounded outwards."""
         channels = tuple(rounded_channel(channel, real) for channel in self.channels)
-        plane = self.plane_start and (rounded_up(self.plane_start[0], real), rounded_up(self.plane_start[1], real))
+        plane_start = None
+        if self.plane_start is not None:
+            distance, speed = self.plane_start
+            plane_start = (rounded_up(distance, real), rounded_up(speed, real))
         tilt = None if self.tilt is None else rounded_up(self.tilt, real)
-        rotors = self.rotors and rounded_outwards(self.rotors, real)
-        return replace(self, channels=channels, plane_start=plane, tilt=tilt, rotors=rotors)
+        rotors = None if self.rotors is None else rounded_outwards(self.rotors, real)
+        return replace(self, channels=channels, plane_start=plane_start, tilt=tilt, rotors=rotors)
 
 
 def rounded_up(value: float, real: np.dtype) -> float:
     """The smallest number of a dtype that is not below a value."""
     nearest = real.type(value)
-    return float(nearest if float(nearest) >= value else np.nextafter(nearest, real.type(np.inf)))
+    if float(nearest) >= value:
+        return float(nearest)
+    return float(np.nextafter(nearest, real.type(np.inf)))
 
 
 def rounded_outwards(interval: Interval, real: np.dtype) -> Interval:
     """The smallest interval with ends of a dtype that contains an interval."""
-    return -rounded_up(-interval[0], real), rounded_up(interval[1], real)
+    low, high = interval
+    return -rounded_up(-low, real), rounded_up(high, real)
 
 
 def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
@@ -171,7 +179,10 @@ def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises
             k_p=rounded_outwards(disturbance.k_p, real),
             a_p=rounded_outwards(disturbance.a_p, real),
         )
-    start = channel.start and (rounded_outwards(channel.start[0], real), rounded_outwards(channel.start[1], real))
+    start = None
+    if channel.start is not None:
+        e, e_dot = channel.start
+        start = (rounded_outwards(e, real), rounded_outwards(e_dot, real))
     return replace(
         channel,
         e=rounded_up(channel.e, real),

@@ -21,6 +21,7 @@ from dssc_jax.flight_code.replay_bench import recorded_columns
 from dssc_jax.study import Study
 
 MAGIC = b"dssc-jax recording 1"
+"""Bytes with which a recording begins."""
 
 Rows: TypeAlias = list[tuple[Scalar, ...]]
 """A row for each channel."""
@@ -42,19 +43,21 @@ class RecordedDraw(NamedTuple):
 
 
 def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], jax.Array], Rows]:
-    """The program that records a draw: (numbers by name, draw index) -> a row for each channel.
+    """Make the program that records a draw: ``(numbers by name, draw index) -> a row for each channel``.
 
     Each member of a row is a column of shape (samples,).
     """
-    signals = takes_signals(study)
+    has_signals = takes_signals(study)
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> Rows:
+        """Simulate a draw, and return the rows of its channels."""
         loop = study.loop
         params = study.params(values)
         key = draw_key(study.config.seed, index)
         advance = held_between_samples(loop, params)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], Rows]:
+            """Simulate one sample, and record signals, command, state and telemetry of each channel."""
             state, k = carry
             after, recorded = step(loop, params, key, state, k, advance)
             rows = []
@@ -63,13 +66,14 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             ):
                 command = command_parts(controlled.command)
                 results = jax.tree.leaves((channel.control, controlled.info))
-                reading = controlled.reading if signals else controlled.reading._replace(signals=())
+                reading = controlled.reading if has_signals else controlled.reading._replace(signals=())
                 rows.append((*jax.tree.leaves(reading), *reference, *command, *results))
             real = jnp.result_type(float)
             return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)
 
-        initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32))
-        return jax.lax.scan(sample, initial, length=samples)[1]
+        first_sample = jnp.zeros((), jnp.int32)
+        _, rows = jax.lax.scan(sample, (initial_state(loop, params, key), first_sample), length=samples)
+        return rows
 
     return lane
 
@@ -77,7 +81,11 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
 def recorded_draws(
     study: Study, controllers: Sequence[SampledController], draws: int, samples: int
 ) -> Iterator[RecordedDraw]:
-    """Record the first draws of a study in strict arithmetic, channel by channel; raises Unsupported."""
+    """Record the first draws of a study in strict arithmetic, all channels of a draw before the next draw.
+
+    Raises:
+        Unsupported: The loop has no strict machine code.
+    """
     lane = recording_lane(study, samples)
     for values, channels in recorded_columns(study, lane, draws, study_values(controllers)):
         for controller, columns in zip(controllers, channels, strict=True):
@@ -95,7 +103,7 @@ def row_names(controller: SampledController) -> list[str]:
 def recording(draws: Iterator[RecordedDraw], precision: int) -> Iterator[bytes]:
     """The bytes of recorded draws for the bench, little-endian; each begins with its channel and number of samples."""
     real = np.dtype(f"<f{precision // 8}")
-    yield MAGIC + bytes([precision]) + bytes(3)
+    yield MAGIC + bytes([precision]) + bytes(3)  # three zeros, so that words of 4 bytes follow in their places
     for draw in draws:
         yield np.array([draw.channel, len(draw.rows)], "<u4").tobytes()
         yield draw.parameters.astype(real).tobytes() + np.ascontiguousarray(draw.rows, real).tobytes()

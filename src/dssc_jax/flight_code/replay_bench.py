@@ -17,6 +17,7 @@ from dssc_jax.flight_code.parameters import numbers_of_draws
 from dssc_jax.flight_code.template_files import fill, template_text
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_type
+from dssc_jax.lanes.interface import Signature
 from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
@@ -127,17 +128,23 @@ def recorded_columns(
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
         lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=True)
-        width = lanes.signature.width
-        lane_bytes = sum(dtype.itemsize * (length or 1) for dtype, length in lanes.signature.outputs)
-        batch = max(1, BATCH_BYTES // (lane_bytes * width)) * width
+        batch = draws_of_batch(lanes.signature)
         for first_draw in range(0, draws, batch):
             indices = np.arange(first_draw, min(first_draw + batch, draws))
             values = numbers_of_draws(study, indices, constants)
             inputs = {name: values[name] for name in names}
-            columns = lanes.start((inputs, indices), len(indices), usable_cores())()
-            for place in range(len(indices)):
-                numbers = {name: float(column[place]) for name, column in values.items()}
-                yield numbers, jax.tree.map(lambda column, place=place: column[place], columns)
+            wait_for_columns = lanes.start((inputs, indices), len(indices), usable_cores())
+            columns = wait_for_columns()
+            for row in range(len(indices)):
+                numbers = {name: float(column[row]) for name, column in values.items()}
+                yield numbers, jax.tree.map(lambda column, row=row: column[row], columns)
+
+
+def draws_of_batch(signature: Signature) -> int:
+    """Number of draws whose columns fill :data:`BATCH_BYTES`, in whole vectors of lanes, but at least one vector."""
+    lane_bytes = sum(dtype.itemsize * (length or 1) for dtype, length in signature.outputs)
+    vectors = max(1, BATCH_BYTES // (lane_bytes * signature.width))
+    return vectors * signature.width
 
 
 def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:

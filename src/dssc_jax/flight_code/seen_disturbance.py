@@ -26,8 +26,9 @@ LAGS_AVERAGED = 10
 UNKNOWN = 1e30
 """Upper end of the interval of an unknown command; the lower end is its negative."""
 PASSED_MEAN_AT = 1.7933
+"""The h at which (1 - exp(-h) (1 + h))/h has its peak."""
 PASSED_MEAN_PEAK = 0.29843
-"""The h at which (1 - exp(-h) (1 + h))/h has its peak, and a bound of the peak."""
+"""A bound of this peak, from above."""
 
 
 class EnclosingInterval(NamedTuple):

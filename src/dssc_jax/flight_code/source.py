@@ -28,10 +28,11 @@ LOCAL_NAMES = {
 """Names in the template files, which no computed variable may have."""
 
 COMPUTED = [f"computed.{member}" for member in COMMAND]
+"""C's names of the parts of a command that is computed, but not yet returned."""
 
 
 class FunctionText(CText):
-    """The text in C of one function of a controller.
+    """The text in C of one function of a controller; ``text`` is empty until the function is complete.
 
     Args:
         code: The controllers of the study.
@@ -43,8 +44,10 @@ class FunctionText(CText):
     def __init__(
         self, code: FlightCode, controller: SampledController, traced: TracedFunction, inputs: Sequence[str] = ()
     ) -> None:
+        """Begin without statements; the sample time is written as T_s, unless other constants may equal it."""
         sample_time = code.study.loop.sample_time
-        constants = {} if sample_time in (0.5, 1.0, 2.0) else {float(controller.real.type(sample_time)): "T_s"}
+        is_common_number = sample_time in (0.5, 1.0, 2.0)
+        constants = {} if is_common_number else {float(controller.real.type(sample_time)): "T_s"}
         parameters = [f"p->{parameter.name}" for parameter in controller.parameters]
         expressions = [*parameters, *inputs, *controller.signals]
         super().__init__(traced.program, traced.origins, expressions, controller.real, LOCAL_NAMES, constants)
@@ -58,40 +61,54 @@ class FunctionText(CText):
 
     def reads(self, name: str) -> bool:
         """Whether the body so far reads a member of the structure ``name``; comments do not count."""
-        return any(re.search(rf"\b{name}(->|\.)", line.split("/*")[0]) for line in self.lines)
+        for line in self.lines:
+            statement, _, _ = line.partition("/*")
+            if re.search(rf"\b{name}(->|\.)", statement):
+                return True
+        return False
 
 
 def source_text(code: FlightCode) -> str:
     """The source file with the functions of all channels."""
     functions: list[str] = []
-    helpers: dict[str, None] = {}
+    helpers: dict[str, None] = {}  # a dictionary keeps the order, and each definition once
     tables: dict[str, None] = {}
     subroutines: dict[str, str] = {}
     for controller in code.controllers:
-        channel_functions = [step_function(code, controller)]
-        if controller.states:
-            channel_functions.insert(0, start_function(code, controller))
-        if controller.transfer is not None:
-            channel_functions.append(transfer_function(code, controller, controller.transfer))
         functions.append(init_functions(controller))
-        for function in channel_functions:
+        for function in computing_functions(code, controller):
             functions.append(function.text)
             helpers |= dict.fromkeys(function.notation.helpers())
             tables |= dict.fromkeys(function.tables)
             subroutines |= function.functions
-    first_controller = code.controllers[0]
     definitions = [*tables, *helpers, *subroutines.values()]
     if any("T_s" in function for function in functions):
-        sample_time = c_literal(first_controller.real.type(code.study.loop.sample_time), first_controller.real)
-        definitions.insert(0, f"static const {first_controller.c_real} T_s = {sample_time};  /* s */")
+        definitions.insert(0, sample_time_definition(code))
     body = fill(
         "controller.c",
         definitions=joined_definitions(definitions),
-        is_finite=finite_function(first_controller.real),
+        is_finite=finite_function(code.controllers[0].real),
         functions="\n".join(functions),
         description=description_text(code),
     )
     return source_file("controller", f"{code.name}_controller.h", file_comment(code), body)
+
+
+def computing_functions(code: FlightCode, controller: SampledController) -> list[FunctionText]:
+    """The functions of a controller that compute: start if it has states, step, and transfer if it has one."""
+    functions = [step_function(code, controller)]
+    if controller.states:
+        functions.insert(0, start_function(code, controller))
+    if controller.transfer is not None:
+        functions.append(transfer_function(code, controller, controller.transfer))
+    return functions
+
+
+def sample_time_definition(code: FlightCode) -> str:
+    """The definition in C of the constant T_s, which all channels share."""
+    controller = code.controllers[0]  # the numbers of all channels have one type
+    sample_time = c_literal(controller.real.type(code.study.loop.sample_time), controller.real)
+    return f"static const {controller.c_real} T_s = {sample_time};  /* s */"
 
 
 def init_functions(controller: SampledController) -> str:
@@ -130,16 +147,18 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     name = controller.prefix
     function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
     updated_members = [f"updated.{state}" for state in controller.states]
-    count = len(updated_members) + len(COMMAND)
-    function.compute(function.outputs[:count])
+    first_info = len(updated_members) + len(COMMAND)
+    results = function.outputs[:first_info]
+    infos = function.outputs[first_info:]
+    function.compute(results)
     function.line("")
-    function.assign([*updated_members, *COMPUTED], function.outputs[:count])
+    function.assign([*updated_members, *COMPUTED], results)
     computation = list(function.lines)
-    if controller.infos:
+    if infos:
         function.line("if (telemetry != NULL) {")
         function.indent(1)
-        function.compute(function.outputs[count:])
-        function.assign([f"telemetry->{info}" for info in controller.infos], function.outputs[count:])
+        function.compute(infos)
+        function.assign([f"telemetry->{info}" for info in controller.infos], infos)
         function.indent(-1)
         function.line("}")
     else:
@@ -165,7 +184,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
 
 
 def transfer_function(code: FlightCode, controller: SampledController, traced: TracedFunction) -> FunctionText:
-    """The function in C for a bumpless start: it sets the state whose first step gives a command."""
+    """The function in C for a bumpless start: it sets the state with which the first step gives a wanted command.
+
+    It computes that step, too, and returns the flag 4 if the step gives another command.
+    """
     function = FunctionText(code, controller, traced, ["command"])
     updated_members = [f"updated.{state}" for state in controller.states]
     function.compute(function.outputs)

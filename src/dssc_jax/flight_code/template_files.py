@@ -13,6 +13,7 @@ from dssc_jax.core import files
 
 FOLDER = Path(__file__).with_name("templates")
 LINES = re.compile(r"( *)@\{(\w+)\}")
+"""A line with nothing but a placeholder: its indentation and the placeholder's name."""
 
 
 class TextTemplate(Template):

@@ -44,8 +44,10 @@ class TracedMonitor:
 
 
 def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
-    """Trace the monitor of a study's flight."""
+    """Trace the monitor of a study's flight, with bounds that are rounded outwards to the code's numbers."""
     rounded_premises = premises.rounded(np.dtype(f"float{code.precision}"))
+
+    # Generated C would repeat a docstring of this function; TracedMonitor tells what it computes.
 
     def step(state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Scalar]:
         after, current = monitor(rounded_premises, state, sample)
@@ -57,11 +59,10 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
         traced_step, _ = traced_function(step, state, sample)
     labels = [channel.label for channel in premises.channels]
     inputs = member_names_of(sample, labels)
-    memories = [
-        name
-        for name, leaf in zip(member_names_of(state, labels), jax.tree.leaves(state), strict=True)
-        if leaf.dtype.kind == "f"
-    ]
+    memories = []
+    for name, leaf in zip(member_names_of(state, labels), jax.tree.leaves(state), strict=True):
+        if leaf.dtype.kind == "f":  # the others are flags and counts
+            memories.append(name)
     return TracedMonitor(
         premises=rounded_premises,
         prefix=f"{code.name}_monitor",
@@ -73,7 +74,7 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
 
 
 def typed(state: MonitorState) -> MonitorState:
-    """The state with arrays in place of plain numbers, each of its type: integers stay, floats have the precision."""
+    """The state with arrays in place of plain numbers: integers stay integers, others get the present precision."""
 
     def array(leaf: Scalar) -> jax.Array:
         value = jnp.asarray(leaf)
@@ -107,14 +108,21 @@ def sample_shape(premises: Premises) -> MonitorSample:
 
 
 def member_names_of(tree: MonitorState | MonitorSample, labels: list[str]) -> list[str]:
-    """A name in C for each leaf of a tree; that of a leaf of a channel begins with the channel's label."""
+    """A name in C for each leaf of a tree: the fields of its path, with a channel's label in place of its position.
+
+    Args:
+        tree: The monitor's state or its sample.
+        labels: Label of each channel; empty: the names of its leaves have none.
+    """
     names = []
-    for path, _ in tree_flatten_with_path(tree)[0]:
+    leaves, _ = tree_flatten_with_path(tree)
+    for path, _ in leaves:
         fields = keystr(path, simple=True, separator=".").split(".")
         if fields[0] == "channels":
-            label = labels[int(fields[1])]
-            fields = [label, *fields[2:]] if label else fields[2:]
+            _, position, *fields_in_channel = fields
+            label = labels[int(position)]
+            fields = [label, *fields_in_channel] if label else fields_in_channel
         elif fields[0] == "rotor":
-            fields[1] = str(int(fields[1]) + 1)
+            fields[1] = str(int(fields[1]) + 1)  # rotors count from 1
         names.append("_".join(fields))
     return names

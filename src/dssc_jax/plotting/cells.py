@@ -27,6 +27,8 @@ def needs_bitmap(values: np.ndarray) -> bool:
 def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
     """Edges of the cells around increasing values: half way between neighbours, and as far beyond both ends.
 
+    A single value gets a cell of width 1, or from e^(-1/2) to e^(1/2) times the value.
+
     Args:
         values: Centres of the cells, shape (n,).
         logarithmic: Whether half way is meant on a logarithmic axis.
@@ -35,10 +37,10 @@ def cell_edges(values: np.ndarray, logarithmic: bool) -> np.ndarray:
         The edges, shape (n + 1,).
     """
     centres = np.log(values) if logarithmic else values
-    half = np.diff(centres) / 2.0 if len(centres) > 1 else np.array([0.5])
-    start = centres[0] - half[0]
-    inner = centres[:-1] + half[: len(centres) - 1]
-    end = centres[-1] + half[-1]
+    half_distances = np.diff(centres) / 2.0 if len(centres) > 1 else np.array([0.5])
+    start = centres[0] - half_distances[0]
+    inner = centres[:-1] + half_distances[: len(centres) - 1]
+    end = centres[-1] + half_distances[-1]
     edges = np.concatenate(([start], inner, [end]))
     return np.exp(edges) if logarithmic else edges
 
@@ -53,9 +55,11 @@ def capped_limits(finite: np.ndarray, cap: float | None) -> tuple[float, float] 
     Returns:
         Lowest and highest value with a colour of its own; None if the cap is not within the values.
     """
-    if cap is None or not finite.size or not finite.min() < cap < finite.max():
+    if cap is None or finite.size == 0:
         return None
-    return float(finite.min()), cap
+    lowest = float(finite.min())
+    is_within = lowest < cap < finite.max()
+    return (lowest, cap) if is_within else None
 
 
 def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float, style: LineStyleType) -> None:
@@ -69,7 +73,10 @@ def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float,
         level: The level.
         style: Style of the line.
     """
-    if min(z.shape) < 2 or not np.nanmin(z) < level < np.nanmax(z):
+    if min(z.shape) < 2:
+        return
+    is_crossed = np.nanmin(z) < level < np.nanmax(z)
+    if not is_crossed:
         return
     finite_z = np.where(np.isfinite(z), z, 1e3 * abs(level))
     lines = ax.contour(x, y, finite_z, levels=(level,), colors="white", linewidths=1.8, linestyles=style)

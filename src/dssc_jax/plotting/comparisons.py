@@ -46,7 +46,7 @@ def comparison(compared: Analysis) -> Figure:
     if summary["tuned"]:
         contests.append((summary["tuned"], ORANGE, "tuned on equal budgets"))
     for index, (contest, colour, text) in enumerate(contests):
-        shift = OFFSET * (2 * index - len(contests) + 1)
+        shift = OFFSET * (2 * index - len(contests) + 1)  # 0 for one contest; -OFFSET and OFFSET for two
         probability_panel(left, contest["controllers"], colour, text, shift)
         rows = list(contest["controllers"])
         difference_panel(right, contest["pairs"], rows, names[0], colour, shift)

@@ -12,7 +12,7 @@ from dssc_jax.plotting.thinning import envelope, thinned
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import upper_quantiles
 
-MOST_MARKED_POINTS = 200
+MOST_MARKED_POINTS = 200  # points of a curve up to which each has a dot
 PROVED_LEGEND = "proved, with lag and sampling"
 
 
@@ -32,7 +32,8 @@ def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None
     for limit in metric_bounds(result, measure):
         ax.axhline(limit, color=RED, linestyle="--", label="required")
     set_scale(ax, median[np.isfinite(median)], "y")
-    if result.study.config.plot.slope and len(x) > 1 and have_logarithms(x) and have_logarithms(median):
+    slope_exists = len(x) > 1 and have_logarithms(x) and have_logarithms(median)
+    if result.study.config.plot.slope and slope_exists:
         add_slope(ax, x, median)
     ax.set_ylabel(label(result.dataset[measure.name].attrs))
     finish_curve(ax, result, axis)
@@ -76,7 +77,7 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
 
 
 def true_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """First index, and index after the last, of every run of true values in a mask of shape (n,).
+    """Begin and end of every run of true values in a mask of shape (n,): its first index, and the index after its last.
 
     Example:
         >>> true_runs(np.array([True, True, False, True]))
@@ -132,7 +133,7 @@ def have_logarithms(values: np.ndarray) -> bool:
 
 
 def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit slope and intercept of log y against log x by least squares."""
+    """Slope and intercept of log y against log x, fitted by least squares; the slope is the exponent of a power law."""
     slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
     return float(slope), float(intercept)
 

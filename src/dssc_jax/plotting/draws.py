@@ -26,8 +26,8 @@ from dssc_jax.results.influence import equal_count_bins, sorted_by_influence
 from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
-MOST_FACTORS = 5
-MOST_MARKED_STEPS = 20
+MOST_FACTORS = 5  # uncertain numbers with a panel
+MOST_MARKED_STEPS = 20  # steps of a distribution function up to which each has a dot
 
 
 @styled
@@ -49,12 +49,7 @@ def failures(result: Result) -> Figure:
     factors = axes[1:panels]
     for ax, name in zip(factors, laws, strict=True):
         factor(result, name, ax)
-    tops = [ax.get_ylim()[1] for ax in factors]
-    for position, ax in enumerate(factors):
-        fit_probability(ax, max(tops), margin=0.0)
-        if position and (1 + position) % columns:  # the panel on its left has the same axis
-            ax.set_ylabel("")
-            ax.tick_params(labelleft=False)
+    share_probability_axis(factors, columns)
     failed = result.failed.values
     low, high = result.method.failure_interval(failed)
     count_text = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
@@ -64,6 +59,22 @@ def failures(result: Result) -> Figure:
         remark = f"\nthe {len(laws)} most influential of {len(result.study.laws)} uncertain numbers"
     title(figure, f"{count_text}; {interval_text}{remark}")
     return figure
+
+
+def share_probability_axis(factors: np.ndarray, columns: int) -> None:
+    """Give the panels of all uncertain numbers the same axis of probabilities, labelled where its left end is free.
+
+    Args:
+        factors: The panels, row by row after another panel, which is the first of the figure.
+        columns: Panels of the figure in a row.
+    """
+    tops = [ax.get_ylim()[1] for ax in factors]
+    for position, ax in enumerate(factors, start=1):
+        fit_probability(ax, max(tops), margin=0.0)
+        has_factor_on_left = position > 1 and position % columns != 0
+        if has_factor_on_left:
+            ax.set_ylabel("")
+            ax.tick_params(labelleft=False)
 
 
 def require_one_point(result: Result) -> None:
@@ -99,7 +110,7 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     measure = measure_named(result, metric)
     values = result.dataset[measure.name].values
     finite = np.sort(values[np.abs(values) < DRAWABLE])
-    ranks = 1 + spaced_indices(len(finite)) if len(finite) else np.array([], int)
+    ranks = 1 + spaced_indices(len(finite)) if len(finite) else np.array([], int)  # from 1 on, as many as fit
     x_values = finite[ranks - 1]
     if not isinstance(result.method, Replicated):
         interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
@@ -137,10 +148,10 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     figure, ax = panel(ax, SMALL)
     values = result.dataset[name].values
     failed = result.failed.values
-    groups = equal_count_bins(values)
+    groups = equal_count_bins(values)  # indices of the draws of each bin
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
-    distances = None
+    distances = None  # from the share to both ends of its interval, which only independent draws have
     top = share
     if result.method.independent:
         intervals = np.stack([result.method.interval(failed[group]) for group in groups])

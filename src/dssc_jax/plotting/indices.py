@@ -13,6 +13,7 @@ from dssc_jax.results.analysis import Analysis
 OFFSET = 0.13
 """Distance of a factor's marks, one for each sensitivity, from the factor's row."""
 QUANTITY_COLOURS = (BLUE, ORANGE)
+"""Colour of each sensitivity of a factor, such as first-order and total index."""
 
 
 @styled
@@ -41,7 +42,7 @@ def sensitivity(indices: Analysis) -> Figure:
     panels[0].set_yticks(range(len(factors)), factors)
     panels[0].set_ylim(len(factors) - 0.5, -0.5)
     legends = [ax.get_legend_handles_labels() for ax in panels]
-    handles, labels = max(legends, key=lambda legend: len(legend[0]))
+    handles, labels = max(legends, key=lambda legend: len(legend[0]))  # a panel without an answer has none
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
     subject = f"{summary['study']}: {summary['title']} from {summary['simulations']} simulations"
@@ -61,7 +62,8 @@ def factor_rows(
         quantities: Attributes of each quantity by name; ``legend`` is its text.
     """
     factors = list(output.values())
-    offsets = OFFSET * (2.0 * np.arange(len(quantities)) - len(quantities) + 1.0)
+    count = len(quantities)
+    offsets = OFFSET * (2.0 * np.arange(count) - count + 1.0)  # symmetric about the factor's row
     for (name, quantity), colour, offset in zip(quantities.items(), QUANTITY_COLOURS, offsets, strict=False):
         value = np.array([factor[name] for factor in factors])
         low, high = np.array([factor[f"{name}_interval"] for factor in factors]).T

@@ -56,24 +56,28 @@ def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit:
     ax.plot(sizes, upper, "--", color=BLUE, label="its upper limit")
     ax.plot(sizes, bound, color=ORANGE, label="upper limit whatever draws fail")
     ax.axhline(limit, color=RED, linewidth=1.2, label=f"{100 * limit:g} % may fail")
-    heights = [limit, *worst[np.isfinite(worst)], *bound[np.isfinite(bound)][:1]]
-    ax.set(xlabel=label(data[dimension].attrs), ylim=(0.0, min(1.0, max(2.5 * limit, 1.2 * max(heights)))))
+    first_bound = bound[np.isfinite(bound)][:1]  # the others rise steeply to 1, and may leave the panel
+    highest = max([limit, *worst[np.isfinite(worst)], *first_bound])
+    top = min(1.0, max(2.5 * limit, 1.2 * highest))
+    ax.set(xlabel=label(data[dimension].attrs), ylim=(0.0, top))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def law_panel(ax: Axes, data: xr.Dataset) -> None:
     """Draw how far the mean of each law alone may be wrong; the law with the smallest shift is on top."""
-    estimate = data["shift_estimate"].values
-    bound = data["shift"].values
-    order = np.argsort(np.where(np.isnan(estimate), np.inf, estimate) + 1e-6 * bound, kind="stable")
-    rows = np.arange(len(order))
-    ax.plot(bound[order], rows + ROW_GAP, "o", color=BLUE, label="with confidence")
-    ax.plot(estimate[order], rows - ROW_GAP, "D", color=GREY, label="estimate")
-    for row in rows[np.isnan(estimate[order])]:
-        place = (bound[order][row], row - ROW_GAP)
+    by_estimate = np.where(np.isnan(data["shift_estimate"].values), np.inf, data["shift_estimate"].values)
+    order = np.argsort(by_estimate + 1e-6 * data["shift"].values, kind="stable")  # equal estimates by their bounds
+    estimate = data["shift_estimate"].values[order]  # NaN: no shift reaches the limit
+    bound = data["shift"].values[order]
+    names = [str(name) for name in data["number"].values[order]]
+    rows = np.arange(len(names))
+    ax.plot(bound, rows + ROW_GAP, "o", color=BLUE, label="with confidence")
+    ax.plot(estimate, rows - ROW_GAP, "D", color=GREY, label="estimate")
+    for row in rows[np.isnan(estimate)]:
+        place = (bound[row], row - ROW_GAP)
         ax.annotate("limit not reached", place, color=GREY, fontsize=10, va="center", ha="right")
-    ax.set_yticks(rows, [str(name) for name in data["number"].values[order]])
-    ax.set_ylim(len(order) - 0.5, -0.5)
+    ax.set_yticks(rows, names)
+    ax.set_ylim(len(rows) - 0.5, -0.5)  # the first row on top
     ax.set_xlim(0.0, AXIS_EXCESS * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
     ax.set_xlabel("shift of one mean alone\n[standard deviations]")
     ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))

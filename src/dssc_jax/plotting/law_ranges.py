@@ -1,9 +1,12 @@
 """Figure of the failure probability over all laws whose arguments lie within ranges."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from dssc_jax.core.json_types import JsonObject
@@ -34,22 +37,38 @@ def law_ranges(ranges: Analysis) -> Figure:
 
 def probability_panel(ax: Axes, summary: JsonObject) -> None:
     """Draw the failure probability under the best and the worst law, by the draws' weights and by new draws."""
+    handles = []
     for place, name in enumerate(("lowest", "highest")):
         extreme = summary[name]
         fresh_share = extreme["fresh_failures"] / summary["fresh_draws"]
-        for shift, colour, value, interval, text in (
-            (-OFFSET, BLUE, extreme["probability"], extreme["interval"], "by the weights"),
-            (OFFSET, ORANGE, fresh_share, extreme["fresh_interval"], "new draws"),
-        ):
-            low, high = interval
-            ax.plot([place + shift] * 2, [low, high], color=colour, linewidth=3, label="" if place else text)
-            ax.plot(place + shift, value, "o", color=colour)
+        handles = [
+            *draw_interval(ax, place - OFFSET, extreme["probability"], extreme["interval"], BLUE, "by the weights"),
+            *draw_interval(ax, place + OFFSET, fresh_share, extreme["fresh_interval"], ORANGE, "new draws"),
+        ]
     limit = summary["limit"]
-    ax.axhline(limit, color=RED, linewidth=1.2, label=f"{100 * limit:g} % may fail")
+    handles.append(ax.axhline(limit, color=RED, linewidth=1.2, label=f"{100 * limit:g} % may fail"))
     ax.set_xticks([0, 1], ["best law", "worst law"])
     ax.set(xlim=(-0.5, 1.5), ylabel="failure probability", ylim=(0.0, None))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.legend(frameon=False)
+    ax.legend(handles=handles, frameon=False)  # the marks of both laws are alike
+
+
+def draw_interval(
+    ax: Axes, place: float, probability: float, interval: Sequence[float], colour: str, text: str
+) -> list[Line2D]:
+    """Draw a probability as a dot on its interval, a vertical line; return the line, with ``text`` as its legend.
+
+    Args:
+        ax: Axes to draw into.
+        place: Place on the horizontal axis.
+        probability: The probability.
+        interval: Its lower and upper bound.
+        colour: Colour of dot and line.
+        text: Legend of the line.
+    """
+    lines = ax.plot([place, place], interval, color=colour, linewidth=3, label=text)
+    ax.plot(place, probability, "o", color=colour)
+    return lines
 
 
 def argument_panel(ax: Axes, data: xr.Dataset) -> None:

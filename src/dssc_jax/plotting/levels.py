@@ -9,10 +9,16 @@ from matplotlib.ticker import PercentFormatter
 from dssc_jax.study import Law
 
 LEVELS = np.linspace(0.0005, 0.9995, 1000)
+"""Levels at which a law is tabulated."""
 
 
 def level_of(law: Law, values: np.ndarray) -> np.ndarray:
-    """Distribution function of a law at values of shape (n,), with an error of about 0.001."""
+    """The level of each value in a law, which is its distribution function there, with an error of about 0.001.
+
+    Args:
+        law: The law.
+        values: The values, shape (n,).
+    """
     return np.interp(values, law.quantile(LEVELS), LEVELS)
 
 

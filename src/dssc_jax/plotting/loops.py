@@ -93,8 +93,9 @@ def fan(ax: Axes, frequency: np.ndarray, quantiles: np.ndarray, colour: str, tex
         colour: Colour of line and band.
         text: Symbol of the quantity, for the legend.
     """
-    ax.fill_between(frequency, quantiles[0], quantiles[-1], color=colour, alpha=0.25, linewidth=0.0)
-    ax.plot(frequency, quantiles[len(quantiles) // 2], color=colour, label=f"{text}: median and 90 % of draws")
+    low, median, high = quantiles
+    ax.fill_between(frequency, low, high, color=colour, alpha=0.25, linewidth=0.0)
+    ax.plot(frequency, median, color=colour, label=f"{text}: median and 90 % of draws")
     ax.set_xscale("log")
 
 
@@ -107,9 +108,10 @@ def nyquist_panel(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
         imaginary: Imaginary part of L, of the same shape.
     """
     ax.plot(real.T, imaginary.T, color=BLUE, linewidth=0.7, alpha=0.5)
-    ax.add_patch(Circle((-1.0, 0.0), 0.5, fill=False, color=GREY, linestyle=":"))
+    ax.add_patch(Circle((-1.0, 0.0), 0.5, fill=False, color=GREY, linestyle=":"))  # radius 1/M_s
     ax.plot([-1.0], [0.0], "+", color=RED, markersize=12, markeredgewidth=2.0)
-    half = 0.5 * (NYQUIST_SPAN[1] - NYQUIST_SPAN[0])
+    left, right = NYQUIST_SPAN
+    half = 0.5 * (right - left)
     ax.set(xlim=NYQUIST_SPAN, ylim=(-half, half), xlabel="Re L", ylabel="Im L (dotted: M_s = 2)")
     ax.set_aspect("equal")
 
@@ -120,7 +122,7 @@ def margin_panel(ax: Axes, margin: xr.DataArray, limit: float | None, unit: str,
     Args:
         ax: Axes to draw into.
         margin: The margin of each draw, shape (draws,); not finite where the draw has none.
-        limit: Tolerance limit of the margin, if there is one.
+        limit: Tolerance limit of the margin; None: there is none.
         unit: Unit of the axis.
         scale: Factor that converts the margin to that unit.
     """

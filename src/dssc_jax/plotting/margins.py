@@ -33,7 +33,7 @@ class MarginSummary(TypedDict):
 
 
 def summary_of(margins: Analysis) -> MarginSummary:
-    """The summary of a margin with types of its entries."""
+    """The summary of an analysis, which :func:`dssc_jax.margin` made, with the types of its entries."""
     return cast("MarginSummary", margins.summary())
 
 
@@ -85,14 +85,17 @@ def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary)
     start, end = summary["bounds"]
     draws = critical.size
     failed_at_start = summary["fail_at_start"]
-    steps = in_order_of_walk(critical.values[~np.isnan(critical.values)], summary)
+    found_values = critical.values[~np.isnan(critical.values)]  # of the draws that begin to fail along the walk
+    steps = in_order_of_walk(found_values, summary)
     shares = failed_at_start + np.arange(1, len(steps) + 1) / draws
     x = np.concatenate([[start], steps, [end]])
     y = np.concatenate([[failed_at_start], shares, [failed_at_start + len(steps) / draws]])
     ax.step(x, y, where="post", color=BLUE, label=f"{draws} draws")
-    if (median := summary["median"]) is not None:
+    median = summary["median"]
+    if median is not None:
         ax.axvline(median, color=GREY, linestyle=":", label=f"median: {median:.3g}")
-    if (limit := summary["lower_tolerance"]) is not None:
+    limit = summary["lower_tolerance"]
+    if limit is not None:
         text = f"95 % of draws pass, confidence 95 %: {limit:.3g}"
         ax.axvline(limit, color=ORANGE, linestyle="--", label=text)
     side = "above" if end < start else "below"
@@ -125,7 +128,8 @@ def mark_certificate(ax: Axes, summary: MarginSummary) -> None:
     if certified is None:
         return
     text = f"certified as far as {certified:.3g}"
-    if min(summary["bounds"]) <= certified <= max(summary["bounds"]):
+    is_on_axis = min(summary["bounds"]) <= certified <= max(summary["bounds"])
+    if is_on_axis:
         ax.axvline(certified, color=GREEN, linestyle="-.", label=text)
-        return
-    ax.plot([0.0], [0.02], "<", color=GREEN, markersize=10, label=text, transform=ax.transAxes, clip_on=False)
+    else:
+        ax.plot([0.0], [0.02], "<", color=GREEN, markersize=10, label=text, transform=ax.transAxes, clip_on=False)

@@ -39,7 +39,7 @@ def probability_panel(ax: Axes, summary: JsonObject) -> None:
     """
     plain = summary["plain"]
     method_answer = summary["by_method"]
-    estimates = np.array(summary["estimates"])
+    estimates = np.array(summary["estimates"])  # of the repeats
     rows = ("each repeat" if len(estimates) else "", summary["method"], "plain draws")
     positive = estimates[estimates > 0.0]
     left_end = 0.1 * min([*positive, 1.0 / plain["draws"]])

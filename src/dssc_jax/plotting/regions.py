@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
@@ -13,6 +14,7 @@ from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, axis_label, set_log,
 from dssc_jax.study import Study
 
 COLOURS_OF_VERDICTS = {0: ("at least 95 % pass", GREEN), 1: ("undecided", GREY), 2: ("fewer pass", RED)}
+"""Legend and colour of each verdict."""
 ENCLOSED_LEGEND = "enclosed by pairs that pass, no claim"
 
 
@@ -41,16 +43,18 @@ def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
     Returns:
         Whether each cell is enclosed, shape (m - 1, m - 1).
     """
-    count = len(verdict) - 1
-    enclosed = np.zeros((count, count), bool)
-    stride = 1
-    while count and count % stride == 0:
-        for row, column in itertools.product(range(0, count, stride), repeat=2):
-            square = verdict[row : row + stride + 1, column : column + stride + 1]
-            corners = square[::stride, ::stride]
-            if not corners.any() and square.max() <= 0:
-                enclosed[row : row + stride, column : column + stride] = True
-        stride *= 2
+    cells = len(verdict) - 1  # along each axis
+    enclosed = np.zeros((cells, cells), bool)
+    width = 1
+    while cells and cells % width == 0:
+        for row, column in itertools.product(range(0, cells, width), repeat=2):
+            square = verdict[row : row + width + 1, column : column + width + 1]
+            corners = square[::width, ::width]
+            corners_pass = not corners.any()
+            no_pair_fails = square.max() <= 0
+            if corners_pass and no_pair_fails:
+                enclosed[row : row + width, column : column + width] = True
+        width *= 2
     return enclosed
 
 
@@ -68,12 +72,7 @@ def region(safe: PlottedRegion) -> Figure:
     x, y = np.meshgrid(data["first"].values, data["second"].values, indexing="ij")
     verdict = data["verdict"].values
     certified = data["certified"].values
-    enclosed = enclosed_cells(verdict)
-    if enclosed.any():
-        ax.use_sticky_edges = False  # points on the edge are drawn whole
-        shade = np.ma.masked_where(~enclosed, np.ones(enclosed.shape))
-        ax.pcolormesh(x, y, shade, cmap=ListedColormap([GREEN]), alpha=0.18, linewidth=0.0, rasterized=True)
-        ax.fill([], [], color=GREEN, alpha=0.18, linewidth=0.0, label=ENCLOSED_LEGEND)
+    shade_enclosed(ax, x, y, enclosed_cells(verdict))
     if certified.any():
         squares = ax.scatter(x[certified], y[certified], marker="s", s=26, facecolor="none", edgecolor=DARK)
         squares.set(linewidth=0.8, label="certified by Theorem 1")
@@ -91,3 +90,20 @@ def region(safe: PlottedRegion) -> Figure:
     level = f"{100 * summary['confidence']:g} % confidence for all pairs together, {summary['draws']} draws"
     title(figure, f"{study_title(safe.study)}\n{level}")
     return figure
+
+
+def shade_enclosed(ax: Axes, x: np.ndarray, y: np.ndarray, enclosed: np.ndarray) -> None:
+    """Shade the enclosed cells of a lattice, with a legend entry if there are any.
+
+    Args:
+        ax: Axes to draw into.
+        x: First number of each pair, shape (m, m).
+        y: Second number of each pair, shape (m, m).
+        enclosed: Whether each cell is enclosed, shape (m - 1, m - 1).
+    """
+    if not enclosed.any():
+        return
+    ax.use_sticky_edges = False  # points on the edge are drawn whole
+    shade = np.ma.masked_where(~enclosed, np.ones(enclosed.shape))
+    ax.pcolormesh(x, y, shade, cmap=ListedColormap([GREEN]), alpha=0.18, linewidth=0.0, rasterized=True)
+    ax.fill([], [], color=GREEN, alpha=0.18, linewidth=0.0, label=ENCLOSED_LEGEND)  # no points: a legend alone

@@ -14,6 +14,7 @@ from dssc_jax.results.analysis import Analysis
 PROVED_NUMBERS = ("proved_error", "proved_up_to")
 """Variables of a tuning's dataset with a proved number that the tuning optimises."""
 AGGREGATES = {"mean": "mean", "worst": "soft worst", "cvar": "CVaR"}
+"""Name in a title of each aggregate of a tuning's costs over the draws."""
 
 
 class ObjectiveSummary(TypedDict):
@@ -110,12 +111,17 @@ def falsification(falsified: Analysis) -> Figure:
     axes = figure.subplot_mosaic([["search", "levels"], ["distance", "levels"]])
     search_panel(axes["search"], falsified)
     distance_panel(axes["distance"], falsified, summary["within"])
-    laws = falsified.study.laws
-    levels = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
-    axes["levels"].plot(levels, range(len(levels)), "o", color=RED)
-    law_axis(axes["levels"], list(laws), "the worst draw")
+    levels_panel(axes["levels"], falsified, summary["witness"])
     title(figure, f"{summary['study']}: {falsified.headline}")
     return figure
+
+
+def levels_panel(ax: Axes, falsified: Analysis, witness: Mapping[str, float]) -> None:
+    """Draw where the worst draw lies within each law; ``witness`` has its numbers by name, in the laws' order."""
+    laws = falsified.study.laws
+    levels = [float(level_of(laws[name], np.array([value]))[0]) for name, value in witness.items()]
+    ax.plot(levels, range(len(levels)), "o", color=RED)
+    law_axis(ax, list(laws), "the worst draw")
 
 
 def finite_slack(falsified: Analysis) -> np.ndarray:
@@ -157,7 +163,7 @@ def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | N
 
 
 def marked_draws(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
-    """Name, index and marker of the worst draw, and of the likeliest failure if there is one."""
+    """Name, index and marker of the worst draw and, if any draw fails, of the failure nearest to the median draw."""
     slack = falsified.dataset["slack"].values
     distance = falsified.dataset["distance"].values
     yield "worst draw", int(np.argmin(slack)), "o"

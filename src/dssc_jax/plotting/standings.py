@@ -22,7 +22,9 @@ def standing_of(proved: np.ndarray, share: np.ndarray) -> np.ndarray:
         proved: Whether each point is proved, of any shape.
         share: Share of draws that fail at each point, of the same shape.
     """
-    return np.select([proved, share == 0.0, share < 1.0], [0, 1, 2], 3)
+    no_draw_fails = share == 0.0
+    some_draws_pass = share < 1.0
+    return np.select([proved, no_draw_fails, some_draws_pass], [0, 1, 2], default=3)
 
 
 def standing_colours() -> ListedColormap:
@@ -32,8 +34,8 @@ def standing_colours() -> ListedColormap:
 
 def standing_words(covered: str) -> list[str]:
     """The meaning of each standing; ``covered`` names what the proofs cover, such as the plants."""
-    proved, *texts = [text for _, text in STANDINGS]
-    return [f"{proved} for {covered}", *texts]
+    proved, *meanings = [meaning for _, meaning in STANDINGS]
+    return [f"{proved} for {covered}", *meanings]
 
 
 def standing_handles(covered: str) -> list[Patch]:

@@ -32,6 +32,7 @@ YELLOW = "#F0E442"
 GREY = "#6b6b6b"
 DARK = "#333333"
 PIXELS_PER_INCH = 140
+"""Resolution of a PNG file."""
 STYLE: dict[Any, Any] = {
     "font.size": 13,
     "axes.titlesize": 14,
@@ -70,11 +71,12 @@ def styled(draw: Callable[DrawingArguments, Drawing]) -> Callable[DrawingArgumen
     """Decorate a drawing function: it draws in the project's style, and leaves the caller's style unchanged."""
 
     @wraps(draw)
-    def wrapper(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawing:
+    def draw_in_style(*args: DrawingArguments.args, **options: DrawingArguments.kwargs) -> Drawing:
+        """Draw in the project's style."""
         with rc_context(STYLE):
             return draw(*args, **options)
 
-    return wrapper
+    return draw_in_style
 
 
 def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
@@ -162,8 +164,15 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
 
 
 def probability_top(largest: float, margin: float) -> float:
-    """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1."""
-    return max(largest, 1e-6) * (1.0 + margin) if largest < 0.5 else 1.0 + 0.5 * margin
+    """Upper end of an axis of probabilities: just above the largest if that is below one half, else just above 1.
+
+    Args:
+        largest: Largest probability that is drawn.
+        margin: Space above the largest probability, as a share of the axis; above 1 it is half as large.
+    """
+    if largest >= 0.5:
+        return 1.0 + 0.5 * margin
+    return max(largest, 1e-6) * (1.0 + margin)
 
 
 def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:

@@ -63,7 +63,8 @@ def sweep(result: Result) -> Figure:
     result = over_two_axes(result)
     figure = sweep_curves(result) if len(free_axes(result)) == 1 else sweep_maps(result)
     remarks = [text for text in (idle_text(result), result.certificate) if text]
-    title(figure, f"{study_title(result.study)}{fixed_parameters_text(result)}\n" + "\n".join(remarks))
+    first_line = f"{study_title(result.study)}{fixed_parameters_text(result)}"
+    title(figure, "\n".join([first_line, *remarks]))
     return figure
 
 
@@ -95,7 +96,8 @@ def sweep_maps(result: Result) -> Figure:
     typical(result, right)
     right.set_ylabel("")
     for ax in (left, right):
-        if (legend := ax.get_legend()) is not None:
+        legend = ax.get_legend()
+        if legend is not None:  # the common legend replaces it
             legend.remove()
     figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
     return figure
@@ -142,7 +144,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     if len(axes) != 2 or "proved" not in result.dataset:
         raise ValueError("needs a sweep over two axes with proofs: prove it first")
     figure, ax = panel(ax, MAP_PANEL)
-    down, across = axes
+    down, across = axes  # the vertical and the horizontal axis
     share = result.failed.transpose(down, across, "draw").values.mean(-1)
     proved = result.dataset["proved"].transpose(down, across).values
     standings = standing_of(proved, share)
@@ -203,13 +205,14 @@ def over_two_axes(result: Result) -> Result:
     axes = free_axes(result)
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
-    plotted_axes = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
-    index = {name: 0 for name in axes if name not in plotted_axes}
-    return result.at(index) if index else result
+    axes_with_values = [name for name in axes if result.dataset.sizes[name] > 1]
+    plotted_axes = axes_with_values[:2] or axes[:1]
+    first_values = {name: 0 for name in axes if name not in plotted_axes}  # index by axis
+    return result.at(first_values) if first_values else result
 
 
 def fixed_parameters_text(result: Result) -> str:
-    """The swept parameters that a figure shows at one value only, for the end of its title."""
+    """The swept parameters that a figure shows at one value only, as "; NAME = VALUE" each, to continue its title."""
     names = [name for name in result.study.axes if name not in result.dataset.dims]
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in names)
 

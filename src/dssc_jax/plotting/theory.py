@@ -70,10 +70,11 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
     Args:
         ax: Axes to draw into.
         oscillations: Amplitudes by controller.
-        local: Local margin [s], if there is one.
+        local: Local margin [s]; None: it is not drawn.
     """
     for colour, (name, oscillation) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
-        mu = oscillation[next(iter(oscillation.dims))].values
+        swept_number = next(iter(oscillation.dims))  # the only dimension, named by the study's number
+        mu = oscillation[swept_number].values
         final = oscillation["amplitude"]
         amplitude = np.where(final > DECAYED * oscillation.attrs["push"], final, np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
@@ -90,9 +91,19 @@ def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: 
 
 
 def draw_distribution(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
-    """Draw the distribution function of critical values; with censored draws it does not begin at 0 or end at 1."""
+    """Draw the distribution function of critical values along the walk.
+
+    It does not begin at 0 if draws fail at the start of the walk, and does not reach 1 if draws pass to its end.
+
+    Args:
+        ax: Axes to draw into.
+        margins: Dataset of the margins.
+        summary: Summary of the margins.
+        name: Legend of the curve.
+        colour: Colour of the curve.
+    """
     critical = margins["critical"].values
-    censoring = margins["censoring"].values
+    censoring = margins["censoring"].values  # -1: fails at the start, 1: passes to the end, 0: fails between
     start, end = summary["bounds"]
     steps = in_order_of_walk(critical[censoring == 0], summary)
     failed_at_start = np.count_nonzero(censoring < 0)

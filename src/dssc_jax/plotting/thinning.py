@@ -49,10 +49,10 @@ def envelope(
     """
     if len(x) <= 2 * columns:
         return x, low, high
-    first = len(x) * np.arange(columns) // columns
-    ends = np.append(first, len(x) - 1)
-    lowest = np.minimum.reduceat(low, first)
-    highest = np.maximum.reduceat(high, first)
+    first_points = len(x) * np.arange(columns) // columns  # of the groups
+    ends = np.append(first_points, len(x) - 1)
+    lowest = np.minimum.reduceat(low, first_points)
+    highest = np.maximum.reduceat(high, first_points)
     return x[ends], np.append(lowest, lowest[-1]), np.append(highest, highest[-1])
 
 

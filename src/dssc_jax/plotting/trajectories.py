@@ -19,9 +19,11 @@ ROUNDING_NOISE = 1e-9
 SIGNAL_COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 ROTOR_COLOURS = (BLUE, ORANGE, GREEN, GREY)  # red is the limit
 TIME_CONSTANTS = {"tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
-PATH_HEIGHT = 4.2  # inches
-ROW_HEIGHT = 2.3
+"""Legend and colour of each state-dependent time constant, by its signal."""
+PATH_HEIGHT = 4.2  # of the row with the path [inch]
+ROW_HEIGHT = 2.3  # of every other row of a flight [inch]
 WIND = ("wind_x", "wind_y", "wind_z")
+"""Signals with the components of the wind."""
 
 
 @styled
@@ -134,7 +136,7 @@ def bracketed_unit(run: xr.Dataset, name: str) -> str:
 
 
 def signal_label(run: xr.Dataset, name: str) -> str:
-    """The meaning of a signal, without symbol and the word "total", and its unit."""
+    """An axis label of an output or a command: its meaning without symbol and the word "total", and its unit."""
     attributes = run[name].attrs
     meaning = attributes["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
     return label({"long_name": meaning, "units": attributes["units"]})
@@ -149,7 +151,10 @@ def flight(run: xr.Dataset) -> Figure:
     active = [channel for channel in channels if not is_noise(run, channel)] or channels
     is_vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
     panels = vehicle_panels(run) if is_vehicle else []
-    heights = [PATH_HEIGHT] + [ROW_HEIGHT] * math.ceil(len(panels) / 2) if is_vehicle else []
+    heights: list[float] = []  # of the rows of the figure
+    if is_vehicle:
+        panel_rows = math.ceil(len(panels) / 2)
+        heights = [PATH_HEIGHT] + [ROW_HEIGHT] * panel_rows
     first_channel_row = len(heights)
     heights += [ROW_HEIGHT] * len(active)
     figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
@@ -159,7 +164,9 @@ def flight(run: xr.Dataset) -> Figure:
         path_from_above(figure.add_subplot(grid[0, 1]), run)
     time_axes: list[Axes] = []
     for index, draw in enumerate(panels):
-        ax = figure.add_subplot(grid[1 + index // 2, index % 2])
+        row = 1 + index // 2
+        column = index % 2
+        ax = figure.add_subplot(grid[row, column])
         draw(ax, run)
         time_axes.append(ax)
     for row, channel in enumerate(active, first_channel_row):
@@ -215,10 +222,10 @@ def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
 
 
 def is_noise(run: xr.Dataset, channel: str) -> bool:
-    """Whether a channel's error and command are rounding noise."""
-    size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
-    signal = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))
-    return signal <= ROUNDING_NOISE * size
+    """Whether a channel's error and command are rounding noise, compared with its output and reference, or with 1."""
+    output_size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
+    signal_size = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))
+    return signal_size <= ROUNDING_NOISE * output_size
 
 
 def largest_magnitude(run: xr.Dataset, name: str) -> float:
@@ -267,14 +274,15 @@ def attitude(ax: Axes, run: xr.Dataset) -> None:
 
 def rotors(ax: Axes, run: xr.Dataset) -> None:
     """Draw the commanded thrust of each rotor and its limit, and shade the times at which a rotor is at its limit."""
-    numbers = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
-    for index, number in enumerate(filter(str.isdigit, numbers)):
+    endings = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
+    numbers = [ending for ending in endings if ending.isdigit()]  # without rotor_limit and rotor_limited
+    for index, number in enumerate(numbers):
         colour = ROTOR_COLOURS[index % len(ROTOR_COLOURS)]
         style = "-" if index < len(ROTOR_COLOURS) else ":"
         line(ax, run, f"rotor_{number}", colour, number, linewidth=1.0, linestyle=style)
     limit = largest_magnitude(run, "rotor_limit")
     bottom, top = ax.get_ylim()
-    is_limited = list(run["rotor_limited"].values > 0.5)
+    is_limited = list(run["rotor_limited"].values > 0.5)  # 1 or 0 at each time
     if any(is_limited):
         bottom = min(bottom, 0.0)
         top = max(top, limit)
@@ -292,7 +300,7 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
     """Draw the wind, and mark its onset if it does not blow from the start."""
     for name, colour in zip(WIND, SIGNAL_COLOURS[: len(WIND)], strict=True):
         if largest_magnitude(run, name) > 0.0:
-            line(ax, run, name, colour, name[-1])
+            line(ax, run, name, colour, name.removeprefix("wind_"))
     speeds = np.abs([run[name].values for name in WIND])
     windy_samples = np.flatnonzero((speeds > 0.0).any(axis=0))
     if windy_samples[0] > 1:

@@ -1,16 +1,19 @@
 """Figure of the worst winds: one panel for each signal, with the three components over time."""
 
+import math
+
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, study_title, styled, title
 from dssc_jax.results.analysis import Analysis
 
 COLOURS_OF_COMPONENTS = {"x": BLUE, "y": ORANGE, "z": GREEN}
 MOST_PANELS = 12
-COLUMNS = 3
+COLUMNS = 3  # of panels
 
 
 @styled
@@ -23,17 +26,17 @@ def worst_wind(search: Analysis) -> Figure:
     summary = search.summary()
     answers = summary["signals"][:MOST_PANELS]
     columns = min(COLUMNS, len(answers))
-    rows = -(-len(answers) // columns)
+    rows = math.ceil(len(answers) / columns)
     figure = Figure(figsize=(4.0 * columns + 1.5, 2.3 * rows + 1.6), layout="constrained")
     panels = np.ravel(figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False))
     for ax, answer in zip(panels, answers, strict=False):
         wind = search.dataset.sel(signal=answer["signal"])
         draw_wind(ax, wind, smooth=summary["rate"] is not None)
-        worst_text = "ends early" if answer["worst"] is None else f"{answer['worst']:.4g} {answer['unit']}"
-        ax.set_title(f"{answer['signal']}: {worst_text.removesuffix(' 1')}", fontsize="medium")
-    for ax in panels[len(answers) :]:
-        ax.remove()
-    for ax in panels[max(0, len(answers) - columns) : len(answers)]:
+        ax.set_title(f"{answer['signal']}: {worst_text(answer)}", fontsize="medium")
+    for empty in panels[len(answers) :]:
+        empty.remove()
+    lowest_of_columns = panels[max(0, len(answers) - columns) : len(answers)]
+    for ax in lowest_of_columns:
         ax.set_xlabel("time [s]")
         ax.tick_params(labelbottom=True)
     figure.supylabel("wind [m/s]", fontsize="medium")
@@ -43,6 +46,14 @@ def worst_wind(search: Analysis) -> Figure:
     bounds = f"at most {summary['speed']:g} m/s horizontally and {summary['vertical']:g} m/s vertically{rate}"
     title(figure, f"{study_title(search.study)}\nthe worst wind found, {bounds}")
     return figure
+
+
+def worst_text(answer: JsonObject) -> str:
+    """The worst value of a signal with its unit, in words; no value if the flight ends early."""
+    if answer["worst"] is None:
+        return "ends early"
+    value = f"{answer['worst']:.4g}"
+    return value if answer["unit"] == "1" else f"{value} {answer['unit']}"
 
 
 def draw_wind(ax: Axes, wind: xr.Dataset, smooth: bool) -> None:

@@ -21,6 +21,7 @@ MARKS = {
     "found": ("D", ORANGE, "worst found in the box"),
     "bounded": ("|", GREEN, "bounded on all of the box"),
 }
+"""Marker, colour and legend of each kind of value, by its variable in the dataset."""
 
 
 @styled
@@ -49,10 +50,12 @@ def margin_panel(ax: Axes, worst: Analysis, margin: str, loops: list[str]) -> No
     label, scale = PANELS[margin]
     data = worst.dataset.sel(margin=margin)
     rows = np.arange(len(loops))
-    for line, (name, (marker, colour, text)) in enumerate(MARKS.items(), start=1):
+    text_height = 0.1  # as a share of the panel
+    for name, (marker, colour, text) in MARKS.items():
         values = scale * data[name].values
         values = np.where(np.isfinite(values), values, np.nan)
         ax.plot(values, rows, marker, color=colour, label=text, markersize=12, fillstyle="none", markeredgewidth=2.0)
         if np.isnan(values).all():
-            ax.text(0.5, 0.1 * line, f"{text}: none", transform=ax.transAxes, ha="center")
+            ax.text(0.5, text_height, f"{text}: none", transform=ax.transAxes, ha="center")
+        text_height += 0.1
     ax.set(xlabel=label, yticks=rows, yticklabels=loops, ylim=(-0.7, len(loops) - 0.3))

@@ -49,18 +49,32 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
         yield table(caption, ("number", "value"), single_values, words=2)
     for name, value in content.items():
         key = entry_key(meanings, place, name)
-        label = f"{caption}: {name.replace('_', ' ')}"
+        group_caption = f"{caption}: {name.replace('_', ' ')}"
         group_key = f"{key}[]" if isinstance(value, list) else f"{key}.NAME"
         rows = summary_rows(value)
         columns = columns_of(rows)
         if columns:
-            head = [number_label(meanings, entry_key(meanings, group_key, column), column) for column in columns]
-            cells = []
-            for row_name, row in rows.items():
-                cells.append((row_name, *(cell(row.get(column)) or "" for column in columns)))
-            yield table(label, ("name", *head), cells, words=1 + leading_words(columns, rows.values()))
+            labels = {}
+            for column in columns:
+                labels[column] = number_label(meanings, entry_key(meanings, group_key, column), column)
+            yield row_table(group_caption, rows, labels)
         elif isinstance(value, Mapping):
-            yield from tables(label, value, meanings, key)
+            yield from tables(group_caption, value, meanings, key)
+
+
+def row_table(caption: str, rows: Mapping[str, Mapping[str, object]], labels: Mapping[str, h.Node]) -> h.Element:
+    """The table of a group of similar rows, with the name of each row in its first column.
+
+    Args:
+        caption: Caption of the table.
+        rows: Values of each row by column; a column that a row lacks, or whose value does not fit, stays empty there.
+        labels: Header of each column.
+    """
+    cells = []
+    for name, row in rows.items():
+        cells.append((name, *(cell(row.get(column)) or "" for column in labels)))
+    words = 1 + leading_words(list(labels), rows.values())
+    return table(caption, ("name", *labels.values()), cells, words=words)
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
@@ -74,8 +88,10 @@ def entry_key(meanings: Meanings, place: str, name: str) -> str:
         place: Key of the part of the summary that contains the entry; empty for the summary itself.
         name: Name of the entry.
     """
-    for entry in (f"{place}.{name}".removeprefix("."), f"{place}.NAME".removeprefix(".")):
-        if any(key == entry or key.startswith((f"{entry}.", f"{entry}[")) for key in meanings):
+    prefix = f"{place}." if place else ""
+    for entry in (f"{prefix}{name}", f"{prefix}NAME"):
+        is_known = any(key == entry or key.startswith((f"{entry}.", f"{entry}[")) for key in meanings)
+        if is_known:
             return entry
     return place or name
 
@@ -88,22 +104,24 @@ def number_label(meanings: Meanings, key: str, name: str) -> h.Node:
 
 
 def summary_rows(value: object) -> dict[str, Mapping[str, object]]:
-    """The rows of a group by name: of a mapping of mappings, or of a list of them; empty if it is neither."""
+    """The rows of a mapping of mappings by name, or of a list of mappings by rank; empty for any other value."""
     rows = {}
     if isinstance(value, list):
         rows = {str(rank): row for rank, row in enumerate(value, start=1)}
     elif isinstance(value, Mapping):
         rows = dict(value)
-    return rows if all(isinstance(row, Mapping) for row in rows.values()) else {}
+    are_rows = all(isinstance(row, Mapping) for row in rows.values())
+    return rows if are_rows else {}
 
 
 def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
     """The names of the entries that fit into a cell in at least one row."""
-    fits: dict[str, bool] = {}
+    fits_in_a_row: dict[str, bool] = {}  # by name, in the order of the rows
     for row in rows.values():
         for name, value in row.items():
-            fits[name] = fits.get(name, False) or cell(value) is not None
-    return [name for name, fits_in_a_row in fits.items() if fits_in_a_row]
+            fits = cell(value) is not None
+            fits_in_a_row[name] = fits_in_a_row.get(name, False) or fits
+    return [name for name, fits in fits_in_a_row.items() if fits]
 
 
 def leading_words(columns: Sequence[str], rows: Collection[Mapping[str, object]]) -> int:

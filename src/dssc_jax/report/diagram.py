@@ -9,19 +9,20 @@ from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, section_of
 
 WIDTH = 158  # of a block [px]
-HEIGHT = 66
-GAP = 44  # between blocks
-UPPER_ROW = 34  # upper edges of the rows of blocks
-FORWARD_ROW = 150
-FEEDBACK_ROW = 256
-MARGIN = 14
-RADIUS = 9  # of a junction
+HEIGHT = 66  # of a block [px]
+GAP = 44  # between blocks [px]
+UPPER_ROW = 34  # upper edge of the blocks in the upper row [px]
+FORWARD_ROW = 150  # likewise, in the row of the forward path
+FEEDBACK_ROW = 256  # likewise, in the row of the feedback
+MARGIN = 14  # around the diagram [px]
+RADIUS = 9  # of a junction [px]
 LINE_LENGTH = 24
 """Largest number of characters in a line of a block."""
 ABSENT = ("none", "ideal")
 """Kinds of parts that do nothing, and have no block."""
 ALWAYS = ("reference", "plant", "controller")
 """Parts that every loop has."""
+BASELINE_SKIP = 16  # between two lines of text in a block [px]
 NAMES = {
     "reference": "reference",
     "controller": "controller",
@@ -32,8 +33,7 @@ NAMES = {
     "sensor": "sensor",
     "differentiator": "differentiator",
 }
-
-
+"""Title of the block of each part of the loop."""
 MIDDLE = FORWARD_ROW + HEIGHT // 2
 """Height of the forward path."""
 
@@ -47,24 +47,25 @@ class Drawing:
     def block(self, x: int, y: int, title: str, lines: Sequence[str] = ()) -> None:
         """Add a block with its upper left corner at (x, y), a title, and up to two lines below it."""
         texts = [title, *(shorten(line) for line in lines if line)]
-        first_baseline = y + HEIGHT // 2 - 8 * (len(texts) - 1) + 5
+        baseline = y + HEIGHT // 2 - BASELINE_SKIP // 2 * (len(texts) - 1) + 5  # the lines stand around the middle
         labels = []
         for i, text in enumerate(texts):
-            label = h.text(class_="title" if i == 0 else "line", x=x + WIDTH // 2, y=first_baseline + 16 * i)
+            label = h.text(class_="title" if i == 0 else "line", x=x + WIDTH // 2, y=baseline)
             labels.append(label[text])
+            baseline += BASELINE_SKIP
         frame = h.rect(".block", x=x, y=y, width=WIDTH, height=HEIGHT, rx=6)
         self.elements.append(h.g[h.title[" ".join((title, *lines))], frame, labels])
 
     def arrow(self, *points: tuple[int, int], label: str = "") -> None:
         """Add a line through points with an arrowhead at the last point, and a label beside its first segment."""
-        x, y = points[0]
-        x2, y2 = points[1]
-        path = "M" + "L".join(f"{a} {b}" for a, b in points)
+        path = "M" + "L".join(f"{x} {y}" for x, y in points)  # move to the first point, draw lines to the others
         self.elements.append(h.path(".wire", d=path, marker_end="url(#arrow)"))
-        if label and x == x2:
-            self.signal(x + 7, (y + y2) // 2 + 4, label)
+        (x1, y1), (x2, y2), *_ = points
+        is_vertical = x1 == x2
+        if label and is_vertical:
+            self.signal(x1 + 7, (y1 + y2) // 2 + 4, label)
         elif label:
-            self.signal((x + x2) // 2, y - 7, label)
+            self.signal((x1 + x2) // 2, y1 - 7, label)
 
     def signal(self, x: int, y: int, name: str) -> None:
         """Add the name of a signal."""
@@ -109,6 +110,8 @@ def diagram(study: Study) -> h.Element:
 def draw_inputs(drawing: Drawing, study: Study, controller: int) -> int:
     """Draw the forward path from the controller to the plant: nominal control, unmodelled dynamics, disturbance.
 
+    Parts that the study does not have are left out.
+
     Args:
         drawing: The drawing.
         study: The study.
@@ -144,7 +147,7 @@ def draw_addition(
         upper_x: Left edge of the block.
         title: Title of the block.
         lines: Lines below the title.
-        signals: Names of the signal along the path and of that of the block.
+        signals: Name of the signal along the path, and name of the block's signal; empty: no name.
 
     Returns:
         The new end of the forward path.
@@ -195,18 +198,23 @@ def diagram_text(study: Study) -> str:
 
 
 def block_lines(study: Study, slot: str) -> list[str]:
-    """The lines below the title of a block: its kind, and which of its numbers are uncertain or swept."""
+    """The lines below the title of a block: its kind, and which of its numbers are uncertain (~) or swept (⇄)."""
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     functions_kind = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     section = f"{section_of(study.config, slot)}."
-    marks = [f"~ {name.rpartition('.')[2]}" for name in study.uncertain if name.startswith(section)]
+    marks = [f"~ {last_field(name)}" for name in study.uncertain if name.startswith(section)]
     swept_names = [follower for name in study.axes for follower in study.followers(name)]
-    for name in dict.fromkeys(swept_names):
+    for name in dict.fromkeys(swept_names):  # each once
         if name.startswith(section):
-            marks.append(f"⇄ {name.rpartition('.')[2]}")
+            marks.append(f"⇄ {last_field(name)}")
     numbers = "  ".join(marks) if len(marks) <= 2 else f"~ {len(marks)} uncertain or swept"
     return [part_kind(study, slot) + functions_kind, numbers]
+
+
+def last_field(name: str) -> str:
+    """The last part of a dotted name, such as "k_p" of "plant.k_p"."""
+    return name.rpartition(".")[2]
 
 
 def part_kind(study: Study, slot: str) -> str:
@@ -214,21 +222,25 @@ def part_kind(study: Study, slot: str) -> str:
     table = getattr(study.config, section_of(study.config, slot))
     common_kind = kind_in(study.config, slot)
     is_common = isinstance(table, list) or ("kind" in table and common_kind not in ABSENT)
-    return common_kind if is_common else ", ".join(present_kinds(study, slot)) or common_kind
+    if is_common:
+        return common_kind
+    kinds = ", ".join(present_kinds(study, slot))
+    return kinds or common_kind
 
 
 def present_kinds(study: Study, slot: str) -> list[str]:
-    """The kinds of a part that do something: of all channels, of single channels, and of measured signals."""
+    """The kinds of a part that do something, each once: of all channels, of single channels, of measured signals."""
     table = getattr(study.config, section_of(study.config, slot))
     parts = table
     if isinstance(table, dict):
-        parts = [table, *(part for part in table.values() if isinstance(part, dict))]
+        parts_of_channels = [part for part in table.values() if isinstance(part, dict)]
+        parts = [table, *parts_of_channels]
     kinds = dict.fromkeys(part.get("kind") for part in parts)
-    return [kind for kind in kinds if kind not in (None, *ABSENT)]
+    return [kind for kind in kinds if kind is not None and kind not in ABSENT]
 
 
 def has_nominal(study: Study) -> bool:
-    """Whether the controller has a nominal part."""
+    """Whether the controller has a nominal part, told by the names of its numbers."""
     names = [name for name in study.leaves() if name.startswith("controller.")]
     return any("nominal" in name.split(".") for name in names)
 

@@ -11,6 +11,7 @@ from dssc_jax.statistics import CONFIDENCE, rounded_probability
 
 MINUS = "\N{MINUS SIGN}"
 LEVEL = f"{100 * CONFIDENCE:g} %"
+"""Confidence of intervals, in words."""
 
 
 class Section(NamedTuple):
@@ -29,9 +30,13 @@ class Section(NamedTuple):
 
 def number(value: float | None) -> str:
     """Format a number with four significant digits; None, the value of a draw that ended early, is infinite."""
-    if value is None or math.isinf(value):
-        return "∞" if value is None or value > 0 else f"{MINUS}∞"
-    return "none" if math.isnan(value) else f"{value:.4g}".replace("-", MINUS)
+    if value is None:
+        return "∞"
+    if math.isnan(value):
+        return "none"
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{MINUS}∞"
+    return f"{value:.4g}".replace("-", MINUS)
 
 
 def with_unit(value: float, unit: str) -> str:
@@ -45,14 +50,15 @@ def number_with_meaning(name: h.Node, meaning: str, unit: str) -> list[h.Node]:
 
 
 def probability_text(share: float, bounds: Sequence[float]) -> str:
-    """Format a probability; if no draw failed, its upper bound is given, never 0."""
-    return number(share) if share else f"≤ {bounds[1]:.3g}"
+    """Format a probability; in place of 0 it is the upper bound of the interval, as "≤ BOUND"."""
+    _, upper = bounds
+    return number(share) if share else f"≤ {upper:.3g}"
 
 
 def interval(bounds: Sequence[float]) -> str:
-    """Format the interval of a probability."""
-    low, high = map(rounded_probability, bounds)
-    return f"{low} to {high}"
+    """Format the interval of a probability, as "LOW to HIGH"."""
+    low, high = bounds
+    return f"{rounded_probability(low)} to {rounded_probability(high)}"
 
 
 def count_text(count: int, noun: str) -> str:

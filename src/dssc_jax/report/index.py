@@ -32,7 +32,7 @@ class IndexRow(NamedTuple):
         study: Name of the study.
         started: Time at which a run began, in ISO format.
         size: Numbers of draws and points of a result, in words.
-        probability: Failure probability; of a sweep those of its best and its worst point.
+        probability: Failure probability of a run; failure probabilities of a sweep's best and worst point.
         interval: Interval of the failure probability of a run.
         worst: Failure probability of the worst point, by which the index is sorted.
         trouble: Reason why the folder cannot be shown; empty if it can.
@@ -51,7 +51,7 @@ class IndexRow(NamedTuple):
 
 
 def folders(root: Path) -> Iterator[Path]:
-    """All folders of results and analyses below a folder, and those of its direct subfolders that contain none."""
+    """All folders of results and analyses below a folder, and its direct subfolders that contain no such folder."""
     for child in sorted(path for path in root.iterdir() if path.is_dir()):
         if child.is_symlink():
             yield child
@@ -101,13 +101,15 @@ def with_probability(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
         points: Summaries of the result's points.
     """
     best, worst = extreme_points(points)
-    extremes = [best] if len(points) == 1 else [best, worst]
-    size = count_text(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
+    lowest = probability_text(best["probability"], best["interval"])
+    draws = count_text(best["draws"], "draw")
+    if len(points) == 1:  # a run
+        return row._replace(
+            size=draws, probability=lowest, interval=interval(best["interval"]), worst=worst["probability"]
+        )
+    highest = probability_text(worst["probability"], worst["interval"])
     return row._replace(
-        size=size,
-        probability=" to ".join(probability_text(point["probability"], point["interval"]) for point in extremes),
-        interval=interval(best["interval"]) if len(points) == 1 else "",
-        worst=worst["probability"],
+        size=f"{draws} at {len(points):,} points", probability=f"{lowest} to {highest}", worst=worst["probability"]
     )
 
 

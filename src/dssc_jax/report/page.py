@@ -21,6 +21,7 @@ from dssc_jax.study import Study, hash_of
 REPORT = "report.html"
 STYLE_SHEET = Path(__file__).with_name("style.css")
 CONTENT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""What a browser may load for the page: its own style and pictures within it, and nothing from elsewhere."""
 """Content security policy of the page: it loads nothing from elsewhere."""
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     study_sections.question,
@@ -61,8 +62,8 @@ def html(result: Result | Analysis, worst: int = WORST_DRAWS) -> str:
     if isinstance(result, Analysis):
         return html_of_analysis(result)
     subject = Subject(result, worst)
-    short, long = result_sections.headline_verdict(subject)
-    verdict = facts([("failure probability", [h.strong[short], h.span[long]])], "verdict")
+    probability, sentence = result_sections.headline_verdict(subject)
+    verdict = facts([("failure probability", [h.strong[probability], h.span[sentence]])], "verdict")
     sections = [make(subject) for make in SECTIONS]
     return report(result.study, "Robustness report", verdict, sections)
 
@@ -163,7 +164,7 @@ def write_page(text: str, path: Path, result: Result | Analysis | None = None) -
 
 
 def last_line(content: bytes, result: Result | Analysis) -> bytes:
-    """The comment at the end of a report: a digest of the page, by which truncation is found, and one of its result."""
+    """The comment at the end of a report, with a digest of the page, which finds truncation, and one of its result."""
     digest = hashlib.sha256(content).hexdigest()
     return f"\n<!-- dssc_jax: page {digest} of result {result_digest(result)} -->\n".encode()
 

@@ -26,13 +26,16 @@ def proofs(subject: Subject) -> Section | None:
     share = result.failed.mean("draw").transpose(*axes).values
     proved = result.dataset["proved"].transpose(*axes).values
     covered = result.point_proofs.claim.covered
-    kinds = standing_of(proved, share)
-    counts = [(text, f"{np.count_nonzero(kinds == kind):,}") for kind, text in enumerate(standing_words(covered))]
+    standings = standing_of(proved, share)
+    counts = []
+    for standing, text in enumerate(standing_words(covered)):
+        counts.append((text, f"{np.count_nonzero(standings == standing):,}"))
     body: list[h.Node] = [
         table(count_text(proved.size, "point"), ("how a point stands", "points"), counts),
         h.p[CLAIM.format(covered=covered)],
     ]
-    if sum(size > 1 for size in proved.shape) == 2:
+    swept_axes = sum(size > 1 for size in proved.shape)
+    if swept_axes == 2:
         text = f"{np.count_nonzero(proved)} of {proved.size} points are proved."
         body.append(figure(inline_svg(lambda: plotting.standing(result), text, "standing"), text))
     if proved.any():

@@ -34,11 +34,13 @@ from dssc_jax.results.summary import SummaryRow, extreme_points, missing_value_t
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Described, Study
 
-MOST_ROWS = 400
-MOST_FACTORS = 24
+MOST_ROWS = 400  # points of a sweep in a table
+MOST_FACTORS = 24  # uncertain numbers with a figure
 CERTIFIED_TEXT = {None: "-", True: "yes", False: "no"}
+"""Text of a certificate; None: Theorem 1 does not cover the point."""
 FOREIGN_CODE = "They are not simulated again here, which would run code that is not part of dssc_jax: "
 CHATTERING_METRICS = ("command_tv", "sampling_ratio", "sampling_ratio_above_1", "outside_sliding")
+"""Kinds of metrics of the section on chattering."""
 
 
 def outcome(subject: Subject) -> Section:
@@ -73,21 +75,10 @@ def integration(subject: Subject) -> h.Node:
 
 def outcome_tables(subject: Subject) -> list[h.Node]:
     """Table of the outcomes and of violations of each requirement, a note, and the table of joint violations."""
-    result = subject.point_result
+    method = subject.point_result.method
     point = subject.point_summary
-    ended = result.dataset["outcome"].values
-    method = result.method
     draws = point["draws"]
-    rows: list[tuple[h.Node, ...]] = []
-    for code, text in ENDINGS.items():
-        if code in outcome_codes(result.study):
-            bounds = method.interval(ended == code).tolist()
-            count = int(np.count_nonzero(ended == code))
-            rows.append((text, f"{count:,}", probability_text(count / draws, bounds), interval(bounds), "", "", ""))
-    for rule, requirement in zip(result.study.requirements, point["requirements"], strict=True):
-        time = requirement["violated_at"]
-        timing = f"{requirement['first']:,}", "" if time is None else f"{time:.4g}"
-        rows.append((f"violates {rule.short}", *failure_cells(requirement), f"{requirement['alone']:,}", *timing))
+    rows = [*ending_rows(subject), *violation_rows(subject)]
     rows.append((h.strong["fails in any way"], *failure_cells(point), "", "", ""))
     head = (
         "how a draw ended",
@@ -107,8 +98,34 @@ def outcome_tables(subject: Subject) -> list[h.Node]:
         table(f"Outcomes of {count_text(draws, 'draw')}{subject.point_phrase}", head, rows),
         h.p[note],
         *(h.p[f"{text}."] for text in missing_value_texts(point)),
-        *joint_violations(point, result.study),
+        *joint_violations(point, subject.point_result.study),
     ]
+
+
+def ending_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
+    """Rows of the table of outcomes: how many draws ended in each way, without cells for requirements."""
+    result = subject.point_result
+    outcomes = result.dataset["outcome"].values
+    rows: list[tuple[h.Node, ...]] = []
+    for code, text in ENDINGS.items():
+        if code in outcome_codes(result.study):
+            bounds = result.method.interval(outcomes == code).tolist()
+            count = int(np.count_nonzero(outcomes == code))
+            probability = probability_text(count / subject.point_summary["draws"], bounds)
+            rows.append((text, f"{count:,}", probability, interval(bounds), "", "", ""))
+    return rows
+
+
+def violation_rows(subject: Subject) -> list[tuple[h.Node, ...]]:
+    """Rows of the table of outcomes: how many draws violate each requirement, this one alone, and this one first."""
+    rows: list[tuple[h.Node, ...]] = []
+    pairs = zip(subject.point_result.study.requirements, subject.point_summary["requirements"], strict=True)
+    for requirement, failures in pairs:
+        time = failures["violated_at"]
+        median_time = "" if time is None else f"{time:.4g}"
+        counts = f"{failures['alone']:,}", f"{failures['first']:,}"
+        rows.append((f"violates {requirement.short}", *failure_cells(failures), *counts, median_time))
+    return rows
 
 
 def joint_violations(point: SummaryRow, study: Study) -> list[h.Node]:
@@ -134,7 +151,7 @@ def failure_cells(row: SummaryRow) -> tuple[str, str, str]:
 
 
 def point_tables(subject: Subject) -> list[h.Node]:
-    """Table of the best and the worst point of a sweep and of that shown in detail, and a collapsible one of all."""
+    """Table of three points of a sweep, the best, the worst and the one shown in detail; and one of all points."""
     study = subject.result.study
     points = subject.summary["points"]
     axes = [name_with_unit(name, study.quantities[name].unit) for name in study.axes]
@@ -345,7 +362,7 @@ def headline_verdict(subject: Subject) -> tuple[str, str]:
     """The failure probability in a few characters, and its counts and interval in one sentence."""
     points = subject.summary["points"]
     if not subject.result.study.axes:
-        (point,) = points
+        point = points[0]  # a run has one
         text = f"{point['failures']:,} of {point['draws']:,} draws fail; {LEVEL} interval {interval(point['interval'])}"
         return probability_text(point["probability"], point["interval"]), text
     best, worst = extreme_points(points)

@@ -77,29 +77,34 @@ def loop(subject: AnySubject) -> Section:
 
 
 def laws(subject: AnySubject) -> Section | None:
-    """Section with the law of each uncertain number, its density and quantiles; None without laws.
-
-    Of a law whose arguments are ranges, the density is that of the law in the middle, and the quantiles are the lowest
-    and the highest at the corners of the ranges.
-    """
+    """Section with the law of each uncertain number, its density and quantiles; None without laws."""
     study = subject.result.study
     if not study.written_laws:
         return None
-    rows = []
-    for name, law in study.written_laws.items():
-        members = law.corners if isinstance(law, RangedLaw) else [law]
-        low = min(float(member.quantile(np.asarray(0.05))) for member in members)
-        high = max(float(member.quantile(np.asarray(0.95))) for member in members)
-        quantity = study.quantities[name]
-        label = number_with_meaning(h.code[name], quantity.meaning, quantity.unit)
-        density = [
-            density_plot(law.middle if isinstance(law, RangedLaw) else law),
-            law.logarithmic and h.span(".meaning")["logarithmic axis"],
-        ]
-        rows.append((label, str(law), density, number(law.median), f"{number(low)} to {number(high)}"))
+    rows = [law_cells(study, name) for name in study.written_laws]
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
+
+
+def law_cells(study: Study, name: str) -> tuple[h.Node, ...]:
+    """Cells of an uncertain number: its label, law, density, median, and 5 and 95 % quantile.
+
+    If the arguments of the law are ranges, the law in the middle gives the density, and the corners of the ranges give
+    the lowest and the highest quantile.
+    """
+    law = study.written_laws[name]
+    is_ranged = isinstance(law, RangedLaw)
+    corners = law.corners if is_ranged else [law]
+    low = min(float(corner.quantile(np.asarray(0.05))) for corner in corners)
+    high = max(float(corner.quantile(np.asarray(0.95))) for corner in corners)
+    quantity = study.quantities[name]
+    label = number_with_meaning(h.code[name], quantity.meaning, quantity.unit)
+    density = [
+        density_plot(law.middle if is_ranged else law),
+        law.logarithmic and h.span(".meaning")["logarithmic axis"],
+    ]
+    return label, str(law), density, number(law.median), f"{number(low)} to {number(high)}"
 
 
 def expressions(subject: AnySubject) -> Section | None:
@@ -121,21 +126,24 @@ def expressions(subject: AnySubject) -> Section | None:
 
 def dependence(study: Study) -> str:
     """Tell which uncertain numbers are correlated, as the end of a phrase."""
-    pairs = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]
-    return f"with rank correlations ({'; '.join(pairs)}), otherwise independent" if pairs else "independent"
+    correlations = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]
+    if not correlations:
+        return "independent"
+    return f"with rank correlations ({'; '.join(correlations)}), otherwise independent"
 
 
 def density_plot(law: Law) -> h.Element:
     """A small plot of a law's density, with a logarithmic axis if the law is logarithmic."""
-    values = law.quantile((np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS))
+    levels = (np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS)
+    values = law.quantile(levels)
     low = float(values.min())
     high = float(values.max())
     positions = np.log(values) if law.logarithmic else values
     counts, _ = np.histogram(positions, bins=BINS)
     width, height = DENSITY_SIZE
     step = width / BINS
-    tops = height - 1.0 - (height - 4.0) * counts / counts.max()
-    outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)
+    tops = height - 1.0 - (height - 4.0) * counts / counts.max()  # y grows downwards
+    outline = "".join(f"V{top:.1f}h{step:.2f}" for top in tops)  # of a path: vertically to the top, then one step right
     scale = ", logarithmic axis" if law.logarithmic else ""
     text = f"density of {law} from {number(low)} to {number(high)}{scale}"
     return h.svg(".sketch", role="img", aria_label=text, viewBox=f"0 0 {width} {height}", width=width, height=height)[

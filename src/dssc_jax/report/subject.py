@@ -46,7 +46,7 @@ class Subject:
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Indices, by axis, of the point shown in detail: that with the failure probability nearest to one half."""
+        """Indices, by axis, of the point shown in detail, whose failure probability is nearest to one half."""
         axes = list(self.result.study.axes)
         share = self.result.failed.mean("draw").transpose(*axes).values
         index = np.unravel_index(np.argmin(np.abs(share - 0.5)), share.shape)
@@ -66,8 +66,8 @@ class Subject:
     def point_summary(self) -> SummaryRow:
         """The summary of the point shown in detail."""
         shape = tuple(len(values) for values in self.result.study.axes.values())
-        place = np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0
-        return self.summary["points"][place]
+        position = np.ravel_multi_index(tuple(self.index.values()), shape) if shape else 0  # a run has one point
+        return self.summary["points"][position]
 
     @property
     def point_phrase(self) -> str:
@@ -114,6 +114,7 @@ def worst_draws(result: Result, count: int) -> list[int]:
     else:
         value = result.dataset[headline_measure(result.study).name].values
         slack = -np.where(np.isnan(value), np.inf, value)
-    end = result.dataset["failed_at"].values
-    order = np.lexsort((np.where(np.isnan(end), np.inf, end), slack))
+    failed_at = result.dataset["failed_at"].values
+    end = np.where(np.isnan(failed_at), np.inf, failed_at)  # NaN: the draw ran to its end
+    order = np.lexsort((end, slack))  # by the last key first: slack, then end
     return [int(draw) for draw in order[:count]]

@@ -13,7 +13,7 @@ from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED, STYLE
 
 INK = "#010203"
 """Placeholder for the colour of the page's text."""
-SVG_COLOURS = {
+SVG_COLOURS: dict[str, str] = {
     INK: "currentColor",
     BLUE: "var(--blue)",
     ORANGE: "var(--orange)",
@@ -21,6 +21,7 @@ SVG_COLOURS = {
     RED: "var(--red)",
     GREY: "var(--grey)",
 }
+"""Colour of the page in place of each colour of a figure."""
 TEXT_COLOURS = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
 """Matplotlib's settings of colours that are those of the page's text."""
 BACKGROUNDS = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
@@ -44,12 +45,22 @@ def inline_svg(draw: Callable[[], Figure], text: str, prefix: str) -> Markup:
     with rc_context(settings):
         draw().savefig(buffer, format="svg")
     source = buffer.getvalue()
-    box = re.search(r'viewBox="([\d. -]+)"', source)
-    inside = source[source.index(">", source.index("<svg")) + 1 :]
-    inside = re.sub(r"<metadata>.*?</metadata>", "", inside, flags=re.DOTALL)
-    inside = re.sub(r' d="[^"]*"', lambda path: MANY_DIGITS.sub(r"\1", path[0]), inside)
-    inside = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}-", inside)
-    for colour, name in SVG_COLOURS.items():
-        inside = re.sub(colour, name, inside, flags=re.IGNORECASE)
+    box_match = re.search(r'viewBox="([\d. -]+)"', source)
+    box = box_match[1] if box_match else "0 0 1 1"
+    end_of_opening = source.index(">", source.index("<svg"))
+    content = page_content(source[end_of_opening + 1 :], prefix)
     opening = '<svg class="plot" role="img" aria-label="{}" viewBox="{}" xmlns:xlink="http://www.w3.org/1999/xlink">'
-    return Markup(opening).format(escape(text), box[1] if box else "0 0 1 1") + Markup(inside)
+    return Markup(opening).format(escape(text), box) + Markup(content)
+
+
+def page_content(content: str, prefix: str) -> str:
+    """What follows the opening tag of a figure's SVG, made fit for the page.
+
+    Metadata and needless digits are removed, identifiers get the prefix, and colours become those of the page.
+    """
+    content = re.sub(r"<metadata>.*?</metadata>", "", content, flags=re.DOTALL)
+    content = re.sub(r' d="[^"]*"', lambda path: MANY_DIGITS.sub(r"\1", path[0]), content)
+    content = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}-", content)
+    for colour, name in SVG_COLOURS.items():
+        content = re.sub(colour, name, content, flags=re.IGNORECASE)
+    return content

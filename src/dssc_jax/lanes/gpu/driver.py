@@ -61,7 +61,7 @@ class Driver:
         self._library = library
         for function, types in ARGUMENTS.items():
             getattr(library, function).argtypes = types
-        self.call("cuInit", 0)  # without flags, of which CUDA has none yet
+        self.call("cuInit", 0)  # flags, which CUDA reserves
         device = c_int()
         self.call("cuDeviceGet", byref(device), 0)  # the first
         self.device = device.value
