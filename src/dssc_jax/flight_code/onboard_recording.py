@@ -63,7 +63,7 @@ def recording_lane(
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
 
             advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, record_tick)
-            following, _ = step(loop, params, key, state, k, advance)
+            following, _recorded = step(loop, params, key, state, k, advance)
             return (following, k + 1), rows
 
         start = initial_state(loop, params, key)
