@@ -71,9 +71,9 @@ class NoiseShape(NamedTuple):
     @property
     def correlation_time(self) -> float:
         """Smallest lag back from the last reading at which the correlation falls to 1/e [s]."""
-        last = self.simulated[:, -1]
-        sizes = np.sqrt(np.sum(self.simulated**2, axis=0) * np.sum(last**2))
-        has_decayed = last @ self.simulated <= math.exp(-1.0) * sizes
+        final_values = self.simulated[:, -1]
+        sizes = np.sqrt(np.sum(self.simulated**2, axis=0) * np.sum(final_values**2))
+        has_decayed = final_values @ self.simulated <= math.exp(-1.0) * sizes
         has_decayed[0] = True  # at the latest
         latest = np.flatnonzero(has_decayed)[-1]
         return float(self.times[-1] - self.times[latest])

@@ -159,15 +159,15 @@ def common_variables(runs: Sequence[xr.Dataset]) -> tuple[list[Hashable], list[H
         runs: The dataset of each controller's run; an uncertain number has its ``law`` as an attribute.
     """
     uncertain = []
-    others = []
+    certain = []
     for name in runs[0]:
         if not all(name in run for run in runs):
             continue
         if all("law" in run[name].attrs for run in runs):
             uncertain.append(name)
         else:
-            others.append(name)
-    return uncertain, others
+            certain.append(name)
+    return uncertain, certain
 
 
 class ContestPart(NamedTuple):

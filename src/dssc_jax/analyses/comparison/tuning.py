@@ -236,8 +236,8 @@ def candidate_points(
         seed: Seed of the Sobol points.
     """
     sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(seed))
-    enough = 1 << (count - 1).bit_length()  # the least power of two >= count: so many Sobol points are even
-    points = sobol.random(enough)[:count]
+    power_of_two = 1 << (count - 1).bit_length()  # the least power of two >= count: so many Sobol points are even
+    points = sobol.random(power_of_two)[:count]
     low, high = np.array(list(extents.values())).T[:, :, None]  # shape (numbers, 1) each
     columns = np.exp(np.log(low) + points.T * np.log(high / low))
     leaves = study.leaves()

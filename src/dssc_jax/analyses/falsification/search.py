@@ -255,8 +255,8 @@ class WorstDrawSearch:
         for target in targets:
             worst_first = np.argsort(slacks[:, target], kind="stable").tolist()
             unused = [index for index in worst_first if index not in starts]
-            apart = (index for index in unused if self.is_apart(points[index], points[starts]))
-            starts.append(next(apart, unused[0]))
+            distant = (index for index in unused if self.is_apart(points[index], points[starts]))
+            starts.append(next(distant, unused[0]))
         return points[starts], targets
 
     def is_apart(self, point: np.ndarray, starts: np.ndarray) -> bool:

@@ -180,9 +180,9 @@ def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
     if may_begin_earlier or may_end_later:
         return []
     begins, ends = flag_runs(meets)  # an end is the position after the run
-    first = places[begins].tolist()
-    last = places[ends - 1].tolist()
-    return list(zip(first, last, strict=True))
+    first_places = places[begins].tolist()
+    final_places = places[ends - 1].tolist()
+    return list(zip(first_places, final_places, strict=True))
 
 
 @takes_file

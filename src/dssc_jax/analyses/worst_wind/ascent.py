@@ -144,17 +144,17 @@ class Ascent:
 
     def run(self) -> dict[str, WorstFlight]:
         """Search for the worst flight of each signal, by name of the signal."""
-        first = self.first_climbs()
-        last = self.climb(first)
+        candidates = self.first_climbs()
+        tops = self.climb(candidates)
         worst_flights = {}
         for name in self.signals:
-            places = np.array([place for place, signal in enumerate(first.signals) if signal == name])
-            top = places[np.argmax(last.heights[places])]
+            places = np.array([place for place, signal in enumerate(candidates.signals) if signal == name])
+            top = places[np.argmax(tops.heights[places])]
             sign = self.flights.signals[name].sign
             worst_flights[name] = WorstFlight(
-                value=sign * float(last.heights[top]),
-                candidate=sign * float(first.heights[places].max()),
-                point=last.points.select(np.array([top])),
+                value=sign * float(tops.heights[top]),
+                candidate=sign * float(candidates.heights[places].max()),
+                point=tops.points.select(np.array([top])),
             )
         return worst_flights
 

@@ -249,7 +249,7 @@ def fly_winds(
         >>> dj.fly_winds(study, winds)["error_max_x"].values.round(3).tolist()
         [0.0, 0.317]
     """
-    given = dict(numbers or {})
+    fixed_numbers = dict(numbers or {})
     shape = np.shape(winds)
     more_knots = BEYOND if smooth else 0
     if len(shape) != 3 or shape[2] != len(AXES) or shape[1] <= more_knots:
@@ -260,10 +260,10 @@ def fly_winds(
         rule = f"must divide the {study.loop.steps} samples of the flight into parts of whole samples"
         raise ConfigError("winds", f"{rule}; got {vectors} vectors, of which {grid.size} would do")
     flights = WindFlights(study, grid, min(BLOCK, count))
-    for name in given:
+    for name in fixed_numbers:
         if name not in flights.numbers:
             raise ConfigError(name, f"is no uncertain number of this study; {nearest(name, flights.numbers)}")
-    values = medians(flights.flying) | given
+    values = medians(flights.flying) | fixed_numbers
     columns = {name: np.broadcast_to(values[name], (count,)) for name in flights.numbers}
     results = flights(np.asarray(winds, float), columns)
     variables = {}

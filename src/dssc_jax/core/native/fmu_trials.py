@@ -27,11 +27,11 @@ def require_independent(fmu: NativeFmu) -> None:
     try:
         first = trial_outputs(fmu, [0])
         second = trial_outputs(fmu, [1])
-        both = trial_outputs(fmu, [0, 1])
+        alternating = trial_outputs(fmu, [0, 1])
         repeated_first = trial_outputs(fmu, [0])
     except FmiError as error:
         raise failure(fmu, error) from None
-    if both != first + second or repeated_first != first:
+    if alternating != first + second or repeated_first != first:
         rule = "keeps numbers outside of its instances (static or global variables), which would mix the draws"
         raise ConfigError("file", f"'{fmu.file}' {rule}; export it without them")
 

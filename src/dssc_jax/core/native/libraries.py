@@ -114,9 +114,9 @@ def require_reentrant(controller: NativeController) -> None:
     """
     first = flown_commands(controller, [0])
     second = flown_commands(controller, [1])
-    both = flown_commands(controller, [0, 1])
+    alternating = flown_commands(controller, [0, 1])
     repeated_first = flown_commands(controller, [0])
-    if both != first + second or repeated_first != first:
+    if alternating != first + second or repeated_first != first:
         rule = (
             "keeps numbers outside of its structure (static or global variables, a random generator, a clock), which "
             "would mix thousands of flights; move them into its state"

@@ -57,10 +57,10 @@ def possible_dropouts(command: np.ndarray) -> list[Dropout]:
 
 def without_spans(command: np.ndarray, spans: list[Dropout]) -> np.ndarray:
     """The command, NaN in the spans, shape (samples,)."""
-    without = command.copy()
+    remaining = command.copy()
     for span in spans:
-        without[span.begin : span.end] = np.nan
-    return without
+        remaining[span.begin : span.end] = np.nan
+    return remaining
 
 
 def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
@@ -101,19 +101,19 @@ def dropout_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning
 
 def refit_with_commands(problem: FitProblem, minimum: Minimum, commands: np.ndarray) -> Refit:
     """The fit with other commands, from a minimum on, with the noise of its own residual."""
-    other = with_log(problem, problem.log._replace(commands=commands))
-    other.noises = list(problem.noises)
-    other.variances = list(problem.variances)
-    return Refit(other, reweighted_minimum(other, minimum))
+    refitted = with_log(problem, problem.log._replace(commands=commands))
+    refitted.noises = list(problem.noises)
+    refitted.variances = list(problem.variances)
+    return Refit(refitted, reweighted_minimum(refitted, minimum))
 
 
-def matters(logged: Refit, other: Refit) -> bool:
+def matters(logged: Refit, changed: Refit) -> bool:
     """Whether another fit has a smaller residual, and an estimate or much of the residual depends on it."""
     ratios = []
     for readings in logged.problem.readings:
-        ratios.append(other.residual(readings.channel) / max(logged.residual(readings.channel), readings.floor**0.5))
+        ratios.append(changed.residual(readings.channel) / max(logged.residual(readings.channel), readings.floor**0.5))
     deviations = np.sqrt(np.diag(np.linalg.pinv(logged.minimum.equations.information)))
-    moves = np.abs(other.minimum.x - logged.minimum.x)[logged.problem.fitted]
+    moves = np.abs(changed.minimum.x - logged.minimum.x)[logged.problem.fitted]
     is_large_move = bool(np.any(moves > LARGE_MOVE * deviations[logged.problem.fitted]))
     return min(ratios) < EXPLAINED and (is_large_move or min(ratios) < LARGE_PART)
 
@@ -128,17 +128,18 @@ def spans_text(spans: list[Dropout], sample_time: float) -> str:
     return ", ".join(times) + further
 
 
-def fall_text(logged: Refit, other: Refit) -> str:
+def fall_text(logged: Refit, changed: Refit) -> str:
     """How far another fit lowers the residual of the channel that gains most, and the number that moves farthest."""
     problem = logged.problem
     channels = [readings.channel for readings in problem.readings]
-    best = min(channels, key=lambda channel: other.residual(channel) / logged.residual(channel))
+    best = min(channels, key=lambda channel: changed.residual(channel) / logged.residual(channel))
     name = signal_name(problem.study.loop.channels[best], "y")
     unit = problem.study.units[best].output
-    moves = np.abs(other.minimum.x - logged.minimum.x)[problem.fitted]
+    moves = np.abs(changed.minimum.x - logged.minimum.x)[problem.fitted]
     place = problem.fitted[int(np.argmax(moves))]
+    residuals = f"from {logged.residual(best):.3g} to {changed.residual(best):.3g} {unit} rms"
     return (
-        f"the residual of {name} falls from {logged.residual(best):.3g} to {other.residual(best):.3g} {unit} rms, and "
-        f"{problem.names[place]} is {problem.values(other.minimum.x)[place]:.4g} in place of "
+        f"the residual of {name} falls {residuals}, and "
+        f"{problem.names[place]} is {problem.values(changed.minimum.x)[place]:.4g} in place of "
         f"{problem.values(logged.minimum.x)[place]:.4g}"
     )

@@ -47,7 +47,7 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
     candidates.append(Reconstruction(HELD, held_commands))
     distinct = [candidates[0]]
     for candidate in candidates[1:]:
-        if not any(np.array_equal(candidate.commands, other.commands) for other in distinct):
+        if not any(np.array_equal(candidate.commands, kept.commands) for kept in distinct):
             distinct.append(candidate)
     return tuple(distinct)
 
@@ -130,7 +130,7 @@ def better_commands(
 
 def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog:
     """The log with the commands of an alternative; its earlier commands are dropped."""
-    alternatives = tuple(other for other in log.alternatives if other is not reconstruction)
+    alternatives = tuple(item for item in log.alternatives if item is not reconstruction)
     return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
 
 

@@ -138,7 +138,8 @@ def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
     """The channels that are shifted together: all, all but one, and each alone."""
     choices = [channels]
     if len(channels) > 2:
-        choices += [tuple(other for other in channels if other != channel) for channel in channels]
+        for unshifted in channels:
+            choices.append(tuple(channel for channel in channels if channel != unshifted))
     if len(channels) > 1:
         choices += [(channel,) for channel in channels]
     return choices

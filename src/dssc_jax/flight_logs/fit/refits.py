@@ -62,6 +62,6 @@ def with_log(problem: FitProblem, log: SampledLog) -> FitProblem:
 
 def refit(problem: FitProblem, minimum: Minimum, log: SampledLog) -> Refit:
     """Fit another log with white noise, from a minimum and from the medians of the laws."""
-    other = with_log(problem, log)
+    refitted = with_log(problem, log)
     starts = (minimum.x, np.zeros_like(minimum.x))
-    return Refit(other, min((minimise(other, x) for x in starts), key=lambda end: end.cost))
+    return Refit(refitted, min((minimise(refitted, x) for x in starts), key=lambda end: end.cost))

@@ -47,11 +47,14 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
         problem: The problem.
         minimum: Its minimum.
     """
-    given = Refit(problem, minimum)
+    logged = Refit(problem, minimum)
     candidates = list(other_columns(problem))
     for is_same_command in (True, False):
-        chosen = [one for one in candidates if (one.log.commands is problem.log.commands) == is_same_command]
-        best, share = best_columns(given, chosen)
+        chosen = []
+        for candidate in candidates:
+            if (candidate.log.commands is problem.log.commands) == is_same_command:
+                chosen.append(candidate)
+        best, share = best_columns(logged, chosen)
         if best is not None:
             text = (
                 f"{best.words}: with that, the study describes the flight, and the residual is {100 * share:.2g} % of "
@@ -61,7 +64,7 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
     return ()
 
 
-def best_columns(given: Refit, candidates: Sequence[OtherColumns]) -> tuple[OtherColumns | None, float]:
+def best_columns(logged: Refit, candidates: Sequence[OtherColumns]) -> tuple[OtherColumns | None, float]:
     """The hypothesis that describes the flight best, and the share of the outputs that its residual is.
 
     None if no hypothesis describes it far better than the columns that were given.
@@ -69,15 +72,15 @@ def best_columns(given: Refit, candidates: Sequence[OtherColumns]) -> tuple[Othe
     best = None
     least_share = DESCRIBED
     for candidate in candidates:
-        squares = given.squares(candidate.channels)
+        squares = logged.squares(candidate.channels)
         if squares is None or squares.share < LEAST_SHARE:
             continue
-        other = refit(given.problem, given.minimum, candidate.log)
-        other_squares = other.squares(candidate.channels)
-        if other_squares is None or other.problem.is_far_outside(other.minimum.x):
+        changed = refit(logged.problem, logged.minimum, candidate.log)
+        changed_squares = changed.squares(candidate.channels)
+        if changed_squares is None or changed.problem.is_far_outside(changed.minimum.x):
             continue
-        if other_squares.share < min(least_share, FEWER * squares.share):
-            least_share = other_squares.share
+        if changed_squares.share < min(least_share, FEWER * squares.share):
+            least_share = changed_squares.share
             best = candidate
     return best, least_share
 
@@ -142,8 +145,8 @@ def exchanged_channels(problem: FitProblem, first: int, second: int) -> Iterator
     commands = [signal_name(channels[channel], "u_total") for channel in (first, second)]
     words = "seem to have each other's column"
     changed = log._replace(outputs=log.outputs[exchanged], offsets=log.offsets[exchanged])
-    either = f"{' and '.join(outputs)}, or {' and '.join(commands)}, {words}"  # the same, where both begin alike
-    yield OtherColumns(outputs[0], either, [first, second], changed)
+    alternatives = f"{' and '.join(outputs)}, or {' and '.join(commands)}, {words}"  # the same, where both begin alike
+    yield OtherColumns(outputs[0], alternatives, [first, second], changed)
     changed = log._replace(commands=log.commands[exchanged])
     yield OtherColumns(commands[0], f"{' and '.join(commands)} {words}", [first, second], changed)
 

@@ -227,9 +227,9 @@ def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[
     best = 0
     smallest = rms(logged - replayed)
     for shift in range(1, min(longest, int(LONGEST_SHARE * samples)) + 1):
-        later = rms(logged[shift:] - replayed[:-shift])
-        earlier = rms(logged[:-shift] - replayed[shift:])
-        if min(later, earlier) < smallest:
-            best = shift if later < earlier else -shift
-            smallest = min(later, earlier)
+        delayed = rms(logged[shift:] - replayed[:-shift])
+        advanced = rms(logged[:-shift] - replayed[shift:])
+        if min(delayed, advanced) < smallest:
+            best = shift if delayed < advanced else -shift
+            smallest = min(delayed, advanced)
     return best, smallest

@@ -135,14 +135,14 @@ class Emitter(Instructions):
         phi_lines = self.reserve_phis([loop.states[i] for i in needed])
         proceed = self.turns(loop, plan, needed) if plan else self.turn(loop)
         self.lines.append(f"  br i1 {proceed}, label %{top}, label %{end}")
-        last = self.label
+        turn_end = self.label  # the block from which the loop turns again or ends
         for phi_line, i in zip(phi_lines, needed, strict=True):
-            self.fill(phi_line, loop.states[i], (loop.initial_states[i], entry), (loop.next_states[i], last))
+            self.fill(phi_line, loop.states[i], (loop.initial_states[i], entry), (loop.next_states[i], turn_end))
         self.begin(end)
         registers = {}
         for i in needed:
             wide = loop.states[i].varying
-            sources = f"[ {self.read(loop.next_states[i], wide)}, %{last} ]"
+            sources = f"[ {self.read(loop.next_states[i], wide)}, %{turn_end} ]"
             if loop.guard is not None:  # the loop may be left out
                 sources = f"[ {self.read(loop.initial_states[i], wide)}, %{entry} ], {sources}"
             registers[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {sources}")

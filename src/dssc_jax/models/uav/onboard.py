@@ -161,8 +161,8 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], 
     following = software_tick(params, software_sample(params, before, drive, dt), loop.period).inner
     carried = True
     for row, commanded in zip(craft.allocation, following.rotor, strict=True):
-        wanted = dot(row, (wrench.thrust, *wrench.moment))
-        carried = carried & (jnp.abs(commanded - wanted) <= SMALL_BUMP * craft.rotor_limit)
+        demanded = dot(row, (wrench.thrust, *wrench.moment))
+        carried = carried & (jnp.abs(commanded - demanded) <= SMALL_BUMP * craft.rotor_limit)
     return HeldLoop(software, wrench.thrust, following.rotor, following.limited), jnp.where(carried, 1.0, 0.0)
 
 

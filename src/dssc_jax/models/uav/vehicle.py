@@ -210,10 +210,10 @@ def check_vehicle(vehicle: Vehicle) -> None:
         check_circle(vehicle)
     lowest, highest = zip(*map(extent, vehicle.body_inertia), strict=True)
     for i, axis in enumerate("xyz"):
-        others = sum(lowest[j] for j in range(3) if j != i)
-        if highest[i] > others:
+        other_two = sum(lowest[j] for j in range(3) if j != i)
+        if highest[i] > other_two:
             rule = f"must keep the triangle inequality: I_{axis} <= the sum of the others"
-            raise ConfigError("body_inertia", f"{rule}; {highest[i]:g} > {others:g}")
+            raise ConfigError("body_inertia", f"{rule}; {highest[i]:g} > {other_two:g}")
     if vehicle.max_thrust is not None:
         least_thrust, _ = extent(vehicle.max_thrust)
         _, largest_mass = extent(vehicle.mass)

@@ -165,8 +165,8 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
     slope_at_end = slope[2 : 2 + size.size]
     phi_at_end, phi_at_begin = np.split(phi_1[2:], 2)  # at |sigma| and at |sigma| - C
     near_zero = slope_at_zero * change - phi_at_change
-    elsewhere = phi_at_end - phi_at_begin - slope_at_end * change
-    return np.where(size < change, near_zero, elsewhere)
+    farther_out = phi_at_end - phi_at_begin - slope_at_end * change
+    return np.where(size < change, near_zero, farther_out)
 
 
 @jax.jit

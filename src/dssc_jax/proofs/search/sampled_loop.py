@@ -173,9 +173,9 @@ def resting_zeta(problem: ProofProblem, u: float) -> np.ndarray:
     if not problem.denominator:
         return np.full(zeta.stop - zeta.start, u)
     coefficients, _, _ = companion_form(problem)
-    rest = np.zeros(zeta.stop - zeta.start)
-    rest[0] = u / coefficients[0]
-    return rest
+    resting_state = np.zeros(zeta.stop - zeta.start)
+    resting_state[0] = u / coefficients[0]
+    return resting_state
 
 
 def measured_rows(problem: ProofProblem) -> np.ndarray:
