@@ -139,7 +139,8 @@ def operating_points_in_flight(
 def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
     """The states of n draws before some samples of their flights, an array of shape (n, states) for each sample.
 
-    The time loop runs in Python: compiling that of a vehicle takes minutes, and its single steps take seconds.
+    Before sample 0 a controller may not have begun, so that sample gets the state of sample 1. The time loop runs in
+    Python: compiling that of a vehicle takes minutes, and its single steps take seconds.
 
     Args:
         study: The study, without a sweep.
@@ -149,7 +150,7 @@ def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples:
     """
 
     def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        """The state of one draw before its first sample; traced."""
+        """The state of one draw before sample 1; traced."""
         return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
 
     def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
@@ -165,7 +166,8 @@ def states_in_flight(study: Study, values: Arrays, indices: np.ndarray, samples:
         over_draws = (0, 0, 0, None)  # axes of the arguments; k is the same for all draws
         advance_all = jax.jit(jax.vmap(advance, in_axes=over_draws), compiler_options=plain_options())
         for k in range(samples[-1] + 1):
+            if k > 1:
+                states = advance_all(values, indices, states, k - 1)
             if k in samples:
                 recorded.append(np.asarray(states))
-            states = advance_all(values, indices, states, k)
     return recorded
