@@ -11,7 +11,7 @@ from dssc_jax.flight_logs.reading.reader import signal_name
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 OUTSTANDING = 8.0  # factor on the usual change from one reading to the next: a larger change is no noise
-MOST_SHARE = 0.02  # of the changes that may stand out: more of them are the study's or the noise's way
+MOST_SHARE = 0.06  # of the changes that may stand out, two for a spike: more are the study's or the noise's way
 MOST_CHANGES = 4  # that may stand out in a short log
 CLOSE = 1.5  # factor on the usual time between readings: over a longer one, a change says nothing
 ALONE = 0.3  # share of a change: its neighbours are smaller, and an opposite one is as near to it

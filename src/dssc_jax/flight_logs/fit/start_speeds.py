@@ -20,6 +20,7 @@ from dssc_jax.flight_logs.hints.starts import START, fixed_start
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
 DEVIATIONS = 5.0  # of the speed: a smaller difference is not told
+AS_SMALL = 1.1  # factor on the residual with another start: a shift in time that leaves no more explains it as well
 LARGE_PART = 0.5  # share of the residual that may be left if another start explains it
 
 
@@ -69,6 +70,23 @@ def fitted_start(problem: FitProblem, minimum: Minimum) -> FittedStart | None:
     return FittedStart(place, speed, deviation, p_value, Refit(free, end).residual(0))
 
 
+def shifted_residual(problem: FitProblem, minimum: Minimum) -> float:
+    """Root mean square of the residual that a shift of the output by any time leaves, to first order.
+
+    Args:
+        problem: The problem, with readings of one channel.
+        minimum: The minimum; the numbers of the fit may move with the shift.
+    """
+    readings = problem.readings[0]
+    columns = problem.columns(minimum.x)[0]
+    residual = columns[:, 0]
+    slopes = columns[:, 1:][:, problem.fitted]
+    predicted_rate = np.gradient(readings.values - residual, readings.times)
+    regressors = np.column_stack([slopes, predicted_rate])
+    factors, *_ = np.linalg.lstsq(regressors, residual, rcond=None)
+    return float(np.sqrt(np.mean((residual - regressors @ factors) ** 2)))
+
+
 def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
     """The doubt about the speed at which the study begins, with the start that the output shows.
 
@@ -83,6 +101,8 @@ def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWar
     residual = Refit(problem, minimum).residual(0)
     is_explained = found.residual < LARGE_PART * residual
     if not is_explained or abs(found.speed - start[1]) <= DEVIATIONS * found.deviation:
+        return ()
+    if shifted_residual(problem, minimum) <= AS_SMALL * found.residual:
         return ()
     name, unit = signal_and_unit(problem, 0)
     speed_unit = problem.study.units[0].of("y/s")

@@ -19,13 +19,14 @@ LARGE_FACTOR = 5.0  # of a command or its inverse: no other gains of one control
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
-LARGE_OFFSET = 0.1  # share of that deviation: a smaller offset is not told
+LARGE_OFFSET = 0.005  # share of that deviation: a smaller offset is not told
 LEAST_VALUES = 20
 FASTER = 0.75  # share of T_s: commands that change more often are those of a faster controller
 ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
 LEAST_STUCK = 5  # equal samples in a row of a command that sticks
 STUCK = 10.0  # factor on the difference elsewhere: a larger one beside equal values is that of a command that sticks
-MOST_SPIKES = 3  # single values of a log that are told
+MOST_SPIKES = 12  # single values of a log that are told
+NAMED_SPIKES = 3  # whose times are told
 MUCH_LARGER = 5.0  # factor on the jump of the replay: a larger one of the log is that of a spike
 MOST_SPANS = 3  # in which a command sticks
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
@@ -109,7 +110,9 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
         return None
     spikes = spike_rows(logged, replayed)
     if spikes:
-        times = " and ".join(f"{row * sample_time:.4g} s" for row in spikes)
+        times = " and ".join(f"{row * sample_time:.4g} s" for row in spikes[:NAMED_SPIKES])
+        if len(spikes) > NAMED_SPIKES:
+            times += f" and {len(spikes) - NAMED_SPIKES} more times"
         largest = max(abs(float(logged[row] - replayed[row])) for row in spikes)
         text = (
             f"has single values that the analysed controller does not give, at {times} of the study, up to "
