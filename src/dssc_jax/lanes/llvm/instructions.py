@@ -73,7 +73,7 @@ class Instructions(FunctionText):
         return self.from_stored(value.dtype, wide, loaded_register)
 
     def from_stored(self, dtype: np.dtype, wide: bool, register: str) -> str:
-        """The register of a loaded value in its own type: a truth value is stored as a byte, which is compared with 0."""
+        """The register of a loaded value in its own type: a truth value, stored as a byte, is compared with 0."""
         if dtype != BOOL:
             return register
         byte = stored_type(BOOL)

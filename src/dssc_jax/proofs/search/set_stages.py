@@ -246,7 +246,7 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
 
 
 def first_set(setting: Setting) -> SetStage | Obstacle:
-    """Search an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
+    """Search for an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
 
     If there is none, further programs without some of the conditions tell which one is the obstacle.
     """
@@ -264,7 +264,7 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """Search an invariant set that holds every start and lies in the region whose gains it allows.
+    """Search for an invariant set that holds every start and lies in the region whose gains it allows.
 
     If the set for a region exceeds the region, the next region has the size of that set, with some room.
 
@@ -321,7 +321,7 @@ def set_with_start(
 
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float]) -> SetStage | None:
-    """Search a smaller set that attracts all of a region; None if its |e| is hardly smaller than the region's.
+    """Search for a smaller set that attracts all of a region; None if its |e| is hardly smaller than the region's.
 
     The first ``ENOUGH_RATES`` rates that allow a set are compared, and the set with the smallest |e| is taken.
 
