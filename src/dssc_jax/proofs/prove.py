@@ -229,7 +229,7 @@ def proved_box(
     final bound of |e|.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         content: The problem as a certificate holds it.
         box: Intervals of the uncertain numbers.
 

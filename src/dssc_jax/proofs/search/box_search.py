@@ -102,7 +102,7 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     worse by more than ``ENOUGH`` allows.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         proof: A proof that begins with bounds that imply themselves.
     """
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
@@ -159,7 +159,7 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
     Such bounds are tighter than any set, so they end the proof where they exist.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether the state z contains q = v - phi_1 in place of v.
     """

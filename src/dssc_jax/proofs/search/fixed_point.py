@@ -317,7 +317,7 @@ def towards_residual(
     In a smaller region the gains vary less, so that smaller bounds imply themselves.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         limits: Bounds so far of |sigma|, |e| and the change of sigma in a sample.
         error: Bound of |e| so far [m].

@@ -226,7 +226,7 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
     sample, which varies less than the product of the extremes.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         region: Bounds of |sigma| [m/s] and |e| [m].
         change: Bound of the change of sigma in a sample [m/s].
         error_change: Bound of the change of e in a sample [m].
@@ -249,7 +249,7 @@ def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: floa
     Each cell of a grid of sigma and e is compared with all cells that are near enough.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         region: Bounds of |sigma| [m/s] and |e| [m].
         change: Bound of the change of sigma in a sample [m/s].
         error_change: Bound of the change of e in a sample [m].

@@ -107,7 +107,7 @@ class Setting(NamedTuple):
     """The data that all semidefinite programs of one box share.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         origin: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode of ``origin`` [1/s].
@@ -228,7 +228,7 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
     """What all programs of a box share; None if the loop linearised at sigma = e = 0 is not stable.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
