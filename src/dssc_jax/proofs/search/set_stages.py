@@ -140,7 +140,7 @@ class Setting(NamedTuple):
         phi_2/sigma plus theta/T_s, where |theta sigma| bounds what phi_1 changes by through e.
 
         Args:
-            region: The region.
+            region: The region; K_P is taken over all of it, and its |sigma| and |e| bound the change of e in a sample.
             hull: Intervals of the gains in the piece.
         """
         if self.problem.form == "implicit":
