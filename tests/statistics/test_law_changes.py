@@ -86,8 +86,8 @@ def test_corners_bound_all_shifts():
     change = Shift(PRECISION)
     free = np.array([True, False, True])
     for amounts in rng.uniform(-0.5, 0.5, (500, 3)) * free:
-        assert change.log_second_moment(amounts) <= change.second_moment_bound(0.5, free) + 1e-12
-    assert Shift(np.eye(3)).second_moment_bound(0.5, free) == pytest.approx(2 * 0.25)
-    assert Widening(np.eye(3)).second_moment_bound(0.1, free) == pytest.approx(
+        assert change.log_second_moment(amounts) <= change.log_second_moment_bound(0.5, free) + 1e-12
+    assert Shift(np.eye(3)).log_second_moment_bound(0.5, free) == pytest.approx(2 * 0.25)
+    assert Widening(np.eye(3)).log_second_moment_bound(0.1, free) == pytest.approx(
         Widening(np.eye(2)).log_second_moment(np.full(2, 0.1))
     )

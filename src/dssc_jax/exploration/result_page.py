@@ -185,8 +185,12 @@ class ResultPage(Page):
         return f"draw {run.attrs['draw']}{point}"
 
     def pin_draw(self) -> None:
-        """Pin the present flight, so that it stays when another draw is replayed."""
-        if self.flight is not None and len(self.pinned) < len(COLOURS) - 1:
+        """Pin the present flight, so that it stays when another draw is replayed.
+
+        Nothing happens if all colours but the present flight's are taken.
+        """
+        most_pinned = len(COLOURS) - 1
+        if self.flight is not None and len(self.pinned) < most_pinned:
             self.pinned.append(self.flight)
             draws = ", ".join(str(run.attrs["draw"]) for run in self.pinned)
             self.say(f"pinned: {draws}")

@@ -37,7 +37,7 @@ class Builder:
         return self._constants[key]
 
     def input(self, position: int, dtype: np.dtype) -> Value:
-        """The input of the lane at a position, which may differ between lanes."""
+        """The input of the lane at a position, its ``detail``; it may differ between lanes."""
         return self._place("input", dtype, (), detail=position, varying=True, home=self.here)
 
     def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:

@@ -192,7 +192,7 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
         typical_curve(ax, result, measure, axes[0])
     else:
         figure, ax = panel(ax, MAP_PANEL)
-        typical_map(ax, result, measure, axes[0], axes[1])
+        median_map(ax, result, measure, axes[0], axes[1])
     return figure
 
 
@@ -242,8 +242,16 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     finish_map(ax, result, down, across, [HALF, UPPER_BOUND])
 
 
-def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
-    """Draw the median of a metric as a map, with contours at its limits; arguments as for :func:`probability_map`."""
+def median_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
+    """Draw the median of a metric over the draws as a map, with contours at its limits.
+
+    Args:
+        ax: Axes to draw into.
+        result: A result over two axes.
+        measure: The metric.
+        down: Name of the vertical axis.
+        across: Name of the horizontal axis.
+    """
     x = result.dataset[across].values
     y = result.dataset[down].values
     metric = result.dataset[measure.name]

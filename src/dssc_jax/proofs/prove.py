@@ -223,13 +223,13 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
 def proved_box(
     problem: ProofProblem, content: Mapping[str, object], box: Box
 ) -> tuple[Proof | Failure, ProofVerdict | None]:
-    """Search a proof for one box, and verify it.
+    """Search for a proof for one box, and verify it.
 
     If the verifier rejects a stage, the proof with the stages before it is tried. It is a proof, too, with a larger
     final bound of |e|.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         content: The problem as a certificate holds it.
         box: Intervals of the uncertain numbers.
 

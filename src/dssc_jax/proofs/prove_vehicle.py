@@ -145,7 +145,7 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 
 
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
-    """Search bounds of a vehicle's signals that imply themselves, and verify them.
+    """Search for bounds of a vehicle's signals that imply themselves, and verify them.
 
     If the verifier rejects them, the search leaves more room and tries again. The verifier receives what a
     certificate's file would contain, so that its verdict is the same for the file.
@@ -164,7 +164,7 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
 
 
 def search_proof(problem: VehicleProblem, room_factor: float) -> JsonObject | Obstacle:
-    """Search bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
+    """Search for bounds that imply themselves, in cells of time first if the vehicle starts away from its rest.
 
     Args:
         problem: The vehicle.

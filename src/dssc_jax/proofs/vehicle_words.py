@@ -65,7 +65,7 @@ def reference_words(sines: Mapping[str, Sequence[float]] | None) -> str:
 
 
 def channel_words(name: str, channel: ChannelProblem) -> str:
-    """The controller of a channel, and the bounds of its start, in words."""
+    """The controller of a channel, its nominal control and the bounds of its start, in words."""
     rate = "psi'" if name == "psi" else "e'"
     e, e_dot = channel["initial"]
     start = f"predictor's start {channel['start']}, |e| <= {e} and |{rate}| <= {e_dot} at t = 0"

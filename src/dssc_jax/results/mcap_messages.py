@@ -160,6 +160,7 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
     """The topics of a trajectory's signals, each with the signal of each of its fields.
 
     Signals of a channel are on ``/x``, ``/y`` and so on, signals of rotors on ``/rotors``, all others on ``/signals``.
+    A channel is a prefix x for which ``x_y_ref`` is among the names.
 
     Example:
         >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])

@@ -125,7 +125,7 @@ def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
 
     Args:
         idle: Connections to idle processes.
-        problem: The problem.
+        problem: The problem to prove.
 
     Raises:
         RuntimeError: The process has died.

@@ -200,10 +200,11 @@ class ThisProcess:
         Returns:
             The entry ``times`` for the manifest.
         """
+        # started already if every block was missing
         block_results = self.block_results or self.start(target.layout, target.pending)
-        for box, results, values in block_results:
-            target.write(box, results, values)
-            advance(lanes_in(box))
+        for block, results, values in block_results:
+            target.write(block, results, values)
+            advance(lanes_in(block))
         return {"times": self.engine.times(self.began)}
 
 

@@ -71,7 +71,7 @@ class Change(ABC):
         """
 
     @abstractmethod
-    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
+    def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
         """Upper bound of :meth:`log_second_moment` over all changes of at most this size.
 
         Args:
@@ -119,8 +119,11 @@ class Shift(Change):
         """Logarithm d' R^-1 d of the mean squared weight."""
         return float(amounts @ self.precision @ amounts)
 
-    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
-        """Upper bound of d' R^-1 d: the squared size times the sum of all |R^-1| of the free numbers."""
+    def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
+        """Upper bound of d' R^-1 d, the logarithm of the mean squared weight, over all |d_i| <= size of free numbers.
+
+        It is the squared size times the sum of |entry| over the entries of R^-1 of these numbers.
+        """
         return size**2 * float(np.abs(self.precision[np.ix_(free, free)]).sum())
 
     def apply(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
@@ -171,7 +174,7 @@ class Widening(Change):
         log_determinant_ratio = np.linalg.slogdet(moment_precision)[1] - np.linalg.slogdet(self.precision)[1]
         return float(-2.0 * amounts.sum() - 0.5 * log_determinant_ratio)
 
-    def second_moment_bound(self, size: float, free: np.ndarray) -> float:
+    def log_second_moment_bound(self, size: float, free: np.ndarray) -> float:
         """Logarithm of the mean squared weight at the largest widening of all free numbers, which no other exceeds."""
         return self.log_second_moment(size * free)
 

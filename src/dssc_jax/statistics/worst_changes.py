@@ -89,7 +89,7 @@ class WeightedDraws:
         The effective number of draws must be at least :data:`LEAST_EFFECTIVE` under every such law. The effective
         number of failing draws must be at least :data:`LEAST_FAILING` under the law with the most failures.
         """
-        effective = len(self.scores) * np.exp(-self.change.second_moment_bound(size, self.free))
+        effective = len(self.scores) * np.exp(-self.change.log_second_moment_bound(size, self.free))
         return bool(effective >= LEAST_EFFECTIVE) and self.worst(size).failing >= LEAST_FAILING
 
     def worst(self, size: float) -> WeightedChange:

@@ -57,15 +57,18 @@ class ParameterTable:
             require_name(name)
             entries[name], parameters.quantities[name] = described_content(name, value)
         for name in dependency_order(entries):
-            parameters.contents[name] = parameters.content(name, entries[name])
+            parameters.contents[name] = parameters.parsed_content(name, entries[name])
         return parameters
 
-    def content(self, name: str, value: Any) -> Content:
+    def parsed_content(self, name: str, value: Any) -> Content:
         """Parse the content of a parameter; the parameters on which it depends must have been parsed.
 
         Args:
             name: Name of the parameter.
             value: Its value in the study's table.
+
+        Returns:
+            A number, a law, or the text of an expression.
 
         Raises:
             ConfigError: The content is not valid.

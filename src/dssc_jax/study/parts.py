@@ -100,30 +100,41 @@ class LoopParts(NamedTuple):
 def parse_parts(config: StudyTable, parameters: ParameterTable) -> LoopParts:
     """Parse all parts of a loop, and check that they fit together.
 
+    A slot is a place for parts, such as ``plant`` or ``controller``. A single part serves the whole loop. A column has
+    the parts of a slot that occurs several times, mostly one for each channel.
+
     Args:
-        config: Tables of the study.
-        parameters: Parameters of the study.
+        config: The study's tables; each slot has one.
+        parameters: Parameters of the study, which expressions in the tables name.
+
+    Returns:
+        The parts, with the loop's channels, signals and units.
 
     Raises:
         ConfigError: A table is not valid, or parts do not fit together.
     """
+    # the table of each slot, with parsed expressions of the parameters
     tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # raises if an expression is not valid; a comparison reads it later
+    # the plant, which tells the channels; then the other single parts
     plant = parse_plant(tables["plant"], config.loop)
     channels = plant.model.channels or ("",)  # the only channel of a plant with one has no name
     units = parse_units(config.units, plant.model, channels)
     single_parts = parse_single_parts(tables, plant, channels, units)
+    # the signals that the plant takes and reports, and those that sensors measure
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
     outputs = plant.model.reported(plant.params)
     measurable = measurable_signals(plant.model, nominal_params(plant.params), outputs, channels, units)
     sensors = sensor_tables(tables["sensor"], measurable)
     measures = tuple(measurable[name] for name in sensors.measures)
+    # the columns; controllers with a fit are fitted to this plant
     columns = parse_columns({**tables, "sensor": sensors.channels}, inputs, channels, units)
     columns["signal_sensor"] = parse_signal_sensors(sensors, measurable)
     sample_time = config.loop.sample_time
     columns["controller"] = fitted_controllers(columns["controller"], plant, channels, sample_time, measures)
     require_controllers(columns["controller"], channels, measures)
     columns["sensor"] = with_bounded_jitter(columns["sensor"], channels, sample_time)
+    # events: of each channel, then of the vehicle
     events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
     for slot in CHANNEL_EVENTS:
         columns[slot] = with_channel_events(columns[slot], events, channels, slot)

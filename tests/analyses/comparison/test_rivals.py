@@ -82,6 +82,15 @@ def test_forms_limits_and_own_tables():
     assert gentle["functions"]["kappa2"] == 2.5
 
 
+@pytest.mark.parametrize("name", ["sta_limited", "smc"])
+def test_a_rho_that_is_no_constant_gives_no_limit(name):
+    """The message of ``sta_limited`` did not say which controller it was about."""
+    bound = {"kind": "norm_bound", "k_p_max": 1.2, "a_p_max": 1.0, "delta_rho": 0.1}
+    study = study_with({"kind": "approx_sta_2", **FUNCTIONS["approx_sta_2"]}, rho=bound)
+    with pytest.raises(dj.ConfigError, match=rf"compare.{name}: rho is no constant"):
+        controller_table(study, name)
+
+
 def test_a_table_without_kind_takes_its_name_as_the_kind():
     """It was merged into the study's controller, so that ``[compare.pi]`` of a PID's study was a PID."""
     gains = {"l0": 1.5, "k_p": 2.5, "k_i": 1.0}

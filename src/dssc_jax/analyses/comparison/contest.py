@@ -198,4 +198,4 @@ class ContestPart(NamedTuple):
 
 def controller_axis(names: Iterable[str]) -> xr.DataArray:
     """The coordinate ``controller`` of a dataset, from the controllers' names."""
-    return name_axis("controller", names, "controller")
+    return name_axis(dimension="controller", names=names, meaning="controller")

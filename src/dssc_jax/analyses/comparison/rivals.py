@@ -264,7 +264,8 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
     for channel, gains in zip(study.loop.channels, study.template.controller, strict=True):
         if not isinstance(gains, DsscGains):
             raise ConfigError(f"compare.{name}", "rho is DSSC's; give [compare.NAME] with a limit")
-        limits[channel] = {limit: switching_gain(gains)}
+        with errors_under(f"compare.{name}"):
+            limits[channel] = {limit: switching_gain(gains)}
     return merge_tables(table, limits.get(SINGLE, limits))
 
 

@@ -73,5 +73,5 @@ def value_text(requirement: Requirement, slack: float) -> str:
 
 
 def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
-    """The distance, density and probability of a draw, as an answer has them."""
+    """Distance of a draw from the median draw, its log density, and the probability of lying at most that far."""
     return LikelihoodAnswer(likelihood.distance, likelihood.log_density, likelihood.mass)

@@ -158,7 +158,10 @@ class LawErrors(Analysis):
         )
 
     def most_important(self) -> str | None:
-        """The number whose mean may be least wrong, by the estimates; None if no shift of a mean reaches the limit."""
+        """The number for which the smallest shift of its mean makes the failure probability reach the limit.
+
+        The shifts are the estimates. None if no shift of a mean reaches it.
+        """
         shifts = self.dataset["shift_estimate"].values
         if np.isnan(shifts).all():
             return None

@@ -179,7 +179,9 @@ def joint_margins(
 
 
 def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
-    """Upper bounds of mu by balancing, shape (n,): faster than :func:`upper_bounds`, and equal for two channels.
+    """Upper bounds of mu(M), shape (n,): norms of D M D^-1 with D that balances M.
+
+    They are found faster than :func:`upper_bounds`, and are equal to them for two channels.
 
     Args:
         matrices: M, shape (n, channels, channels).

@@ -219,7 +219,7 @@ def first_populations(
         dimension: Number d of coordinates of standard normal space.
         seeds: Seeds of the random numbers; the index of the repeat is added to them.
         splitting: The settings.
-        counter: Computes slacks.
+        counter: Computes the slacks of points and their noise indices, and counts the simulations.
     """
     generators = [generator(*seeds, index) for index in range(splitting.repeats)]
     points = [rng.standard_normal((splitting.particles, dimension)) for rng in generators]

@@ -236,23 +236,29 @@ def assess(
     prove: bool = False,
     progress: ProgressCallback | None = None,
 ) -> Assessment:
-    """Assess a number's critical value by Theorem 1, linearisation, describing functions and simulation.
+    """Assess the critical value of a number, beyond which a loop fails, by theory and by simulation.
 
-    Each method answers a different question. The theorem covers all draws and all states, but the loop without lag and
-    sampling. A proof covers the sampled loop with its lag, for all plants of the laws at once. Eigenvalues cover small
-    deviations, describing functions the oscillations that switching laws sustain, and simulation the requirements. If a
-    method does not apply, the result gives the reason.
+    Each method answers a different question:
+
+    * Theorem 1 covers all draws and all states, but the loop without lag and sampling.
+    * A proof, with ``prove``, covers the sampled loop with its lag, for all plants of the laws at once.
+    * Eigenvalues cover small deviations.
+    * Describing functions cover the oscillations that switching laws sustain.
+    * Simulation covers the requirements.
 
     Args:
         study: The study; its own sweep is ignored.
         over: Dotted name of the number.
-        bounds: The safe end, then the other end.
+        bounds: Values between which the critical one is sought: the safe end first.
         log: Space the values evenly in the logarithm.
         points: Number of values in the bracketing grid.
         bisections: Number of bisections of the grid cell.
         rivals: The study with other controllers, whose oscillations are shown for comparison.
         prove: Also prove the sampled loop, as far as a proof is found.
         progress: Called with the lanes done for the simulated margin.
+
+    Returns:
+        The margins and oscillations; where a method does not apply, the reason in their place.
 
     Raises:
         ConfigError: The number, or a bound, is not admissible, or the draws are not independent.
@@ -268,7 +274,7 @@ def assess(
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
-    edge = None
+    edge = None  # critical time constant of the linearised loop, with all laws at their medians
     if Time.SAMPLED in local and is_time_constant(study, over):
         median_study = study.override({**medians(study), "draws": 1})
         critical = float(local_margin(median_study, **walk).dataset["critical"].values[0])

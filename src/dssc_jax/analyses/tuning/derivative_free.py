@@ -32,7 +32,7 @@ def evolve(problem: Problem, first: StartPoints, progress: ProgressCallback | No
     A generation is one batch of simulations. There are as many generations as ``[tune]`` has steps.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         first: The start, evaluated on the training and on the validation draws.
         progress: Called after each generation.
 
@@ -128,7 +128,7 @@ def optimise_proof(problem: Problem, first: StartPoints, progress: ProgressCallb
     training draws guide the simplex, and the best point on the validation draws is the result.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         first: The start, evaluated on the training and on the validation draws.
         progress: Called after each evaluation.
 

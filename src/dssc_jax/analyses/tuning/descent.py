@@ -100,7 +100,7 @@ def descend(problem: Problem, first: StartPoints, progress: ProgressCallback | N
     batch ends early, or the objective or violation increases abruptly.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         first: The start, evaluated on the training and on the validation draws.
         progress: Called after each step.
     """
@@ -159,7 +159,7 @@ def shortened_step(
     """Take a step, halved until it is allowed; if it never is, stay at the iterate and evaluate it again.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         iterate: The present point.
         change: The step in the search's coordinates, shape (n,).
         batch: Indices of the draws on which points are evaluated.
@@ -191,7 +191,7 @@ def quadratic_programming(problem: Problem, first: StartPoints, progress: Progre
     training draws, the difference is added to its headroom, and the search continues from there.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         first: The start, evaluated on the training and on the validation draws.
         progress: Called after each step.
 
@@ -240,7 +240,7 @@ class QuadraticSearch:
     mode): every limit g has to be g <= e, and the cost grows with e.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         search: The record of the search.
         iterate: The present iterate.
         scale: Objective of the start, relative to which the objective is taken.

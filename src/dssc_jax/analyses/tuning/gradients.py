@@ -192,7 +192,7 @@ def derivatives_by_coordinates(
     """Derivatives of metrics by the search's coordinates, shape (metrics, points, tuned numbers), by the chain rule.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         metrics: Names of the metrics.
         derivatives: Derivatives of the metrics by the loop's numbers at the points, shape (points,) each.
         centre: Coordinates of the points, shape (points, tuned numbers).

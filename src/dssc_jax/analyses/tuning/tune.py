@@ -160,7 +160,7 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[SearchRe
     """Run one search, by gradients if the study names such a method and derivatives prove useful.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         progress: Called with the steps done.
 
     Returns:
@@ -200,7 +200,7 @@ def run_search(
     """Run the search that the study names, or differential evolution if derivatives cannot be used.
 
     Args:
-        problem: The problem.
+        problem: Objective and limits as functions of the search's coordinates.
         first: The start, evaluated on the training and on the validation draws.
         differentiable: Whether derivatives can be used.
         progress: Called with the steps done.

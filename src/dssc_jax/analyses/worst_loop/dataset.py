@@ -105,6 +105,9 @@ def perturbation_variables(box: Box, loop_cases: list[LoopCase]) -> dict[str, Va
     Args:
         box: The box of the uncertain numbers.
         loop_cases: The worst case at each break point.
+
+    Returns:
+        The variables ``perturbation``, shape (loops, margins, numbers), and ``unstable``, shape (loops, numbers).
     """
     perturbations = []
     for case in loop_cases:

@@ -186,7 +186,7 @@ def require_sizes(cells: int, points: int | None) -> None:
 
 
 def selected_break_points(study: Study, broken_at: Sequence[str]) -> tuple[str, ...]:
-    """The break points with some names; without names, the command of each channel.
+    """Names of the break points to use: those stated, or the command of each channel if none is.
 
     Raises:
         ConfigError: The loop has no break point of a name.

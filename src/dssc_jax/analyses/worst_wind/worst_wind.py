@@ -173,7 +173,7 @@ class WorstWind(Analysis):
 
 
 def finite_or_none(value: float) -> float | None:
-    """The value, or None in place of infinity, which JSON does not have."""
+    """The value, or None in place of infinity or NaN, which JSON does not have."""
     return value if np.isfinite(value) else None
 
 

@@ -109,7 +109,7 @@ def sum_update(signal: Callable[[MetricInput], Scalar]) -> Callable[[Scalar, Met
 
 
 def update_variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
-    """Add |u_k - u_(k-1)|, the size of the robust command's change to this sample.
+    """Add |u_k - u_(k-1)|, where u is the robust command at this sample and at the one before.
 
     The window's first sample adds nothing. At sample 0 the change is 0 already, so a window from there needs no test.
     """

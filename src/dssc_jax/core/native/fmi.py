@@ -28,7 +28,7 @@ REAL = ctypes.c_double
 FLAG = ctypes.c_int  # fmi2Boolean
 TRUTH = ctypes.c_bool  # fmi3Boolean
 
-Status = Callable[..., int]
+StatusCall = Callable[..., int]
 """A function of the FMU that returns its status."""
 
 
@@ -61,10 +61,10 @@ class FmiCalls(ABC):
     value references, their number and an array of float64, and return a status.
     """
 
-    set_reals: Status
-    get_reals: Status
+    set_reals: StatusCall
+    get_reals: StatusCall
     last_message: str = ""
-    "The last message of the FMU."
+    "The last message of the FMU; empty before the first."
 
     def note(self, *message: object) -> None:
         """Keep the text of a message that the FMU logs: the last of the arguments of its call."""
@@ -114,7 +114,7 @@ def require_success(function: str, status: int) -> None:
         raise FmiError(f"{function} fails with status {status}")
 
 
-def status_function(library: ctypes.CDLL, name: str, *types: type) -> Status:
+def status_function(library: ctypes.CDLL, name: str, *types: type) -> StatusCall:
     """A function of an FMU's library that returns a status, as a function of Python.
 
     Args:

@@ -18,7 +18,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, LaneValues
 from dssc_jax.engine.linearisation.matrices import StateMatrices
-from dssc_jax.engine.linearisation.operating_points import Linearisation, linearised_loop
+from dssc_jax.engine.linearisation.operating_points import Linearisation, loop_to_linearise
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart
 from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
@@ -94,13 +94,13 @@ class RestingLoop:
 
     def _initial_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
         """The state before the first sample as a vector; a program of a lane."""
-        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
+        loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         state, _ = ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))
         return (state,)
 
     def _final_state(self, numbers: LaneValues, vectors: LaneValues, index: jax.Array) -> tuple[jax.Array]:
         """The state after a flight of the study's duration at the constant reference; a program of a lane."""
-        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
+        loop, params = loop_to_linearise(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(LATER_SAMPLE))
         no_additions = jnp.zeros(len(place_names(loop.channels)))
 

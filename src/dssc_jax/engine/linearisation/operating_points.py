@@ -42,22 +42,25 @@ def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> L
 
     def loop_of_draw(values: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
         """The loop, its parameters and the random key of the draw with these numbers and this index."""
-        loop, params = linearised_loop(study, values, places, is_resting)
+        loop, params = loop_to_linearise(study, values, places, is_resting)
         return loop, params, draw_key(study.config.seed, index)
 
     return loop_of_draw
 
 
-def linearised_loop(
+def loop_to_linearise(
     study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], is_resting: bool
 ) -> LoopWithParams:
-    """The loop of one draw for linearisation, with substitutes for the parts that are smooth nowhere.
+    """The loop of one draw that is to be linearised, and its parameters; nothing is linearised here.
+
+    Parts that are smooth nowhere are replaced by the substitutes that they declare.
 
     Args:
         study: The study.
         values: The draw's numbers by name.
-        places: The parts of the loop.
-        is_resting: Whether the loop is at rest, without disturbances.
+        places: Where the loop has which parts, with their declarations of smoothness.
+        is_resting: Whether to hold the reference, and leave out disturbances, wind and sensor noise, so that the loop
+            can rest.
     """
     loop = study.loop
     params = study.params(values)
@@ -88,7 +91,7 @@ class Linearisation:
             state = vectors["state"]
             order = len(state)
             direction = jnp.where(jnp.arange(order + self.points) == vectors["direction"], 1.0, 0.0)
-            loop, params = linearised_loop(study, numbers, places, is_resting)
+            loop, params = loop_to_linearise(study, numbers, places, is_resting)
             loop, params = with_inner_sides(loop, params, places, vectors["findings"])
             k = vectors["sample"][0].astype(jnp.int32)
             sample = sample_map(loop, params, draw_key(study.config.seed, index), k)

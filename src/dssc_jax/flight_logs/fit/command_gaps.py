@@ -145,7 +145,7 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     """The doubt about commands that are logged more rarely than they are given.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         moves: The moves by :func:`command_moves` of the f numbers that are fitted, shape (k, f).
         deviations: Standard deviations of their coordinates without these moves, shape (f,).
     """

@@ -278,7 +278,7 @@ def fitted_minimum(
     """The estimate at the best minimum, with its covariance, if it passes all checks.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         search: Its minima.
         unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
         moves: How far other commands that may have flown move the coordinates, shape (k, p).

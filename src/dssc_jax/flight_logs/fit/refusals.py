@@ -152,7 +152,7 @@ def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
     Predicted are the outputs at coordinates x and at the medians of the laws.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         x: The coordinates.
         place: Position of the readings.
     """
@@ -243,7 +243,7 @@ def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
     """Require that the residuals at coordinates can be noise.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         x: The coordinates of the numbers, shape (p,).
         results: How well each channel is described there.
 

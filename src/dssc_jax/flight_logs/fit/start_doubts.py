@@ -26,7 +26,7 @@ def output_start_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
     """The doubts about outputs that begin elsewhere than the study, by channel, with the remedy.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         x: The coordinates of the numbers, shape (p,).
         results: How well each channel is described there.
     """

@@ -44,7 +44,7 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
     Other commands are tried where other outputs explain nothing: each of them is another simulation.
 
     Args:
-        problem: The problem.
+        problem: The least-squares problem of the log.
         minimum: Its minimum.
     """
     logged = Refit(problem, minimum)

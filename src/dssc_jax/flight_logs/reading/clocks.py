@@ -18,7 +18,7 @@ LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0  # s
 LATE_SHARE = 0.1
-"""Share of a log's span. A topic's last message is a stray one if it is later than its end by more than both."""
+"""Share of a log's length. A topic's last message is stray if it is later than the log's end by more than both."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
 MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
 SAME_STEP = 0.1  # share of the length of a fall or gap: closer, those of two topics are the same
@@ -68,22 +68,28 @@ class LateMessage(NamedTuple):
     time: float
 
 
-def span_of(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
-    """The time at which a log's messages end [s], and stray messages long after it.
+def log_end_and_strays(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
+    """When a log ends, and stray messages long after its end.
 
-    Topics with many messages tell the end; of these, a single message after a long gap counts as stray.
+    The topics with many messages give a first estimate: the latest of their last messages, without a last message that
+    follows a long gap. If there is no such topic, all topics give it. A last message that is later than the estimate by
+    more than both ``LATE`` and the share ``LATE_SHARE`` of it is stray. The log ends with the latest message that is
+    not stray.
+
+    Returns:
+        Time of the end from the beginning of the log [s], 0 if no message has a stamp; and the stray messages.
     """
     stamped_topics = [topic for topic in topics if np.isfinite(topic.last)]
     ends = []
     for topic in stamped_topics:
         if topic.messages >= LEAST_MESSAGES:
-            length = topic.gap.late - topic.gap.early
-            is_stray = topic.gap.late == topic.last and length * topic.usual_rate > LONG_GAP
-            ends.append(topic.gap.early if is_stray else topic.last)
-    end = max(ends or [topic.last for topic in stamped_topics], default=0.0)
-    limit = end + max(LATE, LATE_SHARE * end)
+            gap_length = topic.gap.late - topic.gap.early
+            ends_after_gap = topic.gap.late == topic.last and gap_length * topic.usual_rate > LONG_GAP
+            ends.append(topic.gap.early if ends_after_gap else topic.last)
+    estimate = max(ends or [topic.last for topic in stamped_topics], default=0.0)
+    limit = estimate + max(LATE, LATE_SHARE * estimate)
     late_messages = [LateMessage(topic.name, topic.last) for topic in stamped_topics if topic.last > limit]
-    return max((topic.last for topic in stamped_topics if topic.last <= limit), default=end), late_messages
+    return max((topic.last for topic in stamped_topics if topic.last <= limit), default=estimate), late_messages
 
 
 def column_clock(name: str, time: np.ndarray) -> LogTopic:

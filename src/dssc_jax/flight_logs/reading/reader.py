@@ -90,7 +90,7 @@ class FlightLog(NamedTuple):
 
     @property
     def end(self) -> float:
-        """The time of the log's last value [s]."""
+        """Time of the last value, on the clock of :attr:`start` [s]."""
         return float(max(column.time[-1] for column in self.columns.values()))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.flag_runs import flag_runs
-from dssc_jax.flight_logs.reading.clocks import LateMessage, span_of
+from dssc_jax.flight_logs.reading.clocks import LateMessage, log_end_and_strays
 from dssc_jax.flight_logs.reading.frames import MICROSECOND
 from dssc_jax.flight_logs.reading.ulog_scan import LogTopic, Scan, UndamagedBytes
 from dssc_jax.study.record_files import ULOG
@@ -197,7 +197,7 @@ def list_topics(path: Path) -> LogTopics:
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
-    duration, late_messages = span_of(topics)
+    duration, late_messages = log_end_and_strays(topics)
     damaged = scan.damages[0].begin if scan.damages else None
     lost_bytes = sum(damage.end - damage.begin for damage in scan.damages)
     return LogTopics(

@@ -51,6 +51,7 @@ def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
     even, odd = ATAN_SERIES[r.dtype]
     z = r * r
     w = z * z
+    # r - atan r = r (z p(z)); the polynomial p(z) = even(w) + z odd(w) is split into its even and odd powers of z
     angle = r - r * (z * polynomial(even, w) + w * polynomial(odd, w))
     return jnp.where(is_beyond, 0.25 * math.pi + angle, angle)
 

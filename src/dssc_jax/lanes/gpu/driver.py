@@ -122,15 +122,15 @@ class Driver:
         module = c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         options = (c_int * 2)(LOG, LOG_SIZE)
-        values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
+        values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)  # in place of pointers, as the API wants them
         try:
             self.call("cuModuleLoadDataEx", byref(module), code, len(options), options, values)
         except GpuError as error:
             message = log.value.decode(errors="replace").strip()
             raise GpuError(f"{error}: {message}") from None
-        kernel = c_void_p()
-        self.call("cuModuleGetFunction", byref(kernel), module, entry.encode())
-        return kernel
+        handle = c_void_p()
+        self.call("cuModuleGetFunction", byref(handle), module, entry.encode())
+        return handle
 
     def stream(self) -> c_void_p:
         """A new stream, whose operations the GPU performs in order."""

@@ -70,13 +70,14 @@ class Instructions(FunctionText):
         dtype = stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
         loaded_register = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
-        return self.from_memory(value.dtype, wide, loaded_register)
+        return self.from_stored(value.dtype, wide, loaded_register)
 
-    def from_memory(self, dtype: np.dtype, wide: bool, register: str) -> str:
-        """The register of a loaded value; a truth value is converted from its byte."""
+    def from_stored(self, dtype: np.dtype, wide: bool, register: str) -> str:
+        """The register of a loaded value in its own type: a truth value, stored as a byte, is compared with 0."""
         if dtype != BOOL:
             return register
-        return self.compare("ne", stored_type(BOOL), wide, [register, self.zero(BOOL, wide) if wide else "0"])
+        byte = stored_type(BOOL)
+        return self.compare("ne", byte, wide, [register, self.zero(byte, wide)])
 
     def access(self, value: Value) -> str:
         """Write a ``memory``, ``read`` or ``write`` of a slot; return the register of the element that is read.
@@ -268,14 +269,14 @@ class Instructions(FunctionText):
         limited_index = self.limited_index(index, value.detail.size - 1, wide)
         places = self.emit(f"getelementptr {scalar}, ptr {table}, {index_kind} {limited_index}", "p")
         if not wide:
-            return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {places}"))
+            return self.from_stored(value.dtype, False, self.emit(f"load {scalar}, ptr {places}"))
         kind = self.kind(dtype, True)
         mask = self.kind(BOOL, True)
         pointers = f"<{self.width} x ptr>"
         function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"
         self.declarations.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
         arguments = f"{pointers} align {dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
-        return self.from_memory(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))
+        return self.from_stored(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))
 
     def define_table(self, table: np.ndarray, dtype: np.dtype) -> str:
         """Define a constant table of stored numbers of a dtype; return its name."""

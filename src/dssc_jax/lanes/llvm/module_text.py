@@ -21,6 +21,7 @@ from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Prog
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
 """LLVM's attributes of a function that may use the widest vectors."""
+COLD = "#1"  # attributes of a function that is seldom called; see ATTRIBUTES
 ATTRIBUTES = (
     f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache
     f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
@@ -374,20 +375,21 @@ class Emitter(Instructions):
 
 
 class SubroutineEmitter(Emitter):
-    """Writes a subroutine as a function of LLVM, whose arguments are the inputs of its program."""
+    """Writes a subroutine as a function of LLVM; its arguments are the inputs of its program, vectors of lanes."""
 
     def input(self, value: Value, wide: bool) -> str:
-        """The register of an argument."""
-        return f"%a{value.detail}"
+        """The argument's register, by the position of the input; it is a vector, so ``wide`` does not matter."""
+        position = value.detail
+        return f"%a{position}"
 
     def definition(self, name: str) -> list[str]:
-        """The lines of the function, whose arguments are %a0, %a1, ..."""
-        result = self.program.outputs[0]  # its only output
+        """The lines of the function, which returns the program's only output; arguments are %a0, %a1, ..."""
+        result = self.program.outputs[0]
         assert isinstance(result, Value)
         self.block(self.program.body)
         kind = self.kind(result.dtype, True)
         parameters = ", ".join(f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs))
-        head = f"define internal {kind} @{name}({parameters}) #1 {{"
+        head = f"define internal {kind} @{name}({parameters}) {COLD} {{"
         return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 

@@ -85,8 +85,8 @@ class DiscreteInfo(NamedTuple):
 
 def padded_numerator(gains: FractionGains) -> Row:
     """The numerator's coefficients with leading zeros, so that they are as many as the denominator's."""
-    missing = len(gains.denominator) - len(gains.numerator)
-    return (*(0.0,) * missing, *gains.numerator)
+    leading_zeros = (0.0,) * (len(gains.denominator) - len(gains.numerator))
+    return (*leading_zeros, *gains.numerator)
 
 
 def fraction_init(gains: FractionGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:

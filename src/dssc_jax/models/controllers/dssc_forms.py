@@ -71,7 +71,7 @@ class DsscGains(NamedTuple):
 def switching_gain(gains: DsscGains) -> float:
     """The constant modulation rho [u], or the median of its law; raises ConfigError if rho is the norm bound."""
     if not isinstance(gains.rho, ConstantModulation):
-        raise ConfigError("", "rho is no constant")
+        raise ConfigError("", "rho is no constant")  # "": the caller adds the place in the study
     return nominal(gains.rho.rho)
 
 

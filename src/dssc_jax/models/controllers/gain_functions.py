@@ -323,8 +323,10 @@ class Vgsta(NamedTuple):
     def law(self, sigma: Scalar, e: Scalar, at: StateFunctions) -> IntegratedLaw:
         """The variable-gain STA's own: kappa_1 phi_1 and kappa_2 phi_2 of (26).
 
-        tau_m holds the part of d(kappa_1 phi_1)/dt that comes from e' = sigma - l0 e. Here it belongs to the first
-        term, so that kappa_2 phi_1' phi_1 is left for the second.
+        The law is kappa_1 phi_1 + integral of kappa_2 phi_2, with phi_1 and phi_2 of (26). Its first term stands for
+        phi_1 of :class:`IntegratedLaw`. tau_m also holds the part of d(kappa_1 phi_1)/dt that comes from e' = sigma -
+        l0 e. It belongs to the first term, so that kappa_2 phi_2 = kappa_2 phi_1' phi_1 is left. ``at`` is not needed
+        here.
         """
         gains = self.gains(sigma, e)
         ratio, slope = self.ratio(sigma)

@@ -17,9 +17,15 @@ class SagParams(NamedTuple):
 
 
 def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
-    """The condition of the vehicle with a share, in [0, 1], of the fall of the voltage.
+    """The condition of the vehicle after ``share`` of the fall; voltages are relative to the condition without events.
 
-    The fall multiplies the voltage that earlier events have left; None: there are none.
+    The fall multiplies the voltage that earlier falls have left. A condition with the voltage None had no earlier fall.
+
+    Args:
+        params: The fall.
+        condition: The condition after earlier events.
+        share: Share of the fall that has happened, in [0, 1].
+        rotors: Number of rotors, which is not needed here.
     """
     remaining = 1.0 - share * (1.0 - params.voltage)
     earlier = condition.voltage

@@ -182,7 +182,8 @@ def last_slope(params: RationalParams, state: LinearState) -> Scalar:
 def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
     """The plant's matrices in controllable canonical form.
 
-    x_i' = x_(i+1), and command and disturbance act on the derivative of the last state.
+    x_i' = x_(i+1). Command and disturbance add to the derivative of the last state with gain 1; the numerator is in the
+    output's row.
     """
     leading, *lower = params.denominator
     order = len(lower)

@@ -68,7 +68,7 @@ class Scales(NamedTuple):
 
     Args:
         thrust: Mean of the entries of net thrust.
-        turning: The scale of roll and of pitch: the larger of their root mean squares, times the root of 2 [1/m].
+        turning: The scale of roll and of pitch: the larger of their :func:`scaled_rms` [1/m].
         yaw: The largest entry about the axis that points down [1/m].
     """
 
@@ -78,12 +78,16 @@ class Scales(NamedTuple):
 
 
 def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
-    """PX4's scales of an allocation, shape (n_r, 4), whose rows are (f, M_x, M_y, M_z) -> f_i with z up."""
+    """What PX4 counts as 1 along each direction of an allocation; an entry much smaller than this counts as weak.
+
+    Args:
+        inverse: The allocation, shape (n_r, 4): row i gives the thrust f_i from (f, M_x, M_y, M_z), with z up.
+    """
     thrust, roll, pitch, yaw = np.array(inverse, dtype=float).T
     shares = np.abs(thrust)
     return Scales(
         thrust=float(shares[shares > 0.0].mean()),
-        turning=max(root_mean(roll), root_mean(pitch)),
+        turning=max(scaled_rms(roll), scaled_rms(pitch)),
         yaw=float((-yaw).max()),  # PX4's z points down
     )
 
@@ -100,11 +104,8 @@ def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
     return Directions(*directions)
 
 
-def root_mean(column: np.ndarray) -> float:
-    """The root mean square of a column of the allocation over its rotors, times the root of 2.
-
-    Only rotors count that have a part in the direction.
-    """
+def scaled_rms(column: np.ndarray) -> float:
+    """sqrt(2) times the root mean square of a column of an allocation, over the rotors with a part in its direction."""
     size = np.abs(column)
     count = np.sum(size > NONZERO * size.max())
     return float(np.sqrt(np.sum(column**2) / (count / 2.0)))

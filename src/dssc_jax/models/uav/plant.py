@@ -25,7 +25,7 @@ from dssc_jax.models.uav.estimators.sensors import rotation_vector
 from dssc_jax.models.uav.ground import contact, has_crashed, lowest_foot, rotor_thrusts
 from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
-from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
+from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, attitude_from_angles
 from dssc_jax.models.uav.onboard import (
     EstimationError,
     UavState,
@@ -78,7 +78,7 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
     angles = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
     phi = angles.phi if params.roll is None else params.roll
     theta = angles.theta if params.pitch is None else params.pitch
-    attitude = turned(Angles(phi, theta, params.yaw))
+    attitude = attitude_from_angles(Angles(phi, theta, params.yaw))
     state = UavState(
         position=Vec3(*params.position),
         velocity=Vec3(*params.velocity),

@@ -17,7 +17,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.ground import rotor_thrusts
-from dssc_jax.models.uav.inner_loops.sampled import Trim, body_angles, turned
+from dssc_jax.models.uav.inner_loops.sampled import Trim, attitude_from_angles, body_angles
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.rotors import wrench
 from dssc_jax.models.uav.vehicle import GRAVITY
@@ -75,7 +75,7 @@ def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
     speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
     _, _, height = params.position
     thrust, moment, side_force = wrench(vehicle, rotor_thrusts(vehicle, params.ground, height, speeds))
-    rotation = turned(body_angles(guess.upward, params.yaw)).matrix()
+    rotation = attitude_from_angles(body_angles(guess.upward, params.yaw)).matrix()
     drag_effect = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
     required_force = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - drag_effect.force
     if side_force:  # () where all rotors point along body z

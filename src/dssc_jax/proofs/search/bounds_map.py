@@ -127,7 +127,7 @@ def held_deviations(problem: ProofProblem, box: Box, command: np.ndarray) -> np.
     dPhi and dGamma are the distances of Phi and Gamma at the ends of a_p and 1/mu from those in the middle of the box.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         command: Coefficients of the bound of |command + d_r|, shape (signals + 1,).
 

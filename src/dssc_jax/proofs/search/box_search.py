@@ -65,16 +65,19 @@ class Failure(NamedTuple):
 
 
 def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search one proof that holds for every plant of a box.
+    """Search for one proof that holds for every plant of a box.
 
-    Bounds that imply themselves are tried first, since they are cheap and tight. Where they fail from the start on or
-    are loose, the proof begins with invariant sets.
+    Bounds that imply themselves are tried first: they are cheap and tight. If there are none that hold from the start
+    on, or their bound of |e| is loose, a proof is sought that begins with invariant sets.
+
+    Returns:
+        The proof, or the reason why there is none.
     """
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
-        return Failure(box, Obstacle.SLIDING)
+        return Failure(box, Obstacle.SLIDING)  # rho does not exceed |d_r + f|: nothing is left for sliding
     start_result = from_start(problem, box)
     if not isinstance(start_result, Obstacle):
-        stage, allowed_problem = start_result
+        stage, allowed_problem = start_result  # with bounds; the problem with the disturbance that they allow
         limits = StageRegion(
             sigma=stage.bounds[bounds_map.SIGMA],
             e=stage.bounds[bounds_map.ERROR],
@@ -99,7 +102,7 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     worse by more than ``ENOUGH`` allows.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         proof: A proof that begins with bounds that imply themselves.
     """
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
@@ -126,7 +129,7 @@ def smallest_error(proof: Proof, setting: Setting) -> float:
 
 
 def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
-    """Search a proof that begins with an invariant set which holds every start.
+    """Search for a proof that begins with an invariant set which holds every start.
 
     In the conservative form the integrator's state may be written as v or as q = v - phi_1. q is better where K_P
     varies much over the region, so it is tried first there; if one of them leads to no proof, the other is tried.
@@ -151,12 +154,12 @@ def gains_vary_on_the_way(problem: ProofProblem, box: Box) -> bool:
 
 
 def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
-    """Search invariant sets, each within the one before, until bounds imply themselves in the last set.
+    """Search for invariant sets, each within the one before, until bounds imply themselves in the last set.
 
     Such bounds are tighter than any set, so they end the proof where they exist.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether the state z contains q = v - phi_1 in place of v.
     """
@@ -190,7 +193,7 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
     gains = gain_hull(problem, NEAR_ORIGIN, NEAR_ORIGIN)
 
     def eigenvalues(box: Box) -> np.ndarray:
-        """Eigenvalues of one sample in the middle of a box, sorted, shape (n,)."""
+        """Eigenvalues of A in z+ = A z, the loop's step in the middle of a box; sorted, to be compared, shape (n,)."""
         return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
     def eigenvalue_change(name: str) -> float:

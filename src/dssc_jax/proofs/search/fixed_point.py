@@ -219,7 +219,7 @@ def motion_between_samples(problem: ProofProblem, box: Box, bounds: np.ndarray) 
 
 
 def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | Obstacle:
-    """Search bounds of all signals that hold from the start on and imply themselves; the first stage of a proof.
+    """Search for bounds of all signals that hold from the start on and imply themselves; the first stage of a proof.
 
     The bounds follow from a region, but must lie within it. If they do not, the region grows to hold them. If the
     disturbance that they allow is larger than assumed, its bounds grow, too.
@@ -312,12 +312,12 @@ def least_bounds(
 def towards_residual(
     problem: ProofProblem, box: Box, limits: StageRegion, error: float, allowed_problem: ProofProblem
 ) -> list[BoundsStage]:
-    """Search further stages of a proof, each with a smaller bound of the upper limit (limit superior) of |e|.
+    """Search for further stages of a proof, each with a smaller bound of the upper limit (limit superior) of |e|.
 
     In a smaller region the gains vary less, so that smaller bounds imply themselves.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         limits: Bounds so far of |sigma|, |e| and the change of sigma in a sample.
         error: Bound of |e| so far [m].

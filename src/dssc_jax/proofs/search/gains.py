@@ -209,7 +209,7 @@ def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
     -phi_1(sigma_0). ``midpoint`` adds only half of the first T_s phi_2, so its v and q are (T_s/2) phi_2 lower.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         is_integrated: Whether the coordinate is q = v - phi_1(sigma_0) in place of v.
     """
     if problem.start == "zero":

@@ -63,7 +63,7 @@ def held_plant(problem: ProofProblem, a_p: float, rate: float) -> tuple[np.ndarr
     """F and G of chi' = F chi + G U; the memories of a delay and of the sensor do not change within a sample.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         a_p: Damping [1/s].
         rate: 1/mu [1/s] of G(mu s); unused without it.
 
@@ -98,7 +98,7 @@ def flow(problem: ProofProblem, a_p: float, rate: float, time: float) -> tuple[n
     """The exact solution of chi' = F chi + G U after some time with U held: chi(t) = exp(F t) chi(0) + gamma(t) U.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         a_p: Damping [1/s].
         rate: 1/mu [1/s].
         time: t [s].
@@ -165,7 +165,7 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
     of its coefficients in Bernstein's basis. These are the points. The polynomial's remainder is left out.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         a_p: Damping [1/s].
         rates: Interval of 1/mu [1/s].
         degree: Degree of the polynomial.

@@ -106,24 +106,34 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
 
 
 def gain_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]) -> LawSpread:
-    """The law in v+ = v + K_P (sigma - s) + T_s K_I sigma, where each gain deviates by half of its interval's width."""
+    """The law in v+ = v + K_P (sigma - s) + T_s K_I sigma, with the gains within their intervals.
+
+    The middle loop has the middle of each interval, so a gain deviates from it by at most half of the width.
+
+    Args:
+        problem: The loop with its sample time T_s.
+        hull: Interval of each gain in the region, by name.
+        half_width: Half of each interval's width, by name.
+    """
     return LawSpread(
         is_integrated=False,
         gains={name: hull[name] for name in GAIN_NAMES},
-        integral=Deviation(half_width["k_p"], problem.sample_time * half_width["k_i"], 0.0),
-        command=Deviation(0.0, half_width["k_n"], 0.0),
-        slide=Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
+        integral=Deviation(change=half_width["k_p"], sigma=problem.sample_time * half_width["k_i"], constant=0.0),
+        command=Deviation(change=0.0, sigma=half_width["k_n"], constant=0.0),
+        slide=Deviation(change=half_width["slide_p"], sigma=half_width["slide_i"], constant=0.0),
         slide_e=0.0,
     )
 
 
 def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float], change_ratio: float) -> LawSpread:
-    """The law in q+ = q + T_s phi_2, where phi_1/sigma, phi_2/sigma and K_N deviate by half of their interval's width.
+    """The law in q+ = q + T_s phi_2, with phi_1/sigma, phi_2/sigma and K_N within their intervals.
+
+    The middle loop has the middle of each interval, so a ratio deviates from it by at most half of the width.
 
     Args:
-        problem: The problem.
-        hull: Interval of each gain in the region.
-        half_width: Half of each interval's width.
+        problem: The loop with its sample time T_s and the form of its law.
+        hull: Interval of each gain in the region, by name.
+        half_width: Half of each interval's width, by name.
         change_ratio: R(0)/C, by which |sigma - s| adds to q in the implicit form; 0 in the conservative one.
     """
     is_implicit = problem.form == "implicit"
@@ -131,9 +141,9 @@ def ratio_spread(problem: ProofProblem, hull: Hull, half_width: dict[str, float]
     return LawSpread(
         is_integrated=True,
         gains={name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        integral=Deviation(change_ratio, problem.sample_time * half_width["k_i"], 0.0),
-        command=Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
-        slide=Deviation(slide_change, half_width["mean"] + half_width["slide_i"], 0.0),
+        integral=Deviation(change=change_ratio, sigma=problem.sample_time * half_width["k_i"], constant=0.0),
+        command=Deviation(change=0.0, sigma=half_width["mean"] + half_width["k_n"], constant=0.0),
+        slide=Deviation(change=slide_change, sigma=half_width["mean"] + half_width["slide_i"], constant=0.0),
         slide_e=0.0 if is_implicit else hull["slide_e"][1],
     )
 
@@ -216,7 +226,7 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
     sample, which varies less than the product of the extremes.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         region: Bounds of |sigma| [m/s] and |e| [m].
         change: Bound of the change of sigma in a sample [m/s].
         error_change: Bound of the change of e in a sample [m].
@@ -239,7 +249,7 @@ def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: floa
     Each cell of a grid of sigma and e is compared with all cells that are near enough.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         region: Bounds of |sigma| [m/s] and |e| [m].
         change: Bound of the change of sigma in a sample [m/s].
         error_change: Bound of the change of e in a sample [m].

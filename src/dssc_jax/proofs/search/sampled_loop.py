@@ -126,7 +126,7 @@ def step_of(
     """The matrices of one sample of the loop, z+ = A z + B w.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         point: Plant and gains.
         box: Intervals over which the inputs are bounded; the columns of B have these bounds as factors.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v; then the gain k_p is phi_1/sigma.
@@ -226,7 +226,7 @@ def box_steps(
     The vertices are the ends of k_p, a_p and the gains, and the control points of 1/mu.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         gains: Intervals of the gains, by name.
         degree: Degree of the polynomial in 1/mu.
@@ -248,7 +248,7 @@ def start_corners(problem: ProofProblem, box: Box, ratio: Interval) -> list[np.n
     z is affine in the initial state, in d_r, in d_r + f and in the ratio, so every start is in the hull of these.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of the plant.
         ratio: Interval of -v/sigma_0, or of -q/sigma_0, by :func:`dssc_jax.proofs.search.gains.start_ratio`.
     """

@@ -107,7 +107,7 @@ class Setting(NamedTuple):
     """The data that all semidefinite programs of one box share.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         origin: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode of ``origin`` [1/s].
@@ -140,7 +140,7 @@ class Setting(NamedTuple):
         phi_2/sigma plus theta/T_s, where |theta sigma| bounds what phi_1 changes by through e.
 
         Args:
-            region: The region.
+            region: The region; K_P is taken over all of it, and its |sigma| and |e| bound the change of e in a sample.
             hull: Intervals of the gains in the piece.
         """
         if self.problem.form == "implicit":
@@ -228,7 +228,7 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
     """What all programs of a box share; None if the loop linearised at sigma = e = 0 is not stable.
 
     Args:
-        problem: The problem.
+        problem: The loop and its uncertain numbers.
         box: Intervals of k_p, a_p and 1/mu.
         is_integrated: Whether z contains q = v - phi_1(s) in place of v.
     """
@@ -246,7 +246,7 @@ def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) 
 
 
 def first_set(setting: Setting) -> SetStage | Obstacle:
-    """Search an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
+    """Search for an invariant set that holds every start and keeps the loop sliding, the first stage of a proof.
 
     If there is none, further programs without some of the conditions tell which one is the obstacle.
     """
@@ -264,7 +264,7 @@ def first_set(setting: Setting) -> SetStage | Obstacle:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """Search an invariant set that holds every start and lies in the region whose gains it allows.
+    """Search for an invariant set that holds every start and lies in the region whose gains it allows.
 
     If the set for a region exceeds the region, the next region has the size of that set, with some room.
 
@@ -321,7 +321,7 @@ def set_with_start(
 
 
 def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float]) -> SetStage | None:
-    """Search a smaller set that attracts all of a region; None if its |e| is hardly smaller than the region's.
+    """Search for a smaller set that attracts all of a region; None if its |e| is hardly smaller than the region's.
 
     The first ``ENOUGH_RATES`` rates that allow a set are compared, and the set with the smallest |e| is taken.
 

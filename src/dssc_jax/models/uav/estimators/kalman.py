@@ -1,8 +1,12 @@
 """Error-state Kalman filter with 15 states: position, velocity, attitude, biases of gyroscopes and accelerometers.
 
-    p+ = p + v T + R s - g e3 T^2/2,  v+ = v + R (dv - b_a T) - g e3 T,  q+ = q exp(dtheta - b_g T)
+    p+ = p + v T + R (s - b_a T^2/2) - g e3 T^2/2,  v+ = v + R (w - b_a T) - g e3 T,  q+ = q exp(phi - b_g T)
     error x = (dp, dv, dtheta, db_g, db_a), the attitude's on the inertial side: R_true = exp([dtheta]x) R
-    dp' = dv,  dv' = -[f]x dtheta - R db_a - R n_a,  dtheta' = -R db_g - R n_g,  f = R (dv/T - b_a)
+    dp' = dv,  dv' = -[f]x dtheta - R db_a - R n_a,  dtheta' = -R db_g - R n_g,  f = R (w/T - b_a)
+
+The inertial unit reads increments over the sample time T in the body frame: the rotation vector phi, and the integral w
+and double integral s of the specific force. f is this force in the inertial frame, in which e3 points up, and R is the
+matrix of the attitude q. Gyroscopes and accelerometers have the biases b_g and b_a and the noise n_g and n_a.
 
 Each measured number makes a separate update, which needs no inverse of a matrix. A delayed position is compared with
 p - v tau. The filter knows the standard deviations of its sensors, but not their scale errors.
@@ -110,11 +114,11 @@ class KalmanFilter(NamedTuple):
             motion: The true motion at the sample.
             random: Noise of the sample.
             k: Index of the sample.
-            dt: Length of a sample [s].
+            dt: Sample time [s].
         """
-        sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
+        sensors, increments, readings = sense(self.sensors, memory.sensors, motion, random, k, dt)
         predicted = self.predict(memory, increments, dt)
-        corrected = self.correct(predicted, aids, dt)
+        corrected = self.correct(predicted, readings, dt)
         estimate = corrected.estimate._replace(rate=increments.rate - corrected.gyro_bias)
         return corrected._replace(estimate=estimate, sensors=sensors)
 
@@ -143,7 +147,7 @@ class KalmanFilter(NamedTuple):
         estimate = Motion(position, velocity, product(previous.attitude, rotation_step).normalised(), previous.rate)
         return memory._replace(estimate=estimate, covariance=tuple(map(tuple, covariance)))
 
-    def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:
+    def correct(self, memory: KalmanMemory, readings: Aids, dt: float) -> KalmanMemory:
         """The estimate after the updates by position, height and heading, and the covariance of its error.
 
         A sensor that is None is absent. The corrections of one sample add up to an error state, which is added to the
@@ -153,19 +157,19 @@ class KalmanFilter(NamedTuple):
         estimate = memory.estimate
         delay = self.sensors.delay_samples * dt
         if self.sensors.position is not None:
-            difference = aids.position - (estimate.position - estimate.velocity * delay)
+            difference = readings.position - (estimate.position - estimate.velocity * delay)
             for i, value in enumerate(difference):
                 row: Sparse = ((POSITION + i, 1.0),)  # derivative of the reading by the error state
                 if delay:
                     row = (*row, (VELOCITY + i, -delay))
-                update = update.with_reading(row, value, self.sensors.position, aids.has_position)
+                update = update.with_reading(row, value, self.sensors.position, readings.has_position)
         if self.sensors.height is not None:
-            difference = aids.height - estimate.position.z
-            update = update.with_reading(((POSITION + 2, 1.0),), difference, self.sensors.height, aids.has_height)
+            difference = readings.height - estimate.position.z
+            update = update.with_reading(((POSITION + 2, 1.0),), difference, self.sensors.height, readings.has_height)
         if self.sensors.heading is not None:
-            difference = wrap_angle(aids.heading - heading_of(estimate.attitude))
+            difference = wrap_angle(readings.heading - heading_of(estimate.attitude))
             row = heading_row(estimate.attitude.matrix())
-            update = update.with_reading(row, difference, self.sensors.heading, aids.has_heading)
+            update = update.with_reading(row, difference, self.sensors.heading, readings.has_heading)
         parts = (Vec3(*update.error[first : first + 3]) for first in range(0, STATES, 3))
         position, velocity, attitude, gyro_bias, accel_bias = parts
         corrected = Motion(

@@ -23,7 +23,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Trim, require_integral, turned
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Trim, attitude_from_angles, require_integral
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.rigid_body import turning_moment
 from dssc_jax.models.uav.vehicle import GRAVITY
@@ -98,7 +98,7 @@ class InnerGains(NamedTuple):
         against it for an acceleration. With feed-forward it therefore also feeds forward rates of the desired angles;
         a fixed-point iteration makes angles and rates agree.
         """
-        rotation = turned(trim.angles).matrix()
+        rotation = attitude_from_angles(trim.angles).matrix()
         at = trig_of(rotation)
         wanted = euler_rates(at, trim.moment.over(craft.inertia))  # accelerations of the angles [rad/s^2]
         share = trim.thrust / craft.mass

@@ -85,12 +85,12 @@ class Trim(NamedTuple):
     @property
     def upward(self) -> Vec3:
         """The direction of body z in the inertial frame, of length 1."""
-        rotation = turned(self.angles).matrix()
+        rotation = attitude_from_angles(self.angles).matrix()
         return Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
 
 
-def turned(angles: Angles) -> Quaternion:
-    """The attitude, body to inertial, that has some roll, pitch and yaw."""
+def attitude_from_angles(angles: Angles) -> Quaternion:
+    """The attitude, body to inertial, that has these Euler angles [rad]."""
     return quaternion_from_euler(*angles)
 
 

@@ -86,7 +86,7 @@ class VehicleBounds:
 def vehicle_bounds(
     problem: VehicleProblem, damping: tuple[float, float], room_factor: float, *, from_start: bool
 ) -> VehicleBounds | Obstacle:
-    """Search bounds that imply themselves, with one damping of drag.
+    """Search for bounds that imply themselves, with one damping of drag.
 
     The slopes of the straight lines suit a region of |sigma|. They are chosen again if the bounds of |sigma| turn out
     to be others.
@@ -211,16 +211,17 @@ def inflated_bound(signal: str, bound: float, room_factor: float) -> float:
 
 
 def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstacle:
-    """Check that all channels keep sliding under a fixed point of F, and return it with the rotors' bounds.
+    """Check that all channels keep sliding while the signals are within bounds that imply themselves.
 
     Args:
         vehicle: The linear channels and their responses.
-        y: Bounds that imply themselves.
+        y: The bounds Y, of the deviation from the nominal flight if there is one.
 
     Returns:
-        ``SLIDING`` if the equivalent control of a channel may exceed rho.
+        The bounds, with the bounds of the rotors and of the vehicle's own signals; ``SLIDING`` if the equivalent
+        control of a channel may exceed rho.
     """
-    totals, _ = vehicle_totals(vehicle.nominal, y)
+    totals, _ = vehicle_totals(vehicle.nominal, y)  # bounds of the vehicle's signals, N + Y
     deviations = vehicle.deviations(totals)
     _, remainders, rotors = apply_map(vehicle, deviations, y)
     if not slides(vehicle.problem, deviations, totals, remainders):
@@ -229,7 +230,7 @@ def checked_bounds(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | Obstac
 
 
 def best_bounds(problem: VehicleProblem, room_factor: float, *, from_start: bool = True) -> VehicleBounds | Obstacle:
-    """Search the bounds with the smallest |e| in the plane, over several dampings c of drag there.
+    """Search for the bounds with the smallest |e| in the plane, over several dampings c of drag there.
 
     c is about k_h W/M, the slope of the drag over the vehicle's velocity in the wind W. With a moving reference the
     reference's speed adds to the wind's.

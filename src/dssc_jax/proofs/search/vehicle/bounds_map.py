@@ -1,8 +1,9 @@
 """The map F from bounds Y of a vehicle's signals to the bounds F(Y) that follow from them, in floating point.
 
-Bounds of the signals bound the remainders, what the vehicle has besides its linear channels. The responses of the
-linear channels to the remainders, to what the functions deviate by from straight lines, to the constant and to the
-start add up to F(Y). docs/vehicle_proofs.md has the formulas.
+Bounds of the signals bound the remainders, what the vehicle has besides its linear channels. In these, straight lines
+replace the functions phi_1, phi_2 and n of the control laws. The responses of the linear channels to the remainders, to
+what the functions deviate by from straight lines, to the constant and to the start add up to F(Y).
+docs/vehicle_proofs.md has the formulas; it calls n phi_3.
 """
 
 from dataclasses import dataclass
@@ -47,15 +48,20 @@ class LinearVehicle:
     nominal: Nominal | None
 
     def deviations(self, totals: Signals) -> dict[str, ChannelDeviations]:
-        """How far each channel's functions are from their straight lines, while |sigma| is within its bound.
+        """How far phi_1, phi_2 and n of each channel are from straight lines while the signals are within bounds.
+
+        Only the bound of |sigma| matters.
 
         Args:
-            totals: Bounds of the vehicle's signals.
+            totals: Bounds of the vehicle's signals, by channel.
+
+        Returns:
+            Bounds of the distances from the lines with :attr:`slopes`, by channel.
         """
         deviations = {}
         for name in CHANNELS:
-            points = points_of(self.problem, name, totals[name]["sigma"])
-            deviations[name] = deviations_of(points, self.slopes[name])
+            gains = points_of(self.problem, name, totals[name]["sigma"])  # at points with |sigma| up to its bound
+            deviations[name] = deviations_of(gains, self.slopes[name])
         return deviations
 
 

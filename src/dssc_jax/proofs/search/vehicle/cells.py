@@ -135,7 +135,7 @@ class CellSearch:
 
 
 def cell_bounds(problem: VehicleProblem, room_factor: float) -> CellBounds | Obstacle:
-    """Search bounds in time cells, with several layouts of cells and several slopes, until one choice succeeds.
+    """Search for bounds in time cells, with several layouts of cells and several slopes, until one choice succeeds.
 
     Args:
         problem: The vehicle.
@@ -189,7 +189,7 @@ def bounds_cell_by_cell(
     count: int,
     room_factor: float,
 ) -> CellBounds | Obstacle:
-    """Search bounds that imply themselves in one cell after the other, the last one included.
+    """Search for bounds that imply themselves in one cell after the other, the last one included.
 
     Args:
         problem: The vehicle.
@@ -274,7 +274,7 @@ def cell_fixed_point(
     *,
     final: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
-    """Search bounds of the signals in one cell that imply themselves, given the inputs of the cells before.
+    """Search for bounds of the signals in one cell that imply themselves, given the inputs of the cells before.
 
     The search begins at the bounds of the cell before: in the last cell, smaller bounds are not better, since earlier
     inputs then exceed them by more.

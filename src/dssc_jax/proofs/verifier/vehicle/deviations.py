@@ -1,7 +1,8 @@
 """(V2) The functions of a channel within a region: their distances from straight lines, and their largest gains.
 
-phi_1, phi_2 and phi_3 = sigma/(k_n tau_m) become k_1 sigma, k_2 sigma and k_3 sigma. What remains are omega_u = phi_1 +
-phi_3 - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u + omega_r, with the share s_q.
+phi_1, phi_2 and phi_3 = sigma/(k_n tau_m), which the search calls n, become k_1 sigma, k_2 sigma and k_3 sigma. What
+remains are omega_u = phi_1 + phi_3 - (k_1 + k_3) sigma and omega_q = phi_2 - k_2 sigma = s_q omega_u + omega_r, with
+the share s_q.
 """
 
 import math

@@ -1,6 +1,6 @@
 """The map F from bounds Y of all signals to the bounds that follow from them, and F_s, the same for upper limits.
 
-Bounds Y > F(Y) imply themselves, and so hold; docs/vehicle_proofs.md has the theorem.
+Bounds Y > F(Y) imply themselves, and so hold. (V1) to (V5) are the theorem's conditions in docs/vehicle_proofs.md.
 """
 
 from collections.abc import Mapping
@@ -102,7 +102,13 @@ def sigmas_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, arb]:
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
-    """(V2) How far the functions are from straight lines while the signals are within bounds, by channel."""
+    """How far the functions phi_1, phi_2 and phi_3 of each channel are from straight lines, for (V2) of the theorem.
+
+    Args:
+        vehicle: The linear channels, with the slopes of the lines.
+        bounds: Bounds Y of the signals, or of their deviation from the nominal flight.
+    """
+    # the largest |sigma| of each channel, rounded upwards: the region in which the functions are enclosed
     regions = {name: float_above(sigma) for name, sigma in sigmas_under(vehicle, bounds).items()}
     return {name: deviations_of(vehicle.problem, name, vehicle.middles[name], regions[name]) for name in CHANNELS}
 
