@@ -42,6 +42,16 @@ def test_single_readings_and_jumps_are_found(seed):
     assert outliers(TIMES, residual, 0.05) == []  # a sensor with that noise
 
 
+def test_spikes_in_two_of_a_hundred_readings_do_not_hide_each_other():
+    random = np.random.default_rng(3)
+    residual = 0.005 * random.normal(size=400)
+    rows = np.sort(random.choice(np.arange(10, 390, 4), 8, replace=False))
+    residual[rows] += 0.4
+    found = outliers(TIMES, residual, 0.005)
+    np.testing.assert_allclose([outlier.time for outlier in found], TIMES[rows])
+    assert not any(outlier.lasts for outlier in found)
+
+
 def test_a_change_over_a_gap_is_none():
     residual = 0.01 * np.random.default_rng(0).normal(size=400)
     residual[200:] += 1.0

@@ -55,3 +55,12 @@ def test_another_fault_is_no_speed(predictions, fault):
     u = np.repeat(random.normal(size=40), 10)
     y = output(1.1, 0.8, u) + 0.005 * random.normal(size=400) + fault
     assert not any(text.startswith(TOLD) for text in said(y, u, predictions))
+
+
+@pytest.mark.parametrize("samples", [0.5, 3.0])
+def test_a_late_output_is_no_speed(predictions, samples):
+    """Half a sample, too, which is less than what the search for delays can tell."""
+    random = np.random.default_rng(8)
+    u = np.repeat(random.normal(size=20), 20)
+    y = np.interp(TIME - samples * DT, TIME, output(1.1, 0.8, u)) + 0.002 * random.normal(size=400)
+    assert not any(text.startswith(TOLD) for text in said(y, u, predictions))

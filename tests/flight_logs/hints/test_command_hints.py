@@ -28,7 +28,10 @@ def test_a_command_at_other_times_is_told(shift):
 
 
 def test_an_offset_and_a_multiple_are_told():
+    """However small the offset, if it is all of the difference."""
     replayed = command()
+    rounded = np.round(replayed + 0.02, 4)
+    assert command_hint(rounded, replayed, DT, "N").text.startswith("lies 0.02 N beside what the analysed")
     assert command_hint(replayed + 9.81, replayed, DT, "N").text.startswith("lies 9.81 N beside what the analysed")
     assert command_hint(2.5 * replayed, replayed, DT, "N").text.startswith("is 2.5 times what the analysed")
 
@@ -125,7 +128,17 @@ def test_single_commands_that_the_controller_did_not_give_are_told():
     )
     kick = replayed.copy()
     kick[120] += 50.0
-    assert "single values" not in command_hint(kick, 0.9 * kick, DT, "N")  # of a jump that both answer
+    hint = command_hint(kick, 0.9 * kick, DT, "N")  # of a jump that both answer
+    assert hint is None or "single values" not in hint.text
+
+
+def test_many_spikes_are_told_by_the_first_ones():
+    replayed = command()
+    logged = replayed.copy()
+    logged[20:340:40] = 0.0
+    logged[20:340:40] -= 8.0
+    text = command_hint(logged, replayed, DT, "N").text
+    assert "at 0.4 s and 1.2 s and 2 s and 5 more times of the study" in text
 
 
 @pytest.mark.parametrize("rows", [1, 2])
