@@ -1,10 +1,13 @@
 """Flights that begin with another speed than the study: place and speed are proposed, and no other fault is one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.refusals import FitRefused
+from dssc_jax.flight_logs.fit.start_speeds import shifted_residual
 from tests.flight_logs.fit.test_fit import DT, linear, log_of, output
 
 TIME = DT * np.arange(400)
@@ -57,10 +60,18 @@ def test_another_fault_is_no_speed(predictions, fault):
     assert not any(text.startswith(TOLD) for text in said(y, u, predictions))
 
 
-@pytest.mark.parametrize("samples", [0.5, 3.0])
-def test_a_late_output_is_no_speed(predictions, samples):
-    """Half a sample, too, which is less than what the search for delays can tell."""
-    random = np.random.default_rng(8)
-    u = np.repeat(random.normal(size=20), 20)
-    y = np.interp(TIME - samples * DT, TIME, output(1.1, 0.8, u)) + 0.002 * random.normal(size=400)
-    assert not any(text.startswith(TOLD) for text in said(y, u, predictions))
+def test_a_shift_in_time_explains_what_the_predicted_rate_does():
+    """Half a sample late; the numbers of a fit take a part. A speed that decays is no shift."""
+    noise = 0.002 * np.random.default_rng(8).normal(size=400)
+    predicted = np.sin(2.0 * TIME) + 0.3 * TIME
+    slope = TIME * predicted
+    late = -0.5 * DT * np.gradient(predicted, TIME) + 0.01 * slope + noise
+    decaying = 0.1 * (1.0 - np.exp(-TIME / 2.0)) + noise
+    residuals = []
+    for residual in (late, decaying):
+        readings = SimpleNamespace(times=TIME, values=predicted + residual)
+        columns = np.column_stack([residual, slope, np.ones(400)])  # the third number is kept by its law
+        problem = SimpleNamespace(readings=[readings], columns=lambda x, rows=columns: [rows], fitted=[0])
+        residuals.append(shifted_residual(problem, SimpleNamespace(x=np.zeros(2))))
+    assert residuals[0] < 1.1 * np.std(noise)
+    assert residuals[1] > 5.0 * np.std(noise)
