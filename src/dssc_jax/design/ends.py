@@ -69,5 +69,6 @@ def expression_ends(study: Study, ends: Mapping[str, tuple[Numeric, Numeric]]) -
         interval = number.expression.between(inputs)
         low = np.where(interval.defined, interval.low, -np.inf)
         high = np.where(interval.defined, interval.high, np.inf)
-        ends_by_name[name] = (low, high)
+        is_certain = np.array_equal(low, high)  # both ends are then the same array, as those of a swept number are
+        ends_by_name[name] = (low, low) if is_certain else (low, high)
     return ends_by_name

@@ -130,7 +130,8 @@ def exchanged_signals(problem: FitProblem, channel: int) -> Iterator[OtherColumn
             pairs.append(f"{signal_name(name, signal)} in that of {signal_name(name, column)}")
         first = signal_name(name, next(iter(wrong)))
         words = f"columns seem to be exchanged, {' and '.join(pairs)}"
-        outputs = with_row(log.outputs, channel, signals[output])
+        is_logged = np.isfinite(log.offsets[channel])  # elsewhere no reading of y says when it was taken
+        outputs = with_row(log.outputs, channel, np.where(is_logged, signals[output], np.nan))
         commands = with_row(log.commands, channel, forward_filled(signals[command]))
         yield OtherColumns(first, words, [channel], log._replace(outputs=outputs, commands=commands))
 
