@@ -153,7 +153,7 @@ def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: 
         recorded_file = entry.get("file") if isinstance(entry, Mapping) else None
         if isinstance(recorded_file, str):
             places.append(Path(recorded_file))
-        existing_places = [place for place in places if place.is_file()]
-        if not existing_places:
+        existing_place = next((place for place in places if place.is_file()), None)
+        if existing_place is None:
             raise ConfigError("file", f"'{native.file}' is not found; looked for {', '.join(map(str, places))}")
-        allow_native(existing_places[0], native.sha256)
+        allow_native(existing_place, native.sha256)

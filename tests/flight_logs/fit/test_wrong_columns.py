@@ -1,5 +1,7 @@
 """Logs with the error in the column of y, or with exchanged columns: a refusal names them, and no other one does."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import minimise
 from dssc_jax.flight_logs.fit.refusals import FitRefused, Unexplained
-from dssc_jax.flight_logs.fit.wrong_columns import column_doubts
+from dssc_jax.flight_logs.fit.wrong_columns import column_doubts, errors_as_outputs
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog
 from tests.flight_logs.fit.test_fit import DT, linear, output
 
@@ -93,3 +95,11 @@ def test_exchanged_channels_are_named(wrong):
         return
     assert len(told) == 1
     assert told[0].startswith("x_y and y_y, or x_u_total and y_u_total, seem to have each other's column: with that")
+
+
+def test_a_reference_without_values_in_the_flight_says_nothing():
+    problem = SimpleNamespace(
+        log=SimpleNamespace(signals=[{"y_ref": np.full(5, np.nan)}], references=[np.zeros(5)]),
+        study=SimpleNamespace(loop=SimpleNamespace(channels=("",))),
+    )
+    assert list(errors_as_outputs(problem, 0)) == []

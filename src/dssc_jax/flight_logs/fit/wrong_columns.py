@@ -105,8 +105,8 @@ def errors_as_outputs(problem: FitProblem, channel: int) -> Iterator[OtherColumn
     y_ref = signal_name(name, "y_ref")
     logged_reference = log.signals[channel].get("y_ref")
     for reference in (logged_reference, log.references[channel]):
-        if reference is None or np.ptp(reference[np.isfinite(reference)]) == 0.0:
-            continue
+        if reference is None or len(np.unique(reference[np.isfinite(reference)])) < 2:
+            continue  # without a reference that moves, the error is y with an offset
         for error, output in (
             (f"{y_ref} - {y}", reference - log.outputs[channel]),
             (f"{y} - {y_ref}", reference + log.outputs[channel]),
