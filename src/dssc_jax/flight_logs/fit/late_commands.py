@@ -13,6 +13,7 @@ import numpy as np
 
 from dssc_jax.flight_logs.fit.least_squares import FitProblem, NormalEquations
 from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.search_limits import SearchCount
 from dssc_jax.flight_logs.fit.shifts import Delay, fitted_delay, longest_shift
 from dssc_jax.flight_logs.reading.reader import signal_name
@@ -94,10 +95,13 @@ def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalW
         else "Log the time of the command itself, not that of its arrival, and look for a delay in the study that the "
         "vehicle does not have"
     )
+    sizes = f"from {delay.unshifted[0]:.3g} to {delay.shifted[0]:.3g} {study.units[0].output} rms"
+    falls = f"the residual falls {sizes}, and "
+    if declares_noise(study):  # the residual then is mostly what the gusts did, whatever the delay
+        falls = ""
+    side = "later" if delay.time > 0.0 else "earlier"
     text = (
-        f"{name} acts {delay.size_text} {'later' if delay.time > 0.0 else 'earlier'} than it is logged "
-        f"(p = {delay.p_value:.1g}): moved by that, the residual falls from {delay.unshifted[0]:.3g} to "
-        f"{delay.shifted[0]:.3g} {study.units[0].output} rms, and "
+        f"{name} acts {delay.size_text} {side} than it is logged (p = {delay.p_value:.1g}): moved by that, {falls}"
         f"{delay.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
     return (SignalWarning(name, "delayed-command", text),)

@@ -168,6 +168,9 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, 
         names, lateness.channels, lateness.unshifted, lateness.shifted, strict=True
     ):
         sizes.append(f"that of {name} from {unshifted:.3g} to {shifted:.3g} {study.units[channel].output} rms")
+    falls = f"the residual falls, {', '.join(sizes)}, and "
+    if declares_noise(study):  # the residual then is mostly what the gusts did, whatever the delay
+        falls = ""
     side, opposite_side = ("later", "earlier") if lateness.time > 0.0 else ("earlier", "later")
     remedy = (
         "Log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), or give the study the "
@@ -179,8 +182,8 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, 
     verb = "are" if len(names) > 1 else "is"
     text = (
         f"{', '.join(names)} {verb} {lateness.size_text} {side} than the study predicts for the logged commands, or "
-        f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, the residual falls, "
-        f"{', '.join(sizes)}, and {lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
+        f"these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, {falls}"
+        f"{lateness.move_text(problem.named_values(minimum.x))}. {remedy}"
     )
     return tuple(SignalWarning(name, "delayed-output", text) for name in names[:1])
 

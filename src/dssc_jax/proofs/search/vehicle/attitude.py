@@ -19,24 +19,10 @@ class OutOfRange(Exception):
 
 @dataclass(frozen=True)
 class Attitude:
-    """Upper bounds of how far the vehicle tilts and turns, and how fast.
+    """Upper bounds of how far the vehicle tilts and turns, and how fast, as floating-point numbers for the search.
 
-    Args:
-        tilt: beta, bound of the tilt [rad]; it bounds the tilt's sine, too, and is called s then.
-        tangent: t, bound of the tilt's tangent.
-        secant: S, bound of the inverse of the tilt's cosine.
-        tilt_rate: beta_1, bound of |b'|, where b is the tilt as a vector of the horizontal plane [rad/s].
-        yaw_rate: psi_1, bound of |psi'| [rad/s].
-        lift: A_z, bound of the wanted vertical acceleration [m/s^2].
-        achieved_lift: Q, bound of the vertical acceleration that the rotors achieve [m/s^2]; A_z without a rotor lag.
-        tilt_defect: r_2, bound of |b_d - a_h/g|: how far the desired tilt is from the linear law [rad].
-        euler_rate: T, bound of |(phi', theta')| [rad/s].
-        tilt_demand: H, bound of |(eta_phi, eta_theta)|, the wanted second derivative of roll and pitch [rad/s^2].
-        yaw_demand: H_psi, bound of |eta_psi|, the wanted second derivative of yaw [rad/s^2].
-        frame_h: w_h, bound of B' E' across body z [rad/s^2]; B takes the Euler rates E' to the body rate.
-        frame_z: w_z, bound of B' E' along body z [rad/s^2].
-        rate_h: Omega_h, bound of the body rate across body z [rad/s].
-        rate_z: Omega_z, bound of the body rate along body z [rad/s].
+    Names, symbols and units are those of the verifier's
+    :class:`~dssc_jax.proofs.verifier.vehicle.attitude.Attitude`, which encloses the same bounds rigorously.
     """
 
     tilt: float
