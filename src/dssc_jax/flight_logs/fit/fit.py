@@ -313,7 +313,8 @@ def fitted_minimum(
     doubts_of_forces = () if doubts_of_delays else force_doubts(problem, search.best, np.sqrt(np.diag(covariance)))
     doubts_of_outliers = outlier_doubts(problem, x)
     doubts_of_start = output_start_doubts(problem, x, results)
-    if any(result.is_doubtful for result in results) and not doubts_of_delays and not doubts_of_outliers:
+    is_doubtful = any(result.is_doubtful for result in results)
+    if is_doubtful and not doubts_of_delays and not doubts_of_outliers:  # which another start explains in part
         doubts_of_start = start_speed_doubts(problem, search.best) or doubts_of_start
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
