@@ -232,14 +232,22 @@ def test_vectors_on_the_stack_are_aligned(cpu):
     assert not any(move.startswith(("vmovup", "vmovdqu")) for move in moves)
 
 
-def test_constants_in_memory_give_the_same_bits(monkeypatch):
-    """Code for few registers reads them where it uses them, other code keeps them in registers."""
+@pytest.mark.parametrize("lane", [sine_and_state, with_branches])
+@pytest.mark.parametrize("vectors", [1, 2, 4])
+def test_code_for_few_registers_gives_the_same_bits(lane, vectors, monkeypatch):
+    """It reads constants from memory where it uses them, and computes each hardware vector on its own."""
+    hardware_width = machine.vector_bits() // 64
     found = []
+    products = []  # of hardware vectors
     for near in (False, True):
         monkeypatch.setattr(machine, "has_near_constants", lambda near=near: near)
-        compiled = CompiledLanes(sine_and_state, jax.ShapeDtypeStruct((), np.float64), strict=True)
-        assert ("@number." in compiled.traced.text) == near
+        number = jax.ShapeDtypeStruct((), np.float64)
+        compiled = CompiledLanes(lane, number, strict=True, width=vectors * hardware_width)
+        text = compiled.traced.text
+        assert ("@number." in text) == near
+        products.append(text.count(f"fmul <{hardware_width} x double>"))
         found.append(compiled.start((X,), LANES, 1)())
+    assert (products[1] > products[0]) == (vectors > 1)
     np.testing.assert_array_equal(*found)
 
 

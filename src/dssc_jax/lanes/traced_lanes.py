@@ -9,6 +9,7 @@ import jax
 
 from dssc_jax.lanes.interface import Signature
 from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.llvm.function_text import MANY_REGISTERS, RegisterUse
 from dssc_jax.lanes.llvm.module_text import module_text
 from dssc_jax.lanes.passes.liveness import operation_counts
 from dssc_jax.lanes.passes.negated_states import join_opposites
@@ -60,7 +61,7 @@ class TracedLanes:
         packing = best_packing(self.program)
         if width is None:
             width = packing.vectors * machine.vector_bits() // number_bits(self.program)
-        self.text = module_text(self.program, width, strict, packing.window, machine.has_near_constants())
+        self.text = module_text(self.program, width, strict, packing.window, register_use(self.program, width))
         self.signature = signature_of(self.program, results, width, machine.code_name(self.text))
 
 
@@ -111,6 +112,18 @@ def best_packing(program: Program) -> Packing:
     vector_bits = max(machine.vector_bits(), 256)  # processors with 128 bits take the packings for 256
     packings = RANDOM_PACKINGS if draws_random_numbers else PACKINGS[vector_bits]
     return next(packing for packing in packings if operations < packing.operations)
+
+
+def register_use(program: Program, width: int) -> RegisterUse:
+    """How a program with vectors of so many lanes spares registers on this processor: not at all if it has many.
+
+    If it has few, and a vector of lanes consists of 2, 4 or 8 hardware vectors, each of these is a piece.
+    """
+    if not machine.has_near_constants():
+        return MANY_REGISTERS
+    hardware_width = machine.vector_bits() // number_bits(program)
+    has_pieces = hardware_width > 1 and width in (2 * hardware_width, 4 * hardware_width, 8 * hardware_width)
+    return RegisterUse(stored_constants=True, piece_width=hardware_width if has_pieces else 0)
 
 
 def number_bits(program: Program) -> int:

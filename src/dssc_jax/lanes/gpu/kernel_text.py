@@ -11,6 +11,7 @@ import numpy as np
 from dssc_jax.lanes.foreign import ForeignFunction
 from dssc_jax.lanes.gpu import ptx
 from dssc_jax.lanes.interface import ENTRY_POINT
+from dssc_jax.lanes.llvm.function_text import MANY_REGISTERS
 from dssc_jax.lanes.llvm.module_text import Emitter
 from dssc_jax.lanes.program import Program, Recording, Value
 from dssc_jax.lanes.traced_lanes import TracedLanes, lane_program, signature_of
@@ -33,7 +34,7 @@ class KernelEmitter(Emitter):
 
     def __init__(self, program: Program, strict: bool) -> None:
         """Begin without lines; a vector has one lane."""
-        super().__init__(program, 1, strict, WINDOW)
+        super().__init__(program, 1, strict, WINDOW, MANY_REGISTERS)
 
     def head(self) -> str:
         """The first line of the kernel, whose argument ``count`` is the number of lanes of the batch.

@@ -1,8 +1,9 @@
 """The text of a function of LLVM as it is being written: its lines, the registers of values, and its basic blocks."""
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,28 @@ def literal(number: Any, dtype: np.dtype) -> str:
     return str(int(number))
 
 
+def positions(lanes: range) -> str:
+    """The literal of the positions of lanes, as LLVM's shufflevector takes them."""
+    numbers = ", ".join(f"i32 {lane}" for lane in lanes)
+    return f"<{len(lanes)} x i32> <{numbers}>"
+
+
+class RegisterUse(NamedTuple):
+    """How a function spares registers on a processor that has few of them.
+
+    Args:
+        stored_constants: Whether operations read constants from memory, as whole vectors.
+        piece_width: Lanes of a piece, if each operation is written once for each piece of a vector; 0 if it is written
+            for the whole vector. A vector consists of 1, 2, 4 or 8 pieces.
+    """
+
+    stored_constants: bool = False
+    piece_width: int = 0
+
+
+MANY_REGISTERS = RegisterUse()
+
+
 @dataclass
 class FunctionText:
     """The lines of a function of LLVM so far, with the register of each value.
@@ -36,7 +59,7 @@ class FunctionText:
     Args:
         width: Lanes of a vector.
         flags: :data:`FAST` or :data:`STRICT`.
-        stored_constants: Whether operations read constants from memory, as whole vectors, because registers are few.
+        register_use: How it spares registers.
         lines: The instructions so far.
         tables: Definitions of constant tables.
         names: Register of each value, by the value's id and whether it is a vector.
@@ -46,11 +69,13 @@ class FunctionText:
         label: Label of the present basic block.
         allocated: Instructions that reserve memory, for the start of the function.
         slots: Register with the address of each slot, by the slot's id.
+        pieces: Registers of the pieces of each value, by the value's id.
+        piece: Position of the piece for which an operation is being written; None if it is written for whole vectors.
     """
 
     width: int
     flags: str = FAST
-    stored_constants: bool = False
+    register_use: RegisterUse = MANY_REGISTERS
     lines: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
@@ -60,6 +85,8 @@ class FunctionText:
     label: str = "entry"
     allocated: list[str] = field(default_factory=list)
     slots: dict[int, str] = field(default_factory=dict)
+    pieces: dict[int, list[str]] = field(default_factory=dict)
+    piece: int | None = None
 
     # Names and types
 
@@ -80,17 +107,19 @@ class FunctionText:
         return name
 
     def read(self, value: Value, vector: bool) -> str:
-        """The register or literal of a value, as a vector or as a scalar."""
+        """The register or literal of a value, as a vector or as a scalar; of one piece while a piece is written."""
         vector = vector and self.width > 1
         if value.operation == "constant":
             number = literal(value.detail, value.dtype)
             return f"splat ({scalar_type(value.dtype)} {number})" if vector else number
+        if vector and self.piece is not None:
+            return self.pieces[id(value)][self.piece]
         return self.names[id(value), vector]
 
     def operand(self, value: Value, vector: bool) -> str:
         """As :meth:`read`, for operations that may read a constant vector of floating-point numbers from memory."""
         is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
-        is_stored = self.stored_constants and vector and self.width > 1 and is_number
+        is_stored = self.register_use.stored_constants and vector and self.width > 1 and is_number
         if not is_stored:
             return self.read(value, vector)
         kind = self.kind(value.dtype, True)
@@ -111,11 +140,41 @@ class FunctionText:
         return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
 
     def name(self, value: Value, name: str) -> None:
-        """Store the register of a value; a uniform value is also written as a vector, whose register is stored, too."""
+        """Store the register of a value; a uniform value is also written as a vector, whose register is stored, too.
+
+        Where operations are written for pieces, the pieces of the vector are stored as well.
+        """
         vector = self.is_vector(value)
         self.names[id(value), vector] = name
         if not vector and self.width > 1:
             self.names[id(value), True] = self.splat(value.dtype, name)
+        if self.register_use.piece_width:
+            self.pieces[id(value)] = self.separated(value.dtype, self.names[id(value), True])
+
+    def separated(self, dtype: np.dtype, vector: str) -> list[str]:
+        """Write the pieces of the vector in a register; return their registers."""
+        kind = self.kind(dtype, True)
+        piece_width = self.register_use.piece_width
+        registers = []
+        for first in range(0, self.width, piece_width):
+            lanes = range(first, first + piece_width)
+            registers.append(self.emit(f"shufflevector {kind} {vector}, {kind} poison, {positions(lanes)}", "h"))
+        return registers
+
+    def joined(self, dtype: np.dtype, pieces: Sequence[str]) -> str:
+        """Write the vector that consists of pieces, given by their registers; return its register."""
+        scalar = scalar_type(dtype)
+        registers = list(pieces)
+        width = self.register_use.piece_width
+        while len(registers) > 1:
+            kind = f"<{width} x {scalar}>"
+            width *= 2
+            pairs = zip(registers[::2], registers[1::2], strict=True)
+            registers = [
+                self.emit(f"shufflevector {kind} {first}, {kind} {second}, {positions(range(width))}", "w")
+                for first, second in pairs
+            ]
+        return registers[0]
 
     def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
         """Write a call of one of LLVM's functions; return the result's register.

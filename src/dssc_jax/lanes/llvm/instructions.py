@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm.function_text import STRICT, FunctionText, literal, scalar_type
-from dssc_jax.lanes.operations import COMPARISONS
+from dssc_jax.lanes.operations import COMPARISONS, Operation
 from dssc_jax.lanes.passes.signs import is_unsigned
 from dssc_jax.lanes.program import BOOL, Slot, Value
 
@@ -21,10 +21,32 @@ INTEGERS = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", 
 SIGNED = {"div": "sdiv", "rem": "srem", "shr": "ashr"}
 UNSIGNED = {"div": "udiv", "rem": "urem", "shr": "lshr"}
 """LLVM's instructions of operations that differ between signed and unsigned integers."""
+WHOLE = {
+    *(Operation.INPUT, Operation.ANY, Operation.LOOKUP, Operation.RARELY, Operation.FOREIGN, Operation.PART),
+    *(Operation.MEMORY, Operation.READ, Operation.WRITE),
+}
+"""Operations that are written for a whole vector of lanes at once, never for each of its pieces."""
 
 
 class Instructions(FunctionText):
     """Writes LLVM's instructions for values, and stores the register of each value."""
+
+    def compute(self, value: Value) -> None:
+        """Write the instructions of one value, and store its register; a vector may be written piece by piece."""
+        piece_width = self.register_use.piece_width
+        if not piece_width or not self.is_vector(value) or value.operation in WHOLE:
+            self.name(value, self.value(value))
+            return
+        whole_width = self.width
+        self.width = piece_width
+        registers = []
+        for piece in range(whole_width // piece_width):
+            self.piece = piece
+            registers.append(self.value(value))
+        self.piece = None
+        self.width = whole_width
+        self.pieces[id(value)] = registers
+        self.names[id(value), True] = self.joined(value.dtype, registers)
 
     def any_lane(self, mask: str) -> str:
         """Write whether a truth value is true in any lane of a vector; return the register."""

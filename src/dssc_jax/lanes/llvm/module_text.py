@@ -11,7 +11,7 @@ import numpy as np
 from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import foreign_calls
-from dssc_jax.lanes.llvm.function_text import FAST, STRICT, scalar_type
+from dssc_jax.lanes.llvm.function_text import FAST, MANY_REGISTERS, STRICT, RegisterUse, scalar_type
 from dssc_jax.lanes.llvm.instructions import Instructions
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
@@ -40,12 +40,12 @@ class Emitter(Instructions):
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
-        stored_constants: See :class:`~dssc_jax.lanes.llvm.function_text.FunctionText`.
+        register_use: How the function spares registers.
     """
 
-    def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:
+    def __init__(self, program: Program, width: int, strict: bool, window: int, register_use: RegisterUse) -> None:
         """Begin without lines, with the values that a result needs."""
-        super().__init__(width, STRICT if strict else FAST, stored_constants)
+        super().__init__(width, STRICT if strict else FAST, register_use)
         self.program = program
         self.window = window
         self.strict = strict
@@ -95,7 +95,7 @@ class Emitter(Instructions):
         """The definitions of the subroutines and functions of C that are called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
-            emitter = SubroutineEmitter(subroutine.program, width, self.strict, window=0)
+            emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0, MANY_REGISTERS)
             emitter.tables = self.tables
             emitter.declarations = self.declarations
             lines += emitter.definition(name)
@@ -111,7 +111,7 @@ class Emitter(Instructions):
             if isinstance(node, Record):
                 self.record(node)
             elif isinstance(node, Value):
-                self.name(node, self.value(node))
+                self.compute(node)
             elif isinstance(node, CodeLoop):
                 self.loop(node)
             else:
@@ -394,7 +394,7 @@ class SubroutineEmitter(Emitter):
 
 
 def module_text(
-    program: Program, width: int, strict: bool = False, window: int = 0, stored_constants: bool = False
+    program: Program, width: int, strict: bool = False, window: int = 0, register_use: RegisterUse = MANY_REGISTERS
 ) -> str:
     """The text for LLVM of a program's module; arguments as of :class:`Emitter`."""
-    return Emitter(program, width, strict, window, stored_constants).text()
+    return Emitter(program, width, strict, window, register_use).text()

@@ -94,7 +94,7 @@ class Precomputation(Instructions):
         super().__init__(
             TURNS,
             lanes.flags,
-            lanes.stored_constants,
+            lanes.register_use._replace(piece_width=0),
             lines=lanes.lines,
             tables=lanes.tables,
             declarations=lanes.declarations,
