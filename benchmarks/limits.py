@@ -95,7 +95,8 @@ def innermost(code: bytes) -> Body:
         file.write_bytes(code)
         command = ["objdump", "-d", "--no-show-raw-insn", str(file)]
         listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    found = re.findall(r"^\s+([0-9a-f]+):\t(.*)$", listing[listing.index("<lanes>:") :], re.MULTILINE)
+    function = listing[listing.index("<lanes>:") :].partition("\n\n")[0]  # other sections count their bytes anew
+    found = re.findall(r"^\s+([0-9a-f]+):\t(.*)$", function, re.MULTILINE)
     lines = [(int(address, 16), text.split("#")[0].strip()) for address, text in found]
     loops = []
     for address, text in lines:
