@@ -8,7 +8,7 @@ from pathlib import Path
 import xarray as xr
 
 import dssc_jax.plotting as plotting
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.simulation import Replay, Simulate
 from dssc_jax.console.draws import show_draw
 from dssc_jax.core import files
@@ -58,7 +58,7 @@ def print_trajectory(
     file_paths = [*flight_files]
     for path, write in writers:
         if path is not None:
-            attempt(path, partial(write, path))
+            write_or_refuse(path, partial(write, path))
             file_paths.append(path)
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))

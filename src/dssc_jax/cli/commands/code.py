@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt, save_text
+from dssc_jax.cli.analysing import write_or_refuse, save_text
 from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import read_json, study_of
@@ -44,20 +44,20 @@ def run(options: Code) -> int:
     unit = folder.fmu() if options.fmu else None
     file_names = [*texts, *recordings, *([] if unit is None else [f"{unit.name}.fmu"])]
     require_replaceable(out, file_names)
-    attempt(out, lambda: files.make_folder(out))
+    write_or_refuse(out, lambda: files.make_folder(out))
     for name, text in texts.items():
         save_text(out / name, text)
     for name, recording in recordings.items():
         path = out / name
         parts = recording(options.draws, options.samples)
-        attempt(path, lambda path=path, parts=parts: files.write_parts(path, parts))
+        write_or_refuse(path, lambda path=path, parts=parts: files.write_parts(path, parts))
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
         library, reason = build_fmu_library(unit)
         fmu_file = out / f"{unit.name}.fmu"
-        attempt(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
+        write_or_refuse(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
         summary["fmu"] = {"file": fmu_file.name, "library": library is not None, "reason": reason}
-    attempt(out, lambda: write_sums(out, file_names))
+    write_or_refuse(out, lambda: write_sums(out, file_names))
     summary["files"] = [*file_names, SUMS]
     if options.as_json:
         print(json.dumps(summary, allow_nan=False))

@@ -1,7 +1,7 @@
 """dssc-jax falsify: the worst draw."""
 
 from dssc_jax.analyses.falsification.falsify import falsify
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, save_text
+from dssc_jax.cli.analysing import write_or_refuse, free_folder, print_analysis, save_analysis, save_text
 from dssc_jax.cli.declarations.searches import Falsify
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
@@ -39,7 +39,7 @@ def run(options: Falsify) -> int:
     file = folder / "witness.toml"
     witness = folder / "witness"
     save_text(file, to_toml(falsified.witness_study.table))
-    attempt(witness, lambda: files.delete_tree(witness, folder))
+    write_or_refuse(witness, lambda: files.delete_tree(witness, folder))
     runs.run(falsified.witness_study, witness)
     paths = {"result": folder, "witness_study": file, "replay": witness}
     print_analysis(falsified, figures, options, show_falsification, paths)

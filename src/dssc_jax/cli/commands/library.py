@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.flight import Library
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.native_build import build_library
@@ -40,7 +40,7 @@ def write_template(path: Path, sources: list[Path]) -> int:
     """Write an example of a controller to a new file, and return the exit code."""
     if sources:
         raise ConfigError("--template", "writes a file and builds nothing; omit FILE.c")
-    attempt(path, lambda: files.create_text(path, template_text(TEMPLATE)))
+    write_or_refuse(path, lambda: files.create_text(path, template_text(TEMPLATE)))
     say(f"wrote {path}; build it with dssc-jax library {path}")
     return DONE
 
@@ -59,5 +59,5 @@ def library_file(options: Library) -> Path:
         return first
     out = options.out or first.with_suffix(".so")
     content = build_library(sources, options.include or [])
-    attempt(out, lambda: files.write_bytes(out, content))
+    write_or_refuse(out, lambda: files.write_bytes(out, content))
     return out

@@ -4,7 +4,7 @@ import json
 import time
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.results import Report
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_analysis
@@ -32,10 +32,10 @@ def run(options: Report) -> int:
 
         page = options.out or options.result / INTERACTIVE
         text = interactive_html(analysis)
-        attempt(page, lambda: write_page(text, page, analysis))
+        write_or_refuse(page, lambda: write_page(text, page, analysis))
     else:
         page = options.out or options.result / "report.html"
-        attempt(page, lambda: write(analysis, page, options.worst))
+        write_or_refuse(page, lambda: write(analysis, page, options.worst))
     size = page.stat().st_size
     seconds = time.perf_counter() - began
     if options.as_json:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt, usual_folder
+from dssc_jax.cli.analysing import write_or_refuse, usual_folder
 from dssc_jax.cli.declarations.simulation import Sweep
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.parsing import parse_overs
@@ -51,5 +51,5 @@ def proved_sweep(result: Result, out: Path, options: Sweep) -> Result:
 
     with progress_bar(result.study, quiet=options.as_json, of="proofs", compiles=False) as advance:
         proofs = prove_sweep(result.study, boxes=options.boxes, progress=advance)
-    attempt(out, lambda: proofs.save(out))
+    write_or_refuse(out, lambda: proofs.save(out))
     return result.with_proofs(proofs)

@@ -1,7 +1,7 @@
 """dssc-jax worst-loop: worst margins of the linearised loop over the box of the laws."""
 
 from dssc_jax.analyses.worst_loop import worst_loop
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, save_text
+from dssc_jax.cli.analysing import write_or_refuse, free_folder, print_analysis, save_analysis, save_text
 from dssc_jax.cli.declarations.robustness import WorstLoop
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -39,7 +39,7 @@ def run(options: WorstLoop) -> int:
         )
     figures = save_analysis(worst, folder, options)
     witnesses = folder / "witnesses"
-    attempt(witnesses, lambda: files.delete_tree(witnesses, folder))
+    write_or_refuse(witnesses, lambda: files.delete_tree(witnesses, folder))
     files.make_folder(witnesses, folder)
     for name, witness in worst.witnesses().items():
         save_text(witnesses / f"{name}.toml", to_toml(witness.table))
