@@ -15,7 +15,7 @@ import typer
 
 from dssc_jax.cli.application import app
 from dssc_jax.cli.main import guarded
-from dssc_jax.cli.parsing import parse_over, parse_value
+from dssc_jax.cli.parsing import parse_sweep_axis, parse_value
 from tests.cli.conftest import last_json
 from tests.tolerances import ROUNDING
 
@@ -325,8 +325,8 @@ def test_parsing():
     assert parse_value("0.5") == 0.5
     assert parse_value("{ uniform = [0, 1] }") == {"uniform": [0, 1]}
     assert parse_value("implicit") == "implicit"
-    assert parse_over("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
-    assert parse_over("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
+    assert parse_sweep_axis("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
+    assert parse_sweep_axis("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
 
 
 def test_signals_of_a_file_that_are_no_table_are_refused(study, tmp_path, capsys):

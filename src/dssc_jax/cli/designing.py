@@ -58,6 +58,6 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
     return DONE if certificate.certified else FAILS
 
 
-def optional_table(numbers: NamedTuple | None) -> dict[str, object] | None:
+def optional_table(numbers: "NamedTuple | None") -> dict[str, object] | None:
     """The fields of a tuple by name; None if there is no tuple."""
     return None if numbers is None else numbers._asdict()

@@ -13,6 +13,7 @@ from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
 
 EARLY = "every critical value is found"
+"""Reason why fewer simulations than the largest number are needed."""
 
 
 def run(options: Margin) -> int:

@@ -26,7 +26,11 @@ def run(options: Region) -> int:
 
 
 def parse_axis(text: str) -> RegionAxis:
-    """Parse a number and its range from ``NAME=LO:HI[:log]``."""
+    """Parse ``NAME=LO:HI[:log]`` to a number and its range.
+
+    Raises:
+        ConfigError: The text has another form, or the range is not valid.
+    """
     name, value = parse_assignment(text, "--over")
     low, colon, remainder = value.partition(":")
     high, _, scale = remainder.partition(":")

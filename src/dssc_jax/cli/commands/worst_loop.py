@@ -1,7 +1,7 @@
 """dssc-jax worst-loop: worst margins of the linearised loop over the box of the laws."""
 
 from dssc_jax.analyses.worst_loop import worst_loop
-from dssc_jax.cli.analysing import write_or_refuse, free_folder, print_analysis, save_analysis, save_text
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, save_text, write_or_refuse
 from dssc_jax.cli.declarations.robustness import WorstLoop
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -11,6 +11,7 @@ from dssc_jax.core import files
 from dssc_jax.study.tables import to_toml
 
 EARLY = "the searches and the bounds have ended"
+"""Reason why fewer points than the largest number are needed."""
 
 
 def run(options: WorstLoop) -> int:
