@@ -20,7 +20,7 @@ def run(options: Compare) -> int:
     if candidates is None:
         has_one_channel = len(study.loop.channels) == 1  # others cannot be tuned
         candidates = CANDIDATES if has_one_channel else 0
-    with progress_bar(study, quiet=options.as_json, of="runs") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="runs") as advance:
         comparison = compare(study, names, candidates=candidates, progress=advance)
     finish(comparison, folder, options, show_comparison)
     return DONE

@@ -45,7 +45,7 @@ def run(options: CompareLog) -> int:
         return fit(study, log, options)
     name = f"compare-log-{options.log[0].stem}"
     folder = free_folder(study, "compare-log", options.out, *question_of(options), name=name)
-    with progress_bar(study, quiet=options.as_json, of="draws") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)
     return DONE
@@ -76,7 +76,7 @@ def compare_flights(study: Study, logs: list[FlightLog], options: CompareLog) ->
     if short is not None:
         length = short.end - short.start
         say(f"warning: {short.name} ends after {length:.4g} s, and all flights are compared up to there only")
-    with progress_bar(study, quiet=options.as_json, of="draws") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="draws") as advance:
         outlook = next_flight(study, logs, probability=probability, progress=advance)
     finish(outlook, folder, options, show_next_flight)
     return DONE
@@ -102,7 +102,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
         return fitted.cut or "the search is complete"
 
     try:
-        with progress_bar(study, quiet=options.as_json, of="simulations", early=why_early) as advance:
+        with progress_bar(study, quiet=options.as_json, unit="simulations", early=why_early) as advance:
             fitted = fit_log(
                 study,
                 log,

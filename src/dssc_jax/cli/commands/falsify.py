@@ -25,7 +25,7 @@ def run(options: Falsify) -> int:
         options.within_mass,
         options.requirement,
     )
-    with progress_bar(study, quiet=options.as_json, of="simulations", early=lambda: falsified.stopped) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", early=lambda: falsified.stopped) as advance:
         falsified = falsify(
             study,
             budget=options.budget,

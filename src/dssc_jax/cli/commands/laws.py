@@ -28,7 +28,7 @@ def run(options: Laws) -> int:
     question = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
     subject_options = (options.study if is_stored else None, options.settings, options.draws, options.seed)
     folder = free_folder(study, "laws", options.out, *question, *subject_options)
-    with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not is_stored) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", compiles=not is_stored) as advance:
         errors = laws(
             subject,
             limit=options.limit,
@@ -62,7 +62,7 @@ def run_ranges(study: Study, options: Laws) -> int:
     require_unset("with laws whose arguments are ranges", **amounts)
     question = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
     folder = free_folder(study, "law-ranges", options.out, *question, name="laws")
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
     options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again
     finish(ranges, folder, options, show_ranges)

@@ -136,7 +136,7 @@ def prove_over(study: Study, over: str, options: Prove) -> int:
     """
     walk = parse_walk(over)
     boxes = options.boxes or SWEEP_BOXES
-    with proof_coverage(study), progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
+    with proof_coverage(study), progress_bar(study, quiet=options.as_json, unit="values", compiles=False) as advance:
         reach = proved_up_to(study, walk.name, walk.bounds, log=options.log, boxes=boxes, progress=advance)
     if reach.last is not None:
         write_certificate(reach.last, options.out)

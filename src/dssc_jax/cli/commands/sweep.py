@@ -58,7 +58,7 @@ def proved_sweep(result: Result, out: Path, options: Sweep) -> Result:
     """
     from dssc_jax.runs.prove_sweep import prove_sweep  # needs optional packages
 
-    with progress_bar(result.study, quiet=options.as_json, of="proofs", compiles=False) as advance:
+    with progress_bar(result.study, quiet=options.as_json, unit="proofs", compiles=False) as advance:
         proofs = prove_sweep(result.study, boxes=options.boxes, progress=advance)
     write_or_refuse(out, lambda: proofs.save(out))
     return result.with_proofs(proofs)

@@ -27,7 +27,7 @@ def run(options: Theory) -> int:
         study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walk.name}"
     )
     rivals = switching_rivals(study)
-    with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", early=EARLY) as advance:
         assessment = assess(
             study,
             over=walk.name,

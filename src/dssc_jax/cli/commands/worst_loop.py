@@ -29,7 +29,7 @@ def run(options: WorstLoop) -> int:
         None if options.cells == WorstLoop.cells else options.cells,
         options.points,
     )
-    with progress_bar(study, quiet=options.as_json, of="points", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="points", early=EARLY) as advance:
         worst = worst_loop(
             study,
             broken_at=options.broken_at or (),

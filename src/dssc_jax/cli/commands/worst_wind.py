@@ -17,7 +17,7 @@ def run(options: WorstWindOptions) -> int:
     """Search, save the analysis and a study of each worst flight, and print it."""
     study = study_of(options).without_sweep()
     folder = free_folder(study, "worst-wind", options.out, options.settings, options.seed, options.signal)
-    with progress_bar(study, quiet=options.as_json, of="steps", early="nothing worse came") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="steps", early="nothing worse came") as advance:
         worst = worst_wind(
             study,
             signals=options.signal,
