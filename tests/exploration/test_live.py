@@ -103,3 +103,17 @@ def test_the_newest_request_counts():
     worker.close()
     worker.submit(lambda stale: pytest.fail("closed"))
     assert worker.wait(10)
+
+
+def test_a_worker_serves_on_after_an_exception(monkeypatch):
+    """The exception is reported as one of any thread."""
+    reported, served = [], []
+    monkeypatch.setattr("threading.excepthook", reported.append)
+    worker = Worker()
+    worker.submit(lambda stale: 1 / 0)
+    assert worker.wait(10)
+    assert [report.exc_type for report in reported] == [ZeroDivisionError]
+    worker.submit(lambda stale: served.append(stale()))
+    assert worker.wait(10)
+    assert served == [False]
+    worker.close()

@@ -1,5 +1,6 @@
 """Work in the background by a thread that serves the newest request."""
 
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -64,7 +65,10 @@ class Worker:
                     return
                 self._pending = None
                 self._busy = True
-            work(partial(self._is_stale, number))
+            try:
+                work(partial(self._is_stale, number))
+            except Exception:  # reported as of a thread that ends, but this one serves newer requests
+                threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
     def _is_stale(self, number: int) -> bool:
         """Whether a request has come after that with a number."""
