@@ -117,3 +117,9 @@ def test_a_worker_serves_on_after_an_exception(monkeypatch):
     assert worker.wait(10)
     assert served == [False]
     worker.close()
+
+
+def test_no_draws_are_refused(explored):
+    """0 draws are not the usual number."""
+    with pytest.raises(dj.ConfigError, match="draws: .* got 0"):
+        LiveStudy(explored, draws=0)

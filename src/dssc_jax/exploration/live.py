@@ -172,8 +172,7 @@ class LiveStudy:
         default = VEHICLE_DRAWS if self.vehicle else DRAWS
         if not study.config.independent:
             default = study.config.draws
-        count = draws or default
-        self.swept = study.override({"draws": count})
+        self.swept = study.override({"draws": default if draws is None else draws})
         self.ranged = self.swept.without_sweep()
         self.base = self.ranged.with_laws({name: law.middle for name, law in self.ranged.ranged_laws.items()})
         self.sliders: list[Slider] = admissible_sliders(self.base, sliders_of(self.swept, names))
