@@ -95,8 +95,8 @@ class ResultPage(Page):
 
     def show_how_wrong(self) -> None:
         """Show how far the laws may be wrong."""
-        limit = float(self.wrong_laws.limit.value)
-        self.show_aside(partial(largest_errors_text, self.result, limit), self.wrong_laws.show)
+        compute = partial(largest_errors_text, self.result, self.wrong_laws.largest_share)
+        self.show_aside(compute, self.wrong_laws.show)
 
     @property
     def view(self) -> pn.Column:

@@ -225,8 +225,8 @@ class StudyPage(Page):
     def show_how_wrong(self) -> None:
         """Show how far the laws of the present run may be wrong."""
         if self.now is not None:
-            limit = float(self.wrong_laws.limit.value)
-            self.show_aside(partial(largest_errors_text, self.now.study, limit), self.wrong_laws.show)
+            compute = partial(largest_errors_text, self.now.study, self.wrong_laws.largest_share)
+            self.show_aside(compute, self.wrong_laws.show)
 
     def choose_draw(self, draw: int) -> None:
         """Show a draw of the present run."""

@@ -1,5 +1,6 @@
 """A slider for an error of the laws, with the failure probability that follows."""
 
+import math
 from collections.abc import Callable
 
 import htpy as h
@@ -56,6 +57,12 @@ class WrongLaws:
     def amounts(self) -> StatedAmounts:
         """The amounts that the present kind and size stand for."""
         return AMOUNTS[self.kind.value](float(self.size.value))
+
+    @property
+    def largest_share(self) -> float:
+        """The largest share of draws that may fail; NaN for an empty field, which is refused."""
+        value = self.limit.value
+        return math.nan if value is None else float(value)
 
     def show(self, text: str) -> None:
         """Show an answer."""
