@@ -107,8 +107,8 @@ def warn_of_idle_gains(study: Study) -> None:
     table = study.table["controller"]
     for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
         for gain in model.without_effect:
-            is_given = gain in table or gain in table.get(channel, {})  # for all channels, or for this one
-            if is_given:
+            is_in_study = gain in table or gain in table.get(channel, {})  # for all channels, or for this one
+            if is_in_study:
                 say(f"warning: the gain {gain} of {model.native} {WITHOUT_EFFECT}")
 
 

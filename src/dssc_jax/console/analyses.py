@@ -36,7 +36,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
 
     Args:
         comparison: The comparison.
-        files: Files that were written.
+        files: Files that were written, whose paths are printed.
     """
     answer = comparison.answer
     show_required(comparison.study.name, answer.requirements)
@@ -106,7 +106,7 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
 
     Args:
         sensitivity: The analysis.
-        files: Files that were written.
+        files: Files that were written, whose paths are printed.
     """
     answer = sensitivity.answer
     effort = f"{answer.simulations} simulations on {answer.rows} rows"
@@ -172,7 +172,12 @@ def sensitivity_text(value: float, low: float, high: float) -> str:
 
 
 def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
-    """Print a failure probability, the failures in each stratum, and how many plain draws would take its place."""
+    """Print a failure probability, the failures in each stratum, and how many plain draws would take its place.
+
+    Args:
+        estimate: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = estimate.answer
     show_required(estimate.study.name, answer.requirements)
     show_paragraph(f"{estimate.headline} ({100 * answer.confidence:g} %, strata)")
@@ -194,7 +199,12 @@ def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
 
 
 def show_rare(event: RareEvent, files: list[Path]) -> None:
-    """Print the probability of a rare failure, the check by plain draws, the cost, and where failures lie."""
+    """Print the probability of a rare failure, the check by plain draws, the cost, and where failures lie.
+
+    Args:
+        event: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = event.answer
     estimate = answer.by_method
     plain = answer.plain

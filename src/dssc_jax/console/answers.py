@@ -10,7 +10,11 @@ from dssc_jax.results.fields import field_meanings
 def show_analysis(analysis: Analysis, files: list[Path]) -> None:
     """Print the headline of an analysis, each number and text of its answer with its meaning, and the files.
 
-    Lists and tables of the answer are not printed.
+    Lists and tables within the answer are not printed.
+
+    Args:
+        analysis: The analysis.
+        files: Files that were written, whose paths are printed.
     """
     show_head(analysis.study.name, analysis.headline)
     summary = analysis.summary()

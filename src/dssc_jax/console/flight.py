@@ -46,7 +46,12 @@ def show_code(summary: dict[str, Any]) -> None:
 
 
 def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
-    """Print where a log lies among the draws, the p-value, and how the replayed commands differ from the log."""
+    """Print where a log lies among the draws, the p-value, and how the replayed commands differ from the log.
+
+    Args:
+        comparison: The comparison.
+        files: Files that were written, whose paths are printed.
+    """
     answer = comparison.answer
     show_line(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
     if answer.p_value is None:
@@ -159,7 +164,12 @@ def constant_signal_table(answer: LogAnswer) -> Table:
 
 
 def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
-    """Print the limits of the next flight, and whether the flights refute the study."""
+    """Print the limits of the next flight, and whether the flights refute the study.
+
+    Args:
+        outlook: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = outlook.answer
     show_line(f"{outlook.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
     show_line(outlook.headline)

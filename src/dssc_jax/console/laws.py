@@ -11,7 +11,12 @@ from dssc_jax.statistics.divergence_balls import BALLS
 
 
 def show_laws(errors: LawErrors, files: list[Path]) -> None:
-    """Print how far all laws together and each law alone may be wrong, and what follows from stated amounts."""
+    """Print how far all laws together and each law alone may be wrong, and what follows from stated amounts.
+
+    Args:
+        errors: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = errors.answer
     show_required(errors.study.name, answer.requirements)
     failure = answer.failure
@@ -118,7 +123,7 @@ def removed_variance(law: LawError) -> float:
 
 
 def share_text(value: float, interval: tuple[float, float]) -> str:
-    """Format a share and its interval in per cent."""
+    """Format a share and its interval in per cent; the arguments are shares of 1."""
     low, high = interval
     return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 

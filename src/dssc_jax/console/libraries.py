@@ -123,7 +123,8 @@ def show_library(library: NativeLibrary, file: Path) -> None:
                 show_line(f"warning: {default}, is not {number['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
             show_line(f"warning: {parameter} {WITHOUT_EFFECT}")
-        if bad_samples := summary["samples_not_finite"]:
+        bad_samples = summary["samples_not_finite"]
+        if bad_samples:
             trial = f"{bad_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             show_line(f"warning: its command is not finite in {trial}")
     show_line(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")

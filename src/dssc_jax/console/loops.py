@@ -83,7 +83,12 @@ def crossings_text(frequencies: Sequence[float]) -> str:
 
 
 def show_loop(margins: LoopMargins, files: list[Path]) -> None:
-    """Print a table of margins for each operating point and break point."""
+    """Print a table of margins for each operating point and break point.
+
+    Args:
+        margins: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = margins.answer
     draws = answer.draws
     show_head(margins.study.name, f"{draws} draws, T_s = {answer.sample_time:g} s")
@@ -206,7 +211,12 @@ def margin_text(value: float, format_value: Callable[[float], str]) -> str:
 
 
 def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
-    """Print the worst margins at each break point: drawn, found by the search, and bounded over the box of the laws."""
+    """Print the worst margins at each break point: drawn, found by the search, and bounded over the box of the laws.
+
+    Args:
+        worst: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = worst.answer
     show_head(worst.study.name, worst.headline)
     for broken_at, loop in answer.loops.items():

@@ -54,7 +54,12 @@ def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") 
 
 
 def show_margins(margins: Margins, files: list[Path]) -> None:
-    """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved."""
+    """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved.
+
+    Args:
+        margins: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = margins.answer
     start, end = answer.bounds
     show_required(margins.study.name, answer.criterion)
@@ -92,7 +97,12 @@ def show_proof_statement(proof: Mapping[str, object] | None) -> None:
 
 
 def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
-    """Print the margins of each controller on the same draws, and the paired differences."""
+    """Print the margins of each controller on the same draws, and the paired differences.
+
+    Args:
+        contest: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = contest.answer
     start, end = answer.bounds
     show_head(contest.study.name, f"{answer.draws} draws; required: {'; '.join(answer.criterion)}")
@@ -116,6 +126,10 @@ def show_theory(assessment: Assessment, files: list[Path]) -> None:
     """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies.
 
     Of the values of mu at which an oscillation is predicted, the first, the middle one and the last are printed.
+
+    Args:
+        assessment: The analysis.
+        files: Files that were written, whose paths are printed.
     """
     answer = assessment.answer
     start, end = answer.bounds

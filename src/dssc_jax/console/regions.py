@@ -8,7 +8,12 @@ from dssc_jax.results.schema import name_with_unit
 
 
 def show_region(region: SafeRegion, files: list[Path]) -> None:
-    """Print how many pairs of values are safe, the safe ranges, the confidence, and what Theorem 1 certifies."""
+    """Print how many pairs of values are safe, the safe ranges, the confidence, and what Theorem 1 certifies.
+
+    Args:
+        region: The region.
+        files: Files that were written, whose paths are printed.
+    """
     answer = region.answer
     show_required(region.study.name, answer.requirements)
     share = f"{100 * answer.passing:g} %"

@@ -26,7 +26,12 @@ ENDED_EARLY = "ended early"
 
 
 def show_tuning(tuned: Tuned, files: list[Path]) -> None:
-    """Print the tuned numbers, their evaluation on draws that were not used to tune, and how the search went."""
+    """Print the tuned numbers, their evaluation on draws that were not used to tune, and how the search went.
+
+    Args:
+        tuned: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = tuned.answer
     output().print(f"[bold]{escape(tuned.study.name)}[/bold]")
     rows = [(name, f"{answer.start[name]:.6g}", f"{value:.6g}") for name, value in answer.tuned.items()]
@@ -39,7 +44,12 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
 
 
 def show_selection(selection: Selection, files: list[Path]) -> None:
-    """Print the selected candidates, the claim about them, and the cost."""
+    """Print the selected candidates, the claim about them, and the cost.
+
+    Args:
+        selection: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = selection.answer
     show_required(selection.study.name, answer.requirements)
     show_paragraph(f"{selection.headline} ({100 * answer.confidence:g} %, all together)")
@@ -153,7 +163,12 @@ def outcome_text(answer: FalsifiedAnswer) -> str:
 
 
 def show_falsification(falsified: Falsified, files: list[Path]) -> None:
-    """Print the worst draw and the likeliest failure that were found, with their likelihoods."""
+    """Print the worst draw and the likeliest failure that were found, with their likelihoods.
+
+    Args:
+        falsified: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = falsified.answer
     show_required(falsified.study.name, answer.requirements)
     within = answer.within

@@ -138,7 +138,9 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
         title: Title above the table; None: no title.
     """
     console = output()
-    widths = [max(len(cell) for cell in column) for column in zip(head, *rows, strict=True)]
+    widths = []
+    for column in zip(head, *rows, strict=True):
+        widths.append(max(map(len, column)))
     widest = widths.index(max(widths))
     other_width = sum(widths) - widths[widest] + 2 * (len(widths) - 1)  # with the gaps between columns
     fits = other_width + widths[widest] <= console.width
@@ -167,7 +169,10 @@ def is_prose(cells: Sequence[str]) -> bool:
 
 
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
-    """Print each row of a table as a block: the first cell in bold, and one line for each further cell."""
+    """Print each row of a table as a block: the first cell in bold, and one line for each further cell.
+
+    Arguments as for :func:`show_table`.
+    """
     if title is not None:
         show_paragraph(title)
     width = max(map(len, head[1:]), default=0)
@@ -229,16 +234,18 @@ def show_files(files: Sequence[Path]) -> None:
         show_line(f"wrote {path}")
 
 
-def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
-    """Format a number by a format specification; ``missing`` if it is None, infinite or NaN."""
-    return missing if value is None or not math.isfinite(value) else format(value, form)
+def number_text(value: float | None, format_spec: str = ".3g", missing: str = "none") -> str:
+    """Format a number; ``missing`` if it is None, infinite or NaN."""
+    if value is None or not math.isfinite(value):
+        return missing
+    return format(value, format_spec)
 
 
-def values_text(values: Mapping[str, float], form: str = ".6g") -> str:
-    """Format numbers by name in one line, by a format specification.
+def values_text(values: Mapping[str, float], format_spec: str = ".6g") -> str:
+    """Format numbers with their names in one line.
 
     Example:
         >>> values_text({"k_p": 1.25, "mu": 0.02})
         'k_p = 1.25, mu = 0.02'
     """
-    return ", ".join(f"{name} = {value:{form}}" for name, value in values.items())
+    return ", ".join(f"{name} = {value:{format_spec}}" for name, value in values.items())

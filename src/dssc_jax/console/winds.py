@@ -11,7 +11,7 @@ def show_worst_wind(worst_wind: WorstWind, files: list[Path]) -> None:
 
     Args:
         worst_wind: The analysis.
-        files: Files that were written.
+        files: Files that were written, whose paths are printed.
     """
     answer = worst_wind.answer
     rate = "it may jump" if answer.rate is None else f"|w'| <= {answer.rate:g} m/s^2"

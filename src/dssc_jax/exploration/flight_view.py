@@ -146,15 +146,19 @@ class FlightView:
         highs = []
         for values in paths.values():
             finite_values = values[np.isfinite(values)]
-            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL]) if finite_values.size else (0.0, 0.0)
+            if not finite_values.size:
+                finite_values = np.zeros(1)
+            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL])
             lows.append(float(low))
             highs.append(float(high))
         extent = [high - low for low, high in zip(lows, highs, strict=True)]
         span = 0.6 * max(*extent, 0.5)
         centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
-        view: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}
-        places = {f"c{axis}": [value] for axis, value in zip(POSITION, centre, strict=True)}
-        self.scene.data = {**view, **places, "span": [span]}
+        scene: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}  # the direction stays
+        for axis, value in zip(POSITION, centre, strict=True):
+            scene[f"c{axis}"] = [value]
+        scene["span"] = [span]
+        self.scene.data = scene
         width, height = FRAME
         half = 1.1 * span
         self.figure.x_range.update(start=-half * width / height, end=half * width / height)
@@ -203,16 +207,16 @@ def floor_lines(centre: list[float], height: float, span: float) -> dict[str, An
         height: Height of the grid [m].
         span: Scale of the view [m], in proportion to which the grid extends.
     """
-    offsets = np.linspace(-1.2 * span, 1.2 * span, FLOOR_LINES).tolist()
-    ends = [offsets[0], offsets[-1]]
+    half = 1.2 * span
+    x_ends = [centre[0] - half, centre[0] + half]
+    y_ends = [centre[1] - half, centre[1] + half]
     lines: dict[str, list[list[float]]] = {"x": [], "y": [], "z": []}
-    for offset in offsets:
-        along_x = ([centre[0] + end for end in ends], [centre[1] + offset] * 2)
-        along_y = ([centre[0] + offset] * 2, [centre[1] + end for end in ends])
-        for x, y in (along_x, along_y):
-            lines["x"].append(x)
-            lines["y"].append(y)
-            lines["z"].append([height] * 2)
+    for offset in np.linspace(-half, half, FLOOR_LINES).tolist():
+        x = centre[0] + offset
+        y = centre[1] + offset
+        lines["x"] += [x_ends, [x, x]]  # a line along x, and one along y
+        lines["y"] += [[y, y], y_ends]
+        lines["z"] += [[height, height], [height, height]]
     return lines
 
 

@@ -16,7 +16,7 @@ from dssc_jax.exploration.worker import Stale, Work, Worker
 WORST_DRAW = "worst draw"
 MEDIAN_DRAW = "median draw"
 RANDOM_DRAW = "random draw"
-"""Choices of a draw, see :meth:`Page.choose`."""
+"""The three choices of a draw, see :meth:`Page.choose`."""
 PAGE_STYLE = """
 :host { font-size: 15px; }
 p.error { color: #a00000; font-weight: 600; }

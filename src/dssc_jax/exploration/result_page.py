@@ -178,8 +178,8 @@ class ResultPage(Page):
     def _compare(self, flight: xr.Dataset, stale: Stale) -> None:
         """Compare a flight with the stored draw, and show whether they agree unless a newer click has come.
 
-        This is a task of the second thread. If rounding decides the draw, it is simulated once more by a program that
-        compiles slowly.
+        This is a task of the second thread, because it may take long: a draw whose outcome rounding decides is
+        simulated once more, by a program that compiles slowly.
         """
         flight.attrs["agreement"] = agreement_of(self.result, flight).verdict
         if not stale():

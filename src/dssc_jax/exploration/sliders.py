@@ -331,7 +331,13 @@ def admissible_sliders(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
 
 
 def with_smaller_reach(study: Study, slider: Slider, reach: float) -> Slider:
-    """Return a slider with a smaller reach around its start, within its present ends."""
+    """Return a slider with a smaller reach around its start, within its present ends.
+
+    Args:
+        study: The study, for the quantity of the number.
+        slider: The slider.
+        reach: Ratio of the ends to a positive number, see :func:`extent_around`.
+    """
     low, high, _ = extent_around(slider.start, study.quantities[slider.name], reach)
     return slider._replace(low=max(low, slider.low), high=min(high, slider.high))
 

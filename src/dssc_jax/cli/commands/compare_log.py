@@ -122,7 +122,14 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
 
 
 def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options: CompareLog) -> None:
-    """Print why a flight does not allow a fit, beside the comparison of the replayed commands with the logged ones."""
+    """Print why a flight does not allow a fit, and how the replayed commands differ from the logged ones.
+
+    Args:
+        refusal: The reason.
+        study: The study.
+        replay: Replay of the flight.
+        options: Options of the command.
+    """
     replay_summary = replay.summary(study)
     if options.as_json:
         verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
@@ -134,8 +141,15 @@ def print_refusal(refusal: FitRefused, study: Study, replay: LogReplay, options:
 
 
 def print_fit(fitted: Fitted, study: Study, replay: LogReplay, options: CompareLog) -> None:
-    """Print estimates and laws, beside the comparison of the replayed commands with the logged ones."""
-    # these hints doubt that the flight starts where the study does; the fit has found that it does
+    """Print the estimates and laws of a fit, and how the replayed commands differ from the logged ones.
+
+    Args:
+        fitted: The fit.
+        study: The study.
+        replay: Replay of the flight.
+        options: Options of the command.
+    """
+    # hints on starts doubt that the flight starts where the study does, and the fit has found that it does
     replay = replay._replace(hints=replay.hints._replace(starts={}))
     warnings = replay.warnings + fitted.warnings
     summary = fitted.summary()
