@@ -12,7 +12,8 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered, mark, reach
 from dssc_jax.design.ends import ends_of
-from dssc_jax.exploration.sliders import sliders_of, study_changes
+from dssc_jax.exploration.positions import study_changes
+from dssc_jax.exploration.sliders import sliders_of
 from dssc_jax.flight_code.controller import sampled_controllers
 from dssc_jax.flight_code.recording import recorded_draws
 from dssc_jax.proofs.coverage import problem_of

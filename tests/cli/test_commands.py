@@ -15,7 +15,7 @@ import typer
 
 from dssc_jax.cli.application import app
 from dssc_jax.cli.main import guarded
-from dssc_jax.cli.parsing import parse_over, parse_value
+from dssc_jax.cli.parsing import parse_sweep_axis, parse_value
 from tests.cli.conftest import last_json
 from tests.tolerances import ROUNDING
 
@@ -325,5 +325,15 @@ def test_parsing():
     assert parse_value("0.5") == 0.5
     assert parse_value("{ uniform = [0, 1] }") == {"uniform": [0, 1]}
     assert parse_value("implicit") == "implicit"
-    assert parse_over("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
-    assert parse_over("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
+    assert parse_sweep_axis("a.b=0:1:5") == ("a.b", {"linspace": [0.0, 1.0, 5]})
+    assert parse_sweep_axis("a.b=1e-3:1:5:log") == ("a.b", {"logspace": [1e-3, 1.0, 5]})
+
+
+def test_signals_of_a_file_that_are_no_table_are_refused(study, tmp_path, capsys):
+    """--column changes the file's table of columns; a file without such a table was a traceback once."""
+    table = tmp_path / "columns.toml"
+    table.write_text("signals = 3\n")
+    log = tmp_path / "log.csv"
+    log.write_text("t,a\n0,1\n0.01,2\n")
+    assert guarded(["compare-log", str(study), str(log), "--columns", str(table), "--column", "y=a"]) == 2
+    assert "signals: must be a table, got 3" in capsys.readouterr().err

@@ -40,7 +40,7 @@ def test_signals_are_those_of_a_single_draw(live):
 
 
 def test_fan_and_interval(live):
-    run = live.first
+    run = live.first_run
     fan = run.fan("e")
     np.testing.assert_array_equal(fan.running, run.failed.size)
     expected = np.quantile(run.signal("e"), FAN_LEVELS, axis=0, method="lower")
@@ -52,7 +52,7 @@ def test_fan_and_interval(live):
 def test_draws_that_end_leave_the_fan(explored):
     """A loop that is unstable in some draws: the fan is of those that still run, and the first to end is the worst."""
     wild = explored.override({"plant.a_p": {"uniform": [-400.0, 1.0]}})
-    run = LiveStudy(wild, ["controller.rho"], draws=40).first
+    run = LiveStudy(wild, ["controller.rho"], draws=40).first_run
     assert 0 < run.ended_early < 40
     fan = run.fan("y")
     assert fan.running[0] == 40
@@ -77,7 +77,7 @@ def test_a_stale_run_stops_between_batches(live):
 
 def test_designs_keep_their_number_of_draws(explored):
     sobol = explored.override({"sampling": "sobol", "draws": 64})
-    run = LiveStudy(sobol, ["controller.rho"]).first
+    run = LiveStudy(sobol, ["controller.rho"]).first_run
     assert run.failed.size == 64
     assert "replicates" in run.statement or "Sobol" in run.statement
 
@@ -103,3 +103,23 @@ def test_the_newest_request_counts():
     worker.close()
     worker.submit(lambda stale: pytest.fail("closed"))
     assert worker.wait(10)
+
+
+def test_a_worker_serves_on_after_an_exception(monkeypatch):
+    """The exception is reported as one of any thread."""
+    reported, served = [], []
+    monkeypatch.setattr("threading.excepthook", reported.append)
+    worker = Worker()
+    worker.submit(lambda stale: 1 / 0)
+    assert worker.wait(10)
+    assert [report.exc_type for report in reported] == [ZeroDivisionError]
+    worker.submit(lambda stale: served.append(stale()))
+    assert worker.wait(10)
+    assert served == [False]
+    worker.close()
+
+
+def test_no_draws_are_refused(explored):
+    """0 draws are not the usual number."""
+    with pytest.raises(dj.ConfigError, match=r"draws: .* got 0"):
+        LiveStudy(explored, draws=0)

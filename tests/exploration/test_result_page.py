@@ -104,3 +104,6 @@ def test_laws_may_be_wrong():
     page.wrong_laws.limit.value = 0.9
     page.show_how_wrong()
     assert f"Kullback-Leibler {dj.laws(page.result, limit=0.9).answer.kl:.3g}" in page.wrong_laws.answer.object
+    page.wrong_laws.limit.value = None
+    page.show_how_wrong()
+    assert "limit: must lie in (0, 1)" in page.wrong_laws.answer.object

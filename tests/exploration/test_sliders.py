@@ -5,7 +5,8 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.exploration.sliders import admissible_sliders, extent_around, slider_positions, sliders_of, study_changes
+from dssc_jax.exploration.positions import slider_positions, study_changes
+from dssc_jax.exploration.sliders import admissible_sliders, extent_around, sliders_of
 from dssc_jax.study.laws import LAWS as FAMILIES
 from dssc_jax.study.laws import Law
 

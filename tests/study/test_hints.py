@@ -5,7 +5,7 @@ from typing import NamedTuple
 import pytest
 
 from dssc_jax.cli.main import guarded
-from dssc_jax.cli.parsing import parse_over, parse_walk
+from dssc_jax.cli.parsing import parse_sweep_axis, parse_walk
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 from dssc_jax.types import Measurement, Plant
@@ -63,9 +63,9 @@ def test_a_name_that_belongs_into_a_part_of_the_vehicle():
 )
 def test_separators_of_an_axis(typed, wanted):
     with pytest.raises(ConfigError) as caught:
-        parse_over(typed)
+        parse_sweep_axis(typed)
     assert str(caught.value).endswith(f"; did you mean '{wanted}'?")
-    assert parse_over(wanted)[0] == "plant.k_p"
+    assert parse_sweep_axis(wanted)[0] == "plant.k_p"
 
 
 def test_separators_of_bounds():

@@ -1,4 +1,4 @@
-"""``python -m dssc_jax.cli``."""
+"""Run the command line as ``python -m dssc_jax.cli``."""
 
 import sys
 

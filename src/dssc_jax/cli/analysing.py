@@ -1,4 +1,4 @@
-"""Steps that the commands on analyses share: the folder, the check of integration, saving, printing."""
+"""Steps that commands on analyses share: choose a folder, check the integration, save and print the analysis."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +17,7 @@ AnalysisKind = TypeVar("AnalysisKind", bound=Analysis)
 
 
 class PrintedOptions(Protocol):
-    """Options on the check and the output of an analysis."""
+    """The options that :func:`finish` and its parts read: whether to check the integration, and the output's format."""
 
     @property
     def no_check(self) -> bool:
@@ -31,17 +31,17 @@ class PrintedOptions(Protocol):
 
 
 def free_folder(study: Study, kind: str, out: Path | None, *options: object, name: str = "") -> Path:
-    """The folder for a new analysis, which is checked before anything is computed.
+    """Return the folder for a new analysis, after a check that the analysis may be saved there.
 
     Args:
         study: The study.
         kind: Kind of the analysis.
-        out: The folder that the user names; None: the usual one.
-        options: Options that change the question, for the name of the usual folder.
-        name: Name of the usual folder, after that of the study; empty: the kind.
+        out: The folder that the user names; None: the usual folder, see :func:`usual_folder`.
+        options: Options that change the answer; they enter the name of the usual folder.
+        name: What follows the study's name in that of the usual folder; empty: the kind.
 
     Raises:
-        ConfigError: The folder holds something else than this analysis of the study.
+        ConfigError: The folder holds something other than this analysis of the study.
     """
     folder = out or usual_folder(study, name or kind, *options)
     require_free_folder(folder, kind, study)
@@ -49,10 +49,15 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
 
 
 def usual_folder(study: Study, command: str, *options: object) -> Path:
-    """The usual folder of a command: ``results/STUDY-COMMAND``.
+    """Return the folder of a command whose user names none: ``results/STUDY-COMMAND``.
 
-    A digest follows the name if options change the question, or if the folder holds results of another study, such as
-    an earlier version of the same file.
+    A digest is appended if an option is given, or if that folder holds results of other studies only. An earlier
+    version of the same file is another study.
+
+    Args:
+        study: The study.
+        command: What follows the study's name in that of the folder.
+        options: Options that change the answer; None and an empty list mean that an option is not given.
     """
     folder = Path("results") / f"{study.name}-{command}"
     option_texts = [str(option) for option in options if option not in (None, [])]
@@ -63,7 +68,7 @@ def usual_folder(study: Study, command: str, *options: object) -> Path:
 
 
 def holds_another_study(folder: Path, study: Study) -> bool:
-    """Whether a folder holds results, but none of the study."""
+    """Whether a folder holds results of other studies, but none of this study."""
     contents = [files.read_text(file, errors="replace") for file in folder.glob("*.json")]
     return bool(contents) and not any(f'"{study.hash}"' in content for content in contents)
 
@@ -78,15 +83,21 @@ def finish(
 
     Args:
         analysis: The analysis.
-        folder: Its folder.
+        folder: The folder to save it in.
         options: Options of the command.
-        show: Prints the analysis for people, and the files written.
+        show: Prints the analysis and the paths of the written files as text; it is not called for JSON.
     """
     print_analysis(analysis, save_analysis(analysis, folder, options), options, show, {"result": folder})
 
 
 def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
-    """Check the integration of an analysis and save it with its figure; return the files of the figure."""
+    """Check the integration of an analysis, save it with its figure, and return the files of the figure.
+
+    Args:
+        analysis: The analysis; its ``integration`` is set to the result of the check.
+        folder: The folder to save it in.
+        options: Options of the command; ``no_check`` skips the check.
+    """
     warn_of_study(analysis.study)
     if not options.no_check:
         analysis.integration = checked_integration(analysis.study)
@@ -102,36 +113,44 @@ def print_analysis(
     show: Callable[[AnalysisKind, list[Path]], None],
     files_by_name: Mapping[str, Path],
 ) -> None:
-    """Print an analysis as JSON or for people.
+    """Print an analysis as JSON or as text.
 
     Args:
         analysis: The analysis.
         figures: Files of the figure.
         options: Options of the command.
-        show: Prints the analysis for people, and the files written.
+        show: Prints the analysis and the paths of the written files as text; it is not called for JSON.
         files_by_name: Folders and other files that were written, by their names in the JSON.
     """
     if options.as_json:
-        places = {name: str(path) for name, path in files_by_name.items()}
-        print(json.dumps(analysis.summary() | places, allow_nan=False))
+        paths = {name: str(path) for name, path in files_by_name.items()}
+        print(json.dumps(analysis.summary() | paths, allow_nan=False))
     else:
         show(analysis, [*files_by_name.values(), *figures])
 
 
 def save_text(path: Path, text: str | Iterable[str]) -> None:
-    """Write a text file that the user named, or that lies in such a folder.
+    """Write a text file, and report a failure as bad input.
+
+    Args:
+        path: The file.
+        text: The text, or its parts in order.
 
     Raises:
         ConfigError: The file cannot be written.
     """
-    attempt(path, lambda: files.write_text(path, text))
+    write_or_refuse(path, lambda: files.write_text(path, text))
 
 
-def attempt(path: Path, write: Callable[[], object]) -> None:
-    """Call a function that writes a file or a folder that the user named.
+def write_or_refuse(path: Path, write: Callable[[], object]) -> None:
+    """Call a function that writes a file or a folder, and report a failure as bad input.
+
+    Args:
+        path: The file or folder, for the message.
+        write: Writes it.
 
     Raises:
-        ConfigError: It cannot be written.
+        ConfigError: ``write`` raised an OSError or a ValueError.
     """
     try:
         write()

@@ -34,23 +34,38 @@ DECLARATIONS = (simulation, robustness, searches, statistics, results, designs, 
 
 
 def declared_commands() -> dict[str, type]:
-    """Collect the dataclasses of options by command: ``CompareLog`` declares the options of ``compare-log``."""
+    """Collect the dataclasses of options in :data:`DECLARATIONS`, by the name of their command."""
     commands = {}
     for module in DECLARATIONS:
         for name, declared in vars(module).items():
             if isinstance(declared, type) and declared.__module__ == module.__name__:
-                commands[re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()] = declared
+                commands[command_name(name)] = declared
     return commands
+
+
+def command_name(class_name: str) -> str:
+    """Name of the command whose options a class declares: ``compare-log`` for ``CompareLog``."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", class_name).lower()
 
 
 COMMANDS = declared_commands()
 """The options of each command, in the order of the help."""
 
-SYNONYMS = {word: name for name, options in COMMANDS.items() for word in getattr(options, "synonyms", ())}
-"""Names that other programs have for a command, with the command's name here."""
+
+def command_synonyms() -> dict[str, str]:
+    """Collect the synonyms that the declarations state for their commands, with the command's name."""
+    commands = {}
+    for name, options in COMMANDS.items():
+        for synonym in getattr(options, "synonyms", ()):
+            commands[synonym] = name
+    return commands
+
+
+SYNONYMS = command_synonyms()
+"""Names that other programs have for a command, with the command's name in this program."""
 
 EXTRAS = {"clarabel": "proofs", "flint": "proofs", "panel": "explore", "bokeh": "explore"}
-"""Packages that commands need and a plain installation lacks, by the extra that installs them."""
+"""The extra of this package that installs an optional package, by the package's name."""
 
 app = typer.Typer(
     name="dssc-jax",
@@ -62,14 +77,14 @@ app = typer.Typer(
 
 
 def print_version(requested: bool) -> None:
-    """Print the version and end the program, if the option is given."""
+    """Print the version and end the program, if ``--version`` is given."""
     if requested:
         print(f"dssc-jax {version('dssc_jax')}")
         raise typer.Exit(DONE)
 
 
 def silence(requested: bool) -> None:
-    """Turn progress and notices off, if the option is given; errors are still reported."""
+    """Turn progress and notices off, if ``--quiet`` is given; errors are still reported."""
     if requested:
         errors().quiet = True
 
@@ -90,7 +105,10 @@ def dssc_jax(
 
 
 def command(name: str, options: type) -> Callable[..., int]:
-    """Make the function that typer calls for a command; its parameters are the fields of the options.
+    """Return the function that typer calls for a command.
+
+    Typer reads the options and the help from the function. Therefore its signature and its docstring are replaced by
+    the fields and the docstring of the dataclass.
 
     Args:
         name: Name of the command.
@@ -98,6 +116,11 @@ def command(name: str, options: type) -> Callable[..., int]:
     """
 
     def run_command(**values: object) -> int:
+        """Import the command's module, run it and return the exit code.
+
+        Raises:
+            ConfigError: An optional package is not installed.
+        """
         try:
             module = importlib.import_module(f"dssc_jax.cli.commands.{name.replace('-', '_')}")
         except ModuleNotFoundError as error:
@@ -119,7 +142,13 @@ def command(name: str, options: type) -> Callable[..., int]:
 
 
 def help_rank(field: "Field[object]", options: type, hints: dict[str, object]) -> int:
-    """Rank of an option in the help: arguments first, then options of the command alone, then shared options."""
+    """Return the rank of an option in the help: 0 for arguments, 1 for the command's options, 2 for shared ones.
+
+    Args:
+        field: Field of the option.
+        options: Dataclass of the command's options; it inherits the shared ones.
+        hints: Annotated types of the fields, by name.
+    """
     if any(isinstance(note, ArgumentInfo) for note in get_args(hints[field.name])):
         return 0
     return 1 if field.name in options.__annotations__ else 2

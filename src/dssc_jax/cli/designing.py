@@ -1,6 +1,7 @@
 """Steps that the commands check and design share: print a design with its certificate."""
 
 import json
+from typing import NamedTuple
 
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.console.designs import latex, show_design
@@ -22,7 +23,16 @@ def require_one_form(as_json: bool, as_latex: bool) -> None:
 
 
 def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
-    """Print a design with its certificate, and return the exit code, which tells whether it is certified."""
+    """Print a design with its certificate, and return the exit code.
+
+    Args:
+        design: The design.
+        as_json: Whether to print JSON.
+        as_latex: Whether to print LaTeX.
+
+    Returns:
+        :data:`DONE` if the design is certified, else :data:`FAILS`.
+    """
     certificate = check(design.parameters, design.bounds)
     reach = limits(design.parameters, design.bounds) if certificate.certified else None
     if as_json:
@@ -33,11 +43,11 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
         content = {
             "design": design.name,
             "parameters": design.parameters._asdict(),
-            "free": design.free and design.free._asdict(),
-            "goal": design.goal and design.goal._asdict(),
+            "free": optional_table(design.free),
+            "goal": optional_table(design.goal),
             "edges": design.edges,
             **certificate.to_dict(),
-            "limits": reach and reach._asdict(),
+            "limits": optional_table(reach),
             "modulation": modulation,
         }
         print(json.dumps(jsonable(content), allow_nan=False))
@@ -46,3 +56,8 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
     else:
         show_design(design, certificate, reach)
     return DONE if certificate.certified else FAILS
+
+
+def optional_table(numbers: "NamedTuple | None") -> dict[str, object] | None:
+    """The fields of a tuple by name; None if there is no tuple."""
+    return None if numbers is None else numbers._asdict()

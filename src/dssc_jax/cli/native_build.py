@@ -1,4 +1,4 @@
-"""Build shared objects with the first C compiler that is found: of a user's C files, and of an FMU."""
+"""Build shared objects from a user's C files or for an FMU, with the first C compiler that is found."""
 
 import subprocess
 from collections.abc import Sequence
@@ -11,11 +11,17 @@ from dssc_jax.flight_code.fmu import COMPILERS, LIBRARY_FLAGS, ControllerFmu, co
 from dssc_jax.flight_code.template_files import FOLDER
 
 FLAGS = (
-    *("-O2", "-ffp-contract=off", "-shared", "-fPIC", "-DDSSC_JAX_LIBRARY"),
-    *("-Wall", "-Werror=implicit-function-declaration"),
+    "-O2",
+    "-ffp-contract=off",  # the bits of a result are then the same on every machine
+    "-shared",
+    "-fPIC",
+    "-DDSSC_JAX_LIBRARY",  # includes the controllers' description in the headers
+    "-Wall",
+    "-Werror=implicit-function-declaration",
 )
-"""Without contraction, the bits are the same on every machine. The macro includes the description in the headers."""
+"""Flags of the compiler for a user's C files."""
 LIBRARY = "library.so"
+"""File name of a built library in its temporary folder."""
 
 
 def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
@@ -44,7 +50,14 @@ def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
 
 
 def build_fmu_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
-    """Build the library of an FMU for this machine; return its content, or None and the reason why there is none."""
+    """Build the library of an FMU for this machine.
+
+    Args:
+        fmu: The FMU, with its sources.
+
+    Returns:
+        The library's content, and None; or None, and the reason why there is no library.
+    """
     reason = no_library_reason()
     program = compiler()
     if reason is not None or program is None:
@@ -60,11 +73,14 @@ def build_fmu_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
 
 
 def compile_library(command: list[str], folder: Path) -> str:
-    """Compile :data:`LIBRARY` in a folder; return the first error of the compiler, empty if it succeeds.
+    """Compile :data:`LIBRARY` in a folder.
 
     Args:
         command: The compiler with flags and sources.
         folder: Folder in which the compiler runs.
+
+    Returns:
+        The compiler's first error; empty if it succeeds.
     """
     command = [*command, "-o", LIBRARY, "-lm"]
     compilation = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""Messages beside the results of a command, on standard error."""
+"""Print messages of a command to standard error; its results go to standard output."""
 
 import sys
 from typing import TextIO
@@ -15,7 +15,7 @@ def show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning in one line without its place in the source, in the place of ``warnings.showwarning``."""
+    """Print a warning of Python in one line, without its place in the source; it replaces ``warnings.showwarning``."""
     say(f"warning: {message}")
 
 

@@ -1,4 +1,4 @@
-"""Parse the texts of options, such as ``NAME=LO:HI``, and refuse options without a meaning."""
+"""Parse the texts of options, such as ``NAME=LO:HI``, and refuse options that have no meaning together."""
 
 import math
 import tomllib
@@ -7,11 +7,13 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study.separators import separator_hint
 
+SweepAxis = dict[str, list[float]]
+"""Axis of a sweep as in a study file: start, end and number of its values, under ``linspace`` or ``logspace``."""
 TomlValue = str | int | float | bool | list["TomlValue"] | dict[str, "TomlValue"]
 
 
 class Walk(NamedTuple):
-    """A walk over the values of a number.
+    """The number that a command walks over, and the ends of the walk.
 
     Args:
         name: Dotted name of the number.
@@ -23,7 +25,15 @@ class Walk(NamedTuple):
 
 
 def parse_assignment(text: str, option: str) -> tuple[str, str]:
-    """Parse ``NAME=VALUE``, the text of an option, to name and value."""
+    """Split the text ``NAME=VALUE`` of an option into name and value.
+
+    Args:
+        text: The text.
+        option: Name of the option, for messages.
+
+    Raises:
+        ConfigError: The text has no ``=``, or nothing on one side of it.
+    """
     name, equals, value = text.partition("=")
     if not equals or not name or not value:
         raise ConfigError(option, f"must be NAME=VALUE, got '{text}'{separator_hint(text, 1)}")
@@ -31,7 +41,11 @@ def parse_assignment(text: str, option: str) -> tuple[str, str]:
 
 
 def parse_within(texts: list[str] | None) -> dict[str, float]:
-    """Parse the texts ``NAME=RADIUS`` of ``--within`` to radii by name."""
+    """Parse the texts ``NAME=RADIUS`` of ``--within`` to radii by name.
+
+    Raises:
+        ConfigError: A text has another form.
+    """
     radii = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--within")
@@ -43,16 +57,21 @@ def parse_within(texts: list[str] | None) -> dict[str, float]:
 
 
 def parse_value(text: str) -> TomlValue:
-    """Parse a TOML value; text that is not valid TOML is a string itself."""
+    """Parse a text as a TOML value; a text that is not one is returned as it is."""
     try:
         table = tomllib.loads(f"value = {text}")
-    except ValueError:  # TOMLDecodeError is one, so are integers too long
+    except ValueError:  # invalid TOML, or an integer with too many digits
         return text
-    return table["value"] if len(table) == 1 else text
+    has_more_entries = len(table) > 1  # the text has line breaks
+    return text if has_more_entries else table["value"]
 
 
 def parse_changes(texts: list[str] | None) -> dict[str, TomlValue]:
-    """Parse the texts ``NAME=VALUE`` of ``--set`` to values by name."""
+    """Parse the texts ``NAME=VALUE`` of ``--set`` to values by name.
+
+    Raises:
+        ConfigError: A text has another form.
+    """
     changes = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--set")
@@ -61,22 +80,30 @@ def parse_changes(texts: list[str] | None) -> dict[str, TomlValue]:
 
 
 def parse_point(texts: list[str] | None) -> dict[str, float]:
-    """Parse the texts ``NAME=NUMBER`` of ``--at`` to finite numbers by name."""
+    """Parse the texts ``NAME=NUMBER`` of ``--at`` to finite numbers by name.
+
+    Raises:
+        ConfigError: A text has another form, or its number is not finite.
+    """
     point = {}
     for text in texts or []:
         name, value = parse_assignment(text, "--at")
         try:
             number = float(value)
         except ValueError:
-            number = math.nan
+            number = math.nan  # no number, which is refused below
         if not math.isfinite(number):
             raise ConfigError("--at", f"must be NAME=NUMBER, got '{text}'")
         point[name] = number
     return point
 
 
-def parse_over(text: str) -> tuple[str, dict[str, list[float]]]:
-    """Parse ``NAME=LO:HI:COUNT[:log]`` to the name and the table of an axis, as a study's ``[sweep]`` has it."""
+def parse_sweep_axis(text: str) -> tuple[str, SweepAxis]:
+    """Parse ``NAME=LO:HI:COUNT[:log]`` to the name of a number and its axis.
+
+    Raises:
+        ConfigError: The text has another form.
+    """
     try:
         name, value = text.split("=")
         low, high, count, *scale = value.split(":")
@@ -88,11 +115,15 @@ def parse_over(text: str) -> tuple[str, dict[str, list[float]]]:
     return name, {"logspace" if scale else "linspace": numbers}
 
 
-def parse_overs(texts: list[str]) -> dict[str, dict[str, list[float]]]:
-    """Parse the texts of ``--over`` to the tables of axes by name, see :func:`parse_over`."""
-    axes: dict[str, dict[str, list[float]]] = {}
+def parse_sweep_axes(texts: list[str]) -> dict[str, SweepAxis]:
+    """Parse the texts of ``--over`` to the axes of a sweep by name, see :func:`parse_sweep_axis`.
+
+    Raises:
+        ConfigError: A text has another form, or two texts give the same name.
+    """
+    axes: dict[str, SweepAxis] = {}
     for text in texts:
-        name, axis = parse_over(text)
+        name, axis = parse_sweep_axis(text)
         if name in axes:
             raise ConfigError("--over", f"'{name}' is given twice")
         axes[name] = axis
@@ -100,7 +131,11 @@ def parse_overs(texts: list[str]) -> dict[str, dict[str, list[float]]]:
 
 
 def parse_walk(text: str) -> Walk:
-    """Parse ``NAME=LO:HI`` to the walk over a number."""
+    """Parse ``NAME=LO:HI`` to the walk over a number.
+
+    Raises:
+        ConfigError: The text has another form.
+    """
     try:
         name, value = text.split("=")
         start, end = map(float, value.split(":"))
@@ -110,7 +145,11 @@ def parse_walk(text: str) -> Walk:
 
 
 def parse_times(text: str | None) -> tuple[float, ...]:
-    """Parse ``T1,T2,..`` to times [s]; none for None."""
+    """Parse ``T1,T2,..`` to times [s]; an empty tuple if the text is None or empty.
+
+    Raises:
+        ConfigError: The text has another form.
+    """
     try:
         return tuple(float(part) for part in text.split(",")) if text else ()
     except ValueError:
@@ -118,11 +157,11 @@ def parse_times(text: str | None) -> tuple[float, ...]:
 
 
 def require_unset(circumstance: str, **options: object) -> None:
-    """Require that options without a meaning in a circumstance, such as "with a result", are not given.
+    """Require that none of the options is given, because they have no meaning in a circumstance.
 
     Args:
-        circumstance: The circumstance, for the message.
-        options: Values of the options; None and an empty list mean that an option is not given.
+        circumstance: The circumstance for the message, such as "with a result".
+        options: Values of the options, by name; None and an empty list mean that an option is not given.
 
     Raises:
         ConfigError: An option is given.

@@ -1,4 +1,4 @@
-"""Requirements of the commands that prove."""
+"""Checks of the commands that prove: are the packages installed, and do proofs cover the study?"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ from dssc_jax.study import Study
 
 
 def require_proofs() -> None:
-    """Require that the packages that proofs need are installed.
+    """Require that the packages clarabel and flint, which proofs need, are installed.
 
     Raises:
         ConfigError: A package is not installed.
@@ -22,10 +22,13 @@ def require_proofs() -> None:
 
 @contextmanager
 def proof_coverage(study: Study) -> Iterator[None]:
-    """Report a study that proofs do not cover as bad input.
+    """Report :class:`NotCovered` within the context as bad input.
+
+    Args:
+        study: The study to prove, which the message names.
 
     Raises:
-        ConfigError: :class:`NotCovered` was raised within the context.
+        ConfigError: In place of :class:`NotCovered`.
     """
     try:
         yield

@@ -21,32 +21,43 @@ from dssc_jax.runs.design_choice import recorded_choice
 from dssc_jax.study import Study
 
 NO_AMOUNTS = StatedAmounts({}, None, None)
+"""Amounts of a user who does not state how wrong the laws may be."""
 
 
 def simulated_study(options: Run | Sweep) -> Study:
-    """Load the study to simulate, here or on a cluster."""
+    """Load the study to simulate, in this process or on a cluster.
+
+    Raises:
+        ConfigError: See :func:`study_of`.
+    """
     if options.cluster:
         spare_gpu_memory()
     return study_of(options)
 
 
 def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: StatedAmounts = NO_AMOUNTS) -> Result:
-    """The result in a folder if it is complete, else that of a run into the folder.
+    """Return the complete result in a folder; if there is none, run the study into the folder.
+
+    A complete result without the stated amounts is continued, which adds them and simulates no draw again.
 
     Args:
         study: The study.
         out: The results folder.
         options: Options of the command.
-        amounts: Amounts by which the laws may be wrong, which are added to a complete result, too.
+        amounts: Amounts by which the laws may be wrong.
+
+    Raises:
+        ConfigError: The folder holds another study, cannot be written, or the study cannot run.
     """
     resume = options.resume
-    if not options.fresh and (result := complete_result(study, out)) is not None:
+    result = None if options.fresh else complete_result(study, out)
+    if result is not None:
         notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
         if not amounts or amounts == result.stated:
             return result
         resume = True
     warn_of_study(study)
-    folder = str(Path(study.source).resolve().parent) if options.allow_local else None
+    code_folder = str(Path(study.source).resolve().parent) if options.allow_local else None
     with progress_bar(study, quiet=options.as_json) as advance:
         return runs.run(
             study,
@@ -55,7 +66,7 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: Stat
             progress=advance,
             cluster=options.cluster,
             notify=notify,
-            local=folder,
+            local=code_folder,
             check=not options.no_check,
             within=amounts.within,
             shift=amounts.shift,
@@ -64,7 +75,12 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: Stat
 
 
 def complete_result(study: Study, out: Path) -> Result | None:
-    """The result in a folder if it is complete, of the same study, and by the same software and device; else None."""
+    """Return the result in a folder; None if it is not complete, or differs in study, software or devices.
+
+    Args:
+        study: The study.
+        out: The folder, which need not exist.
+    """
     if not (out / MANIFEST).exists():
         return None
     try:
@@ -74,19 +90,32 @@ def complete_result(study: Study, out: Path) -> Result | None:
                 return None
             study = choice.study
         manifest = read_manifest(out)
-        complete = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
-        if not complete or machinery_differences(manifest, {**computing(), **code_entries(study)}):
+        if manifest["hash"] != study.hash or not manifest.get("complete"):
+            return None
+        if manifest.get("stopping"):  # a stopping rule chose the number of draws
+            return None
+        if machinery_differences(manifest, {**computing(), **code_entries(study)}):
             return None
         return Result.of(study, read_dataset(out, study, manifest), manifest, out)
-    except ConfigError:  # damaged: it is computed again
+    except ConfigError:  # a damaged result is computed again
         return None
 
 
 def print_result(result: Result, out: Path, as_json: bool) -> None:
-    """Print a result, and then draw its figures, which takes longer."""
+    """Print a result, and then save its figures, which takes longer.
+
+    Args:
+        result: The result.
+        out: The results folder.
+        as_json: Whether to print JSON, as one line.
+
+    Raises:
+        ConfigError: The figures cannot be written.
+    """
     warn_of_integration(result.manifest.get("integration"))
     if as_json:
-        sys.stdout.writelines(line.replace("\n", "") for line in result.lines())
+        for line in result.lines():
+            sys.stdout.write(line.replace("\n", ""))
         print(flush=True)
     else:
         show_result(result)

@@ -4,11 +4,12 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import xarray as xr
 
 import dssc_jax.plotting as plotting
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.simulation import Replay, Simulate
 from dssc_jax.console.draws import show_draw
 from dssc_jax.core import files
@@ -16,7 +17,11 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.mcap_recording import write_mcap
 from dssc_jax.results.summary import jsonable
 
+Writer: TypeAlias = Callable[[xr.Dataset, Path], object]
+"""Writes a trajectory to a file."""
+
 FIGURES = (".png", ".svg", ".pdf")
+"""Endings of a figure's file name, which choose its format."""
 AXES = (
     "inertial x, y, z: east, north, up (ENU); body: forward, left, up (FLU); attitude R_z(psi) R_y(theta) R_x(phi) and "
     "its quaternion: body to inertial"
@@ -48,17 +53,20 @@ def print_trajectory(
         options: Options of the command, with the files.
         units: Unit of each printed number, by name.
         flight_files: Files that have already been written, and are printed with the others.
+
+    Raises:
+        ConfigError: A file cannot be written.
     """
-    writers: list[tuple[Path | None, Callable[[Path], object]]] = [
-        (options.csv, lambda path: write_table(trajectory, path)),
-        (options.parquet, lambda path: write_parquet(trajectory, path)),
-        (options.mcap, lambda path: write_mcap(trajectory, path)),
-        (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
+    writers: list[tuple[Path | None, Writer]] = [
+        (options.csv, write_csv),
+        (options.parquet, write_parquet),
+        (options.mcap, write_mcap),
+        (options.figure, write_figure),
     ]
     file_paths = [*flight_files]
     for path, write in writers:
         if path is not None:
-            attempt(path, partial(write, path))
+            write_or_refuse(path, partial(write, trajectory, path))
             file_paths.append(path)
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
@@ -66,7 +74,12 @@ def print_trajectory(
         show_draw(trajectory.attrs, units, file_paths)
 
 
-def write_table(trajectory: xr.Dataset, path: Path) -> None:
+def write_figure(trajectory: xr.Dataset, path: Path) -> None:
+    """Draw a trajectory and write the figure, in the format that the file's name ends in."""
+    plotting.write(plotting.trajectory(trajectory), path)
+
+
+def write_csv(trajectory: xr.Dataset, path: Path) -> None:
     """Write a trajectory as CSV."""
     with files.replacing(path) as file:
         trajectory.to_dataframe().to_csv(file, index_label="t")
@@ -75,8 +88,8 @@ def write_table(trajectory: xr.Dataset, path: Path) -> None:
 def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     """Write a trajectory as Parquet.
 
-    The metadata of each column have its unit and meaning. Those of the file have the study's name, the draw, its
-    numbers and how it ended, and for a vehicle the axes.
+    Each column has its unit and meaning as metadata. The file has the study's name, the draw, its numbers and how it
+    ended, and for a vehicle the description of its axes.
 
     Raises:
         ConfigError: Pyarrow is not installed.
@@ -90,11 +103,11 @@ def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     columns = [pa.array(trajectory[name].values) for name in names]
     fields = []
     for name, column in zip(names, columns, strict=True):
-        metadata = {key: str(value) for key, value in trajectory[name].attrs.items()}
-        fields.append(pa.field(name, column.type, metadata=metadata))
-    metadata = {name: str(value) for name, value in trajectory.attrs.items()}
+        column_metadata = {key: str(value) for key, value in trajectory[name].attrs.items()}
+        fields.append(pa.field(name, column.type, metadata=column_metadata))
+    file_metadata = {key: str(value) for key, value in trajectory.attrs.items()}
     if "attitude_w" in trajectory:
-        metadata["axes"] = AXES
-    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
+        file_metadata["axes"] = AXES
+    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=file_metadata))
     with files.replacing(path) as file:
         parquet.write_table(table, file)

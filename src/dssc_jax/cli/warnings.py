@@ -1,4 +1,4 @@
-"""Warnings about a study, on standard error: numbers without effect, noise, unusual vehicles, integration."""
+"""Print warnings about a study: numbers without effect, noise, unusual vehicles, errors of integration."""
 
 from collections.abc import Mapping
 
@@ -18,16 +18,18 @@ from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
 from dssc_jax.study.actuators import kind_in
 
+DRAG_NAMES = ("plant.vehicle.structure_drag", "plant.vehicle.propeller_drag")
+"""Beginnings of the names of a vehicle's drag coefficients."""
+
 
 def warn_of_vehicle(study: Study) -> None:
-    """Warn of a wind without effect, and of numbers that multirotors usually do not have."""
+    """Warn if a vehicle has no drag, so that wind has no effect, or numbers that multirotors usually do not have."""
     vehicle = getattr(study.template.plant, "vehicle", None)
     if not isinstance(vehicle, Vehicle):
         return
-    swept = any(
-        name.startswith(("plant.vehicle.structure_drag", "plant.vehicle.propeller_drag")) for name in study.axes
-    )
-    if kind_in(study.config, "wind") != "none" and not vehicle.has_drag and not swept:
+    has_wind = kind_in(study.config, "wind") != "none"
+    has_swept_drag = any(name.startswith(DRAG_NAMES) for name in study.axes)
+    if has_wind and not vehicle.has_drag and not has_swept_drag:
         say(
             "warning: the wind has no effect, because the vehicle has no drag: give plant.vehicle.structure_drag or "
             "propeller_drag"
@@ -39,14 +41,17 @@ def warn_of_vehicle(study: Study) -> None:
 
 
 def warn_of_signals(study: Study) -> None:
-    """Warn of sensors of measured signals that no controller reads, and of a y that is exact beside its sensor."""
+    """Warn of sensors whose measured signals no controller reads.
+
+    If a controller reads measured signals, warn of those that are exact while [sensor] is not, or the reverse.
+    """
     loop = study.loop
     if not loop.measures:
         return
-    controllers = zip(loop.controller, study.template.controller, strict=True)
-    if any(model.takes(gains) for model, gains in controllers):
-        warn_of_exact_signals(study)
-        return
+    for model, gains in zip(loop.controller, study.template.controller, strict=True):
+        if model.takes(gains):
+            warn_of_exact_signals(study)
+            return
     sensors = [f"[sensor.{signal.name}]" for signal in loop.measures if signal.name in study.config.sensor]
     if sensors:
         say(
@@ -56,10 +61,14 @@ def warn_of_signals(study: Study) -> None:
 
 
 def warn_of_exact_signals(study: Study) -> None:
-    """Warn if one of [sensor] and the sensor of the measured signal y is exact, and the other is not."""
+    """Warn if y or y' has an exact sensor as a measured signal, and another one in [sensor], or the reverse.
+
+    The controller reads a measured signal through its own table, [sensor.y], and the error through [sensor].
+    """
     kind = kind_in(study.config, "sensor")
     if kind == "ideal":
-        if study.config.sensor.get("y", {}).get("kind", kind) != kind:
+        kind_of_y = study.config.sensor.get("y", {}).get("kind", kind)
+        if kind_of_y != "ideal":
             say(
                 "warning: [sensor.y] acts on y as a measured signal; the error, such as that of an integral, is read "
                 "through [sensor], which is exact: give [sensor] that kind and its numbers, too"
@@ -75,7 +84,7 @@ def warn_of_exact_signals(study: Study) -> None:
 
 
 def warn_of_times(study: Study) -> None:
-    """Warn of events that never happen: they begin after the end of the loop, or may end before they begin."""
+    """Warn of events that begin after the end of the simulation, or that may end before they begin."""
     duration = study.config.loop.duration
     for name, number in study.numbers.items():
         if not number.quantity.begins or name in study.axes:
@@ -94,16 +103,17 @@ def warn_of_times(study: Study) -> None:
 
 
 def warn_of_idle_gains(study: Study) -> None:
-    """Warn of each gain in the study that changes no command of a controller in C."""
+    """Warn of each gain in the study that has no effect on the commands of a controller in C."""
     table = study.table["controller"]
     for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
         for gain in model.without_effect:
-            if gain in table or gain in table.get(channel, {}):  # for all channels, or for this one
+            is_in_study = gain in table or gain in table.get(channel, {})  # for all channels, or for this one
+            if is_in_study:
                 say(f"warning: the gain {gain} of {model.native} {WITHOUT_EFFECT}")
 
 
 def warn_of_units(study: Study) -> None:
-    """Warn of parameters in multiples of SI units, whose numbers formulas take without conversion."""
+    """Warn of parameters whose unit is a multiple of an SI unit, because formulas take their numbers unconverted."""
     for name in study.parameter_names:
         unit = study.numbers[name].quantity.unit
         for symbol, (factor, base) in scaled_symbols(unit).items():
@@ -114,17 +124,17 @@ def warn_of_units(study: Study) -> None:
 def warn_of_study(study: Study) -> None:
     """Warn of numbers without effect, of unusual units and vehicles, and of noise, rates or sensors that mislead.
 
-    There are no warnings about a study whose code is not imported; they were printed where its draws were computed.
+    There are no warnings about a study whose code is not imported. They were printed where its draws were computed.
 
     Raises:
-        ConfigError: A user's part fails when its functions are called once more.
+        ConfigError: A function of a user's part raises an exception.
     """
     if isinstance(study, Described):
         return
     with faults_by_part(study.loop):
-        unread = unread_numbers(study)
+        unread_names = unread_numbers(study)
         texts = [noise_warning(study), rate_warning(study), *plant_warnings(study), *record_warnings(study)]
-    for name in unread:
+    for name in unread_names:
         say(f"warning: {name} is uncertain, and no result depends on it: the code of this part does not read it")
     warn_of_idle_gains(study)
     for name in study.unused_parameters():
@@ -133,16 +143,21 @@ def warn_of_study(study: Study) -> None:
     warn_of_vehicle(study)
     warn_of_signals(study)
     warn_of_times(study)
-    for text in filter(None, texts):
-        say(f"warning: {text}")
+    for text in texts:
+        if text is not None:
+            say(f"warning: {text}")
 
 
 def checked_integration(study: Study) -> JsonObject | None:
-    """The error of integration between the samples; None for a study whose code is not imported."""
+    """Estimate the error of integration between the samples, as JSON; None if the study's code is not imported."""
     return None if isinstance(study, Described) else integration_error(study).to_dict()
 
 
 def warn_of_integration(integration: Mapping[str, object] | None) -> None:
-    """Warn if the error of integration matters."""
+    """Print the warning of a check of the integration, if it has one.
+
+    Args:
+        integration: Result of :func:`checked_integration`; None if there was no check.
+    """
     if integration and integration["warning"]:
         say(f"warning: {integration['warning']}")

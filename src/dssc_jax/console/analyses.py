@@ -1,4 +1,4 @@
-"""Print analyses: comparisons, sensitivity, rare events."""
+"""Print comparisons of controllers, sensitivities, and failure probabilities from strata or of rare events."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +11,7 @@ from dssc_jax.analyses.comparison.contest import ContestAnswer
 from dssc_jax.analyses.probability import FailureProbability
 from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
+from dssc_jax.analyses.sensitivity.result import SensitivityAnswer
 from dssc_jax.console.terminal import (
     number_text,
     output,
@@ -29,9 +30,13 @@ MOST_FACTORS = 3
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
-    """Print the failure probability of each controller and of each pair, before and after tuning if gains were tuned.
+    """Print the failures of each controller and the difference of each pair, also with tuned gains if there are any.
 
     Untuned gains are the given ones, or those that correspond to DSSC's (Table 2).
+
+    Args:
+        comparison: The comparison.
+        files: Files that were written, whose paths are printed.
     """
     answer = comparison.answer
     show_required(comparison.study.name, answer.requirements)
@@ -56,7 +61,7 @@ def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -
     Args:
         contest: Failures of each controller and pair, with one set of gains.
         answer: The whole answer, for requirements, draws and headline metric.
-        gains: Description of the gains, the first column's name.
+        gains: Description of the gains, which is the title of the first column.
     """
     rows = []
     head = [gains, "failures", "probability", "95 % interval", f"median {answer.headline}"]
@@ -76,7 +81,7 @@ def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -
 
 
 def changed_numbers(untuned: Mapping[str, object], tuned: Mapping[str, object], path: str = "") -> list[str]:
-    """List the numbers of a nested table that tuning has changed, as ``name = number``.
+    """List the numbers of a controller's table that tuning has changed, as ``name = number``.
 
     Args:
         untuned: The table before tuning.
@@ -95,23 +100,21 @@ def changed_numbers(untuned: Mapping[str, object], tuned: Mapping[str, object], 
 
 
 def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
-    """Print sensitivities of failure and the headline metric, and the main factors of each required metric.
+    """Print sensitivities of failure and of the headline metric, and the main factors of each required metric.
 
-    The folder holds the sensitivities of all outputs.
+    The analysis's folder holds the sensitivities of all outputs.
+
+    Args:
+        sensitivity: The analysis.
+        files: Files that were written, whose paths are printed.
     """
     answer = sensitivity.answer
     effort = f"{answer.simulations} simulations on {answer.rows} rows"
     show_head(sensitivity.study.name, f"{answer.title}, {effort}; {100 * answer.confidence:g} % intervals")
-    legends = [measure.legend for measure in answer.quantities.values()]
     for name in answer.headline:
         quantities = sensitivity.outputs[name]
-        if quantities is None:
-            continue
-        tables = list(quantities.values())
-        rows = []
-        for index in np.argsort(-tables[0][:, 0], kind="stable"):
-            rows.append((answer.factors[index], *(sensitivity_text(*table[index]) for table in tables)))
-        show_table((name, *legends), rows)
+        if quantities is not None:
+            show_output_sensitivities(name, quantities, answer)
     rows = []
     refusals = []
     required_metrics = [requirement.measure.name for requirement in sensitivity.study.requirements]
@@ -128,16 +131,39 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
     show_files(files)
 
 
+def show_output_sensitivities(name: str, quantities: Mapping[str, np.ndarray], answer: SensitivityAnswer) -> None:
+    """Print a table of an output's sensitivities, one row for each factor, those with large sensitivities first.
+
+    Args:
+        name: Name of the output.
+        quantities: Value, low and high end of each sensitivity, by kind of sensitivity, shape (factors, 3).
+        answer: The whole answer, for factors and legends.
+    """
+    tables = list(quantities.values())
+    rows = []
+    for index in np.argsort(-tables[0][:, 0], kind="stable"):
+        cells = [sensitivity_text(*table[index]) for table in tables]
+        rows.append((answer.factors[index], *cells))
+    legends = [measure.legend for measure in answer.quantities.values()]
+    show_table((name, *legends), rows)
+
+
 def main_factors(sensitivity: Sensitivity, name: str) -> str:
     """Name the factors on which an output depends most, each with its sensitivity and interval.
 
     Factors whose interval includes 0 are left out; if all do, the largest factor alone is named.
+
+    Args:
+        sensitivity: The analysis.
+        name: Name of the output.
     """
     quantities = sensitivity.outputs[name] or {}
     table = quantities[sensitivity.description.ranking]
     order = np.argsort(-table[:, 0], kind="stable")[:MOST_FACTORS]
-    significant = [index for index in order if table[index, 1] > 0.0] or order[:1]
-    return ", ".join(f"{sensitivity.factors[index]} {sensitivity_text(*table[index])}" for index in significant)
+    named = [index for index in order if table[index, 1] > 0.0]
+    if not named:
+        named = [order[0]]
+    return ", ".join(f"{sensitivity.factors[index]} {sensitivity_text(*table[index])}" for index in named)
 
 
 def sensitivity_text(value: float, low: float, high: float) -> str:
@@ -146,7 +172,12 @@ def sensitivity_text(value: float, low: float, high: float) -> str:
 
 
 def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
-    """Print a failure probability from strata, the failures in each stratum, and the simulations saved."""
+    """Print a failure probability, the failures in each stratum, and how many plain draws would take its place.
+
+    Args:
+        estimate: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = estimate.answer
     show_required(estimate.study.name, answer.requirements)
     show_paragraph(f"{estimate.headline} ({100 * answer.confidence:g} %, strata)")
@@ -168,7 +199,12 @@ def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
 
 
 def show_rare(event: RareEvent, files: list[Path]) -> None:
-    """Print the probability of a rare failure, the check by plain draws, the cost, and where failures lie."""
+    """Print the probability of a rare failure, the check by plain draws, the cost, and where failures lie.
+
+    Args:
+        event: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = event.answer
     estimate = answer.by_method
     plain = answer.plain
@@ -187,8 +223,8 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
             "The answer is that of the plain draws"
         )
         output().print(warning, style="bold yellow", markup=False)
-    value = f"{answer.probability:.3g} in [{low:.3g}, {high:.3g}]" if answer.probability else f"<= {high:.3g}"
-    show_paragraph(f"failure probability {value} ({level})")
+    text = f"{answer.probability:.3g} in [{low:.3g}, {high:.3g}]" if answer.probability else f"<= {high:.3g}"
+    show_paragraph(f"failure probability {text} ({level})")
     show_paragraph(
         f"beside it {plain.failures:,} of {plain.draws:,} plain draws failed; a failure that the search did not meet "
         f"may be as probable as {plain.interval[1]:.3g}"
@@ -206,7 +242,10 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
 
 
 def show_design_points(answer: RareAnswer) -> None:
-    """Print each design point: distance, FORM and SORM probability, and the values of the uncertain numbers."""
+    """Print each design point: its distance [sigma], FORM and SORM probability, and its uncertain numbers.
+
+    FORM and SORM are the first- and second-order approximations of the probability of failures around the point.
+    """
     if not answer.design_points:
         return
     rows = []
@@ -223,7 +262,7 @@ def show_design_points(answer: RareAnswer) -> None:
 
 
 def show_failing_ranges(answer: RareAnswer) -> None:
-    """Print the median of each uncertain number, and its 5, 50 and 95 % quantiles among failures."""
+    """Print the median of each uncertain number, and the number's 5, 50 and 95 % quantiles in draws that fail."""
     rows = []
     for name, number in answer.where.items():
         if number.failing is not None:

@@ -1,4 +1,4 @@
-"""Print an analysis of any kind."""
+"""Print an analysis of any kind from its answer, such as a new analysis that has no printer yet."""
 
 from pathlib import Path
 
@@ -8,7 +8,14 @@ from dssc_jax.results.fields import field_meanings
 
 
 def show_analysis(analysis: Analysis, files: list[Path]) -> None:
-    """Print the headline of an analysis, each single number or text of its answer with its meaning, and the files."""
+    """Print the headline of an analysis, each number and text of its answer with its meaning, and the files.
+
+    Lists and tables within the answer are not printed.
+
+    Args:
+        analysis: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     show_head(analysis.study.name, analysis.headline)
     summary = analysis.summary()
     rows = []

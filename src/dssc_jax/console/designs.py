@@ -1,5 +1,6 @@
-"""A design and its certificate as tables, for the terminal and for LaTeX."""
+"""Print a design and its certificate as tables, or write them as LaTeX."""
 
+import math
 from typing import NamedTuple, get_type_hints
 
 from rich.markup import escape
@@ -14,7 +15,7 @@ TableRow = tuple[str, ...]
 
 
 class DesignTable(NamedTuple):
-    """A titled table of text."""
+    """A table of text with a title."""
 
     title: str
     head: TableRow
@@ -23,7 +24,7 @@ class DesignTable(NamedTuple):
 
 def digits(value: float | None) -> str:
     """Format a number with five digits; a dash if it is None or NaN."""
-    return "-" if value is None or value != value else f"{value:.5g}"
+    return "-" if value is None or math.isnan(value) else f"{value:.5g}"
 
 
 def design_tables(design: DesignFile, certificate: Certificate) -> list[DesignTable]:
@@ -48,7 +49,7 @@ def parameter_rows(numbers: Parameters | Constants) -> list[TableRow]:
 
 
 def inequality_table(certificate: Certificate) -> DesignTable:
-    """The inequalities of Table 1, with their slacks as derived here and as printed in the article."""
+    """Table of Table 1's inequalities, with their slacks as derived here and as printed in the article."""
     rows = []
     for inequality in certificate.inequalities:
         numbers = (inequality.value, inequality.bound, inequality.slack, inequality.printed_slack)
@@ -63,10 +64,11 @@ SMALL_GAIN_SOURCES = {
     "theorem": "4 gamma_1 gamma_2 <= phi_b^2 (Appendix G) with the derived gains",
     "printed": "last bound of Appendix D as printed",
 }
+"""Source of each form of the small-gain condition."""
 
 
 def small_gain_table(certificate: Certificate) -> DesignTable:
-    """The three forms of the small-gain condition: derived here, of the theorem, and as printed."""
+    """Table of the three forms of the small-gain condition: derived here, of the theorem, and as printed."""
     phi_b = certificate.phi_b
     rows = []
     for name, bound in certificate.small_gain._asdict().items():
@@ -75,7 +77,7 @@ def small_gain_table(certificate: Certificate) -> DesignTable:
 
 
 def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable:
-    """The guarantees: residuals, decay rate, Lyapunov conditions, and what the sampled loop needs."""
+    """Table of the guarantees: residuals, decay rate, Lyapunov conditions, and what the sampled loop needs."""
     guarantee = certificate.guarantee
     proofs = certificate.lyapunov
     practice = certificate.practice
@@ -101,7 +103,7 @@ def guarantee_table(design: DesignFile, certificate: Certificate) -> DesignTable
 
 
 def limits_table(limits: Limits) -> DesignTable:
-    """How far each bound of the design can change alone before the certificate is lost."""
+    """Table of how far each bound of the design can change alone before the certificate is lost."""
     meanings = {
         "phi_b": "least phi_b",
         "disturbance": "largest factor on k_d1 ... k_d5, alpha_d2, alpha_d3",
@@ -119,7 +121,8 @@ def show_design(design: DesignFile, certificate: Certificate, limits: Limits | N
     Args:
         design: The design.
         certificate: Verdict of Theorem 1 on the design.
-        limits: How far each bound of the plant can change alone before the certificate is lost; None if there is none.
+        limits: How far each bound of the plant can change alone before the certificate is lost; None if the design is
+            not certified.
     """
     printable_name = "".join(character if character.isprintable() else "?" for character in design.name)
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
@@ -146,8 +149,10 @@ def unmet_conditions(certificate: Certificate) -> str:
             conditions.append(f"{inequality.name} {inequality.state.value.replace('_', ' ')}")
     if not certificate.interconnected:
         bound = certificate.small_gain.derived
-        is_bound_known = bound == bound  # NaN: P is not positive definite
-        conditions.append(f"small gain needs phi_b > {digits(bound)}" if is_bound_known else "small gain needs P > 0")
+        if math.isnan(bound):  # P is not positive definite
+            conditions.append("small gain needs P > 0")
+        else:
+            conditions.append(f"small gain needs phi_b > {digits(bound)}")
     return "; ".join(conditions)
 
 
@@ -158,12 +163,12 @@ LATEX_CHARACTERS |= {character: f"${character}$" for character in "<>|"}
 
 
 def latex(design: DesignFile, certificate: Certificate) -> str:
-    """The tables of a design as LaTeX, which needs the package booktabs."""
+    """Write the tables of a design as LaTeX, which needs the package booktabs."""
     return "\n\n".join(latex_table(table, design.name) for table in design_tables(design, certificate))
 
 
 def latex_table(table: DesignTable, design_name: str) -> str:
-    """A table as LaTeX, with the design's name in its caption."""
+    """Write a table as LaTeX, with the design's name in its caption."""
     lines = [
         r"\begin{table}",
         rf"\caption{{{latex_text(f'{table.title} of {design_name}')}}}",
@@ -180,10 +185,10 @@ def latex_table(table: DesignTable, design_name: str) -> str:
 
 
 def latex_row(cells: TableRow) -> str:
-    """A row of a LaTeX table."""
+    """Write a row of a LaTeX table."""
     return " & ".join(map(latex_text, cells)) + r" \\"
 
 
 def latex_text(text: str) -> str:
-    """A text in which LaTeX's special characters are escaped."""
+    """Escape the characters of a text that are special in LaTeX."""
     return "".join(LATEX_CHARACTERS.get(character, character) for character in text)

@@ -1,4 +1,4 @@
-"""Print single draws: a trajectory, or the recomputed lanes of a result."""
+"""Print how a single draw ended, and whether recomputed draws agree with their result."""
 
 import math
 from collections.abc import Mapping
@@ -22,6 +22,8 @@ NOT_IN_TABLE = frozenset(
 
 def show_draw(attributes: Mapping[str, Any], units: Mapping[str, str], files: list[Path]) -> None:
     """Print how one draw ended, its drawn numbers, its metrics and its events.
+
+    ``failed_at`` is NaN in a draw that ran to its end, and is not printed then.
 
     Args:
         attributes: Attributes of the trajectory.
@@ -48,8 +50,9 @@ def show_draw(attributes: Mapping[str, Any], units: Mapping[str, str], files: li
 def show_verification(verification: "Verification") -> None:
     """Print whether a result agrees with its recomputed lanes, and the lane that deviates most."""
     verdict = VERDICTS[verification.verdict].format(verification.deviation)
-    lanes = f"{verification.lanes} lane{'s' * (verification.lanes > 1)} (--seed {verification.seed} picks the same)"
-    show_paragraph(f"computed again by the plain program, {lanes}: the result {verdict}")
+    lanes = "1 lane" if verification.lanes == 1 else f"{verification.lanes} lanes"
+    choice = f"(--seed {verification.seed} picks the same)"
+    show_paragraph(f"computed again by the plain program, {lanes} {choice}: the result {verdict}")
     if verification.undecided:
         show_paragraph(f"{verification.undecided} of them amplify rounding so much that they are no evidence")
     if verification.worst is not None:

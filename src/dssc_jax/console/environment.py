@@ -1,4 +1,4 @@
-"""Show the machine, the versions and every kind of model."""
+"""Describe and print the machine, the versions of packages, and every kind of model."""
 
 import platform
 from datetime import UTC, datetime
@@ -35,16 +35,17 @@ class Environment(TypedDict):
 
 
 def machine() -> str:
-    """Processor, versions of Python and JAX, and date in one line, to accompany a measurement."""
-    model = platform.processor() or platform.machine()
+    """Describe processor, versions of Python and JAX, and date in one line, to accompany a measurement."""
+    processor = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        names = []
+        core_models = []
         for line in files.read_text(cpuinfo).splitlines():
             if "model name" in line:
-                names.append(line.partition(":")[2].strip())
-        model = f"{len(names)} cores of {names[0]}" if names else model
-    return f"{model}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
+                core_models.append(line.partition(":")[2].strip())
+        if core_models:
+            processor = f"{len(core_models)} cores of {core_models[0]}"
+    return f"{processor}, Python {platform.python_version()}, JAX {jax.__version__}, {datetime.now(UTC):%Y-%m-%d}"
 
 
 def environment() -> Environment:
@@ -60,18 +61,20 @@ def environment() -> Environment:
     }
 
 
-def show_environment(environment: Environment) -> None:
+def show_environment(description: Environment) -> None:
     """Print versions, devices and compiler, then tables of all kinds, metrics and laws."""
-    show_paragraph("  ".join(f"{name} {number}" for name, number in environment["versions"].items()))
-    show_line(f"devices    {', '.join(environment['devices'])}")
-    show_line(f"compiler   {', '.join(environment['compiler'])}")
-    for slot, descriptions in environment["kinds"].items():
+    show_paragraph("  ".join(f"{name} {number}" for name, number in description["versions"].items()))
+    show_line(f"devices    {', '.join(description['devices'])}")
+    show_line(f"compiler   {', '.join(description['compiler'])}")
+    for slot, descriptions in description["kinds"].items():
         rows = []
-        for kind, description in descriptions.items():
-            options = [f"{name}: {' | '.join(map(str, values))}" for name, values in description["options"].items()]
-            rows.append((kind, description["summary"], ", ".join(description["fields"]), "; ".join(options)))
+        for kind, entry in descriptions.items():
+            options = []
+            for name, values in entry["options"].items():
+                options.append(f"{name}: {' | '.join(map(str, values))}")
+            rows.append((kind, entry["summary"], ", ".join(entry["fields"]), "; ".join(options)))
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
-    rows = [(name, metric["meaning"], metric["unit"], metric["of"]) for name, metric in environment["metrics"].items()]
+    rows = [(name, metric["meaning"], metric["unit"], metric["of"]) for name, metric in description["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)
     rows = [(name, law.signature, law.rule[0]) for name, law in LAWS.items()]
     show_table(("law", "arguments", "rule"), rows)

@@ -1,4 +1,4 @@
-"""Print generated flight code, and what logged flights tell: comparison with the draws, next flight, fit of laws."""
+"""Print the cost of generated flight code, and comparisons of logged flights with the draws and fits of laws."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -24,7 +24,7 @@ Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def show_code(summary: dict[str, Any]) -> None:
-    """Print the cost of each channel's step function, the certificate, and the files.
+    """Print the cost of each channel's step function, the verdict of Theorem 1, and the folder that was written.
 
     Args:
         summary: Summary of the folder: ``channels``, ``certificate``, ``folder``, and ``fmu`` if one was written.
@@ -46,7 +46,12 @@ def show_code(summary: dict[str, Any]) -> None:
 
 
 def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
-    """Print where a log lies among the draws, the p-value, and how the replayed commands differ from the log."""
+    """Print where a log lies among the draws, the p-value, and how the replayed commands differ from the log.
+
+    Args:
+        comparison: The comparison.
+        files: Files that were written, whose paths are printed.
+    """
     answer = comparison.answer
     show_line(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
     if answer.p_value is None:
@@ -67,7 +72,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
 
 
 def samples_text(answer: LogAnswer) -> str:
-    """Tell how many samples are compared, how many of them the log has, and whether it ends before the study."""
+    """Tell how many samples are compared, how many of them the log has, and whether it ends before the study does."""
     text = f"{answer.samples} samples"
     if answer.samples < answer.study_samples:
         text = f"{answer.samples} of the study's {answer.study_samples} samples"
@@ -98,7 +103,8 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
     if summary["held_samples"]:
         show_line(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
     for channel, reason in summary["not_replayed"].items():
-        show_line(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+        place = f", {channel}" if channel else ""
+        show_line(f"not replayed{place}: {reason}")
     differences = summary["reference_differences"]
     rates = summary["reference_rate_differences"]
     for channel, units in zip(study.loop.channels, study.units, strict=True):
@@ -113,27 +119,27 @@ def show_replay(summary: Mapping[str, Any], study: Study) -> None:
 
 
 def show_warnings(warnings: Sequence[SignalWarning]) -> None:
-    """Print warnings, with the name of the log where there are several."""
+    """Print warnings, with the name of the log if there are several logs."""
     for warning in warnings:
-        log = f"{warning.log}: " if isinstance(warning, FlightWarning) else ""
-        show_line(f"warning: {log}{warning.text}")
+        log_name = f"{warning.log}: " if isinstance(warning, FlightWarning) else ""
+        show_line(f"warning: {log_name}{warning.text}")
 
 
 def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
-    """Tell how many samples of each signal a log has if it lacks some, and what is assumed between them.
+    """Tell how many samples of each signal a log has, and what is assumed between them.
 
     Args:
-        held_counts: Number of samples that the log lacks, by signal.
-        samples: Number of samples.
-        subject: What the samples are used for.
-        between: What is assumed between the samples of the log.
+        held_counts: Number of samples that the log lacks, by signal; only signals that lack some.
+        samples: Number of samples of a complete log.
+        subject: Use of the samples, such as "replay".
+        between: Assumption between the samples that the log has.
     """
     counts = ", ".join(f"{name} at {samples - count}" for name, count in held_counts.items())
     return f"{subject}: of {samples} samples, the log has {counts}; between them {between}"
 
 
 def departure_table(answer: LogAnswer) -> Table:
-    """Table of the logged signals' departures from the draws, for signals that differ between the draws."""
+    """Table of how far the logged signals depart from the draws; signals that are equal in all draws are left out."""
     rows = []
     for name, signal in answer.signals.items():
         if signal.outside_share is None:
@@ -150,7 +156,7 @@ def departure_table(answer: LogAnswer) -> Table:
 
 
 def constant_signal_table(answer: LogAnswer) -> Table:
-    """Table of the log's largest difference from each signal that is the same in all draws."""
+    """Table of the largest difference between the log and each signal that is equal in all draws."""
     rows = []
     for name, largest in answer.without_spread.items():
         rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
@@ -158,7 +164,12 @@ def constant_signal_table(answer: LogAnswer) -> Table:
 
 
 def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
-    """Print the limits of the next flight, and whether the flights refute the study."""
+    """Print the limits of the next flight, and whether the flights refute the study.
+
+    Args:
+        outlook: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = outlook.answer
     show_line(f"{outlook.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
     show_line(outlook.headline)
@@ -205,13 +216,18 @@ def counts_table(test: StudyTest) -> Table:
 
 
 def show_rank(answer: LogAnswer, p_value: float) -> None:
-    """Print the p-value of a log, by its rank among the draws, and the verdict of the test."""
+    """Print the p-value of a log, and the verdict whether it is a flight of the study.
+
+    Args:
+        answer: The comparison.
+        p_value: Its p-value, by the rank of the log among the draws.
+    """
     show_line(
         f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
-    missing = answer.logged_samples < answer.samples
-    sample_text = f", by the {answer.logged_samples} samples that it has" if missing else ""
+    lacks_samples = answer.logged_samples < answer.samples
+    sample_text = f", by the {answer.logged_samples} samples that it has" if lacks_samples else ""
     if p_value > SIGNIFICANCE:
         verdict = f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}"
         show_line(f"{verdict}{outside_text(answer)}")
@@ -222,7 +238,10 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
 
 
 def outside_text(answer: LogAnswer) -> str:
-    """Name the signals that are often outside the range of all draws; empty if there are none."""
+    """Name the signals that are outside the range of all draws for many of their samples; empty if there are none.
+
+    Many is a share above :data:`LARGE_OUTSIDE_SHARE`.
+    """
     shares = []
     for name, signal in answer.signals.items():
         if signal.outside_share is not None and signal.outside_share > LARGE_OUTSIDE_SHARE:
@@ -231,7 +250,12 @@ def outside_text(answer: LogAnswer) -> str:
 
 
 def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> None:
-    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or their file."""
+    """Print the estimates with their intervals, the residual, warnings, and the proposed laws or their file.
+
+    Args:
+        summary: Summary of the fit and of the log's replay, as printed for JSON.
+        warnings: Warnings about the log and the fit.
+    """
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     show_line(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     if summary["simulated_samples"] < summary["study_samples"]:
@@ -244,9 +268,8 @@ def show_fit(summary: Mapping[str, Any], warnings: Sequence[SignalWarning]) -> N
         show_line(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))
     show_estimates(summary["numbers"])
     for channel, noise in summary["noise"].items():
-        show_line(
-            residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel])
-        )
+        label = f"residual of {channel}" if channel else "residual"
+        show_line(residual_text(label, noise, summary["noise_unit"][channel]))
     for line in (*search_lines(summary), *kept_lines(summary["kept"])):
         show_line(line)
     show_warnings(warnings)
@@ -283,7 +306,12 @@ def search_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def kept_lines(widths: Mapping[str, float | None]) -> list[str]:
-    """Lines on numbers that the flight does not identify, by the deviation that it leaves, in those of the laws."""
+    """Lines on the numbers that the flight does not identify, which keep their laws.
+
+    Args:
+        widths: Standard deviation that the flight leaves to each number, relative to that of its law, by name; None:
+            the output does not depend on the number.
+    """
     lines = []
     for name, width in widths.items():
         remark = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"

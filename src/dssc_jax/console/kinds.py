@@ -1,6 +1,6 @@
 """Describe and print every kind of model and part with its fields, from the registries and the parameter types."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias, TypedDict, cast
 
@@ -21,10 +21,14 @@ from dssc_jax.study.slots import REGISTRIES
 FieldRow: TypeAlias = tuple[str, str, str, str, str]
 """A field of a kind: its name, and the texts of the other columns of :data:`KIND_COLUMNS`."""
 
-TRAJECTORY = "trajectory"
-HEADS = {TRAJECTORY: "reference, of a plant of several channels"}
+HEADS = {"trajectory": "reference, of a plant of several channels"}
+"""Heads of the tables of a study that are not headed by their own name."""
 REQUIRED = "required"
+"""Stands in the place of a default value where a field has none."""
 KIND_COLUMNS = ("field", "unit", "meaning", "admissible", "default")
+"""Columns of the table of a kind's fields."""
+LIST_REMARKS = {0: "", 1: " (a list)", 2: " (a list of rows)"}
+"""Remark on a field of numbers, by the number of lists around each number."""
 
 
 class KindDescription(TypedDict):
@@ -34,7 +38,7 @@ class KindDescription(TypedDict):
         summary: The kind in one line.
         fields: Names of its fields.
         options: Possible values of each option.
-        about: Unit, meaning, admissible values and default of each field, by column.
+        about: Unit, meaning, admissible values and default of each field, by the name of the field and of the column.
     """
 
     summary: str
@@ -52,7 +56,7 @@ class MetricDescription(TypedDict):
 
 
 def registries() -> dict[str, Registry]:
-    """All registries by the table of a study that chooses from them: models first, then the parts of models."""
+    """Return all registries by the table of a study that chooses from them: models first, then parts of models."""
     by_table = dict(REGISTRIES)
     for slot, registry in REGISTRIES.items():
         for entry in registry.values():
@@ -61,7 +65,7 @@ def registries() -> dict[str, Registry]:
 
 
 def part_registries(params: type, table: str) -> dict[str, Registry]:
-    """The registries of all slots in a parameter type, by the dotted name of the slot's table.
+    """Return the registries of all slots in a parameter type, and in the parts that fill them, by dotted name.
 
     Args:
         params: The parameter type.
@@ -97,7 +101,7 @@ def description_of(entry: Entry) -> KindDescription:
 
 
 def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
-    """Unit, meaning, admissible values and default of each field, by the name of the column."""
+    """Return the cells of each row, by the name of the field and of the column."""
     columns = {}
     for name, *values in rows:
         columns[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
@@ -105,12 +109,14 @@ def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
 
 
 def options_of(entry: Entry) -> dict[str, list[str]]:
-    """The possible values of a registry row's option, by the option's name; empty without an option."""
-    return {entry.option: [key.value for key in entry.members]} if entry.option else {}
+    """Return the possible values of a registry row's option, by the option's name; empty without an option."""
+    if entry.option is None:
+        return {}
+    return {entry.option: [key.value for key in entry.members]}
 
 
 def rows_of(entry: Entry) -> list[FieldRow]:
-    """One row for each field of a kind; nested fields have dotted names."""
+    """Return a row for each field of a kind; nested fields have dotted names."""
     params = params_of(entry)
     preset = getattr(entry.default_member, "defaults", None)
     rows: list[FieldRow] = [(name, "", meaning, "", "") for name, meaning in entry.keys.items()]
@@ -121,7 +127,7 @@ def rows_of(entry: Entry) -> list[FieldRow]:
 
 
 def parameter_rows(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[FieldRow]:
-    """One row for each field of a parameter type, and for each field nested in it.
+    """Yield a row for each field of a parameter type, and for each field nested in it.
 
     Args:
         params: The parameter type.
@@ -135,7 +141,7 @@ def parameter_rows(params: type, prefix: str, preset: "NamedTuple | None") -> It
 
 
 def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow]:
-    """The rows of one field: several for a table or a list of tables, else one.
+    """Yield the rows of one field: several for a table or a list of tables, else one.
 
     Args:
         spec: Specification of the field.
@@ -151,10 +157,10 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
         yield f"{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
         yield from parameter_rows(spec.named_type, f"{name}.NAME.", None)
     elif spec.item_type is not None:
-        presets = default if isinstance(default, tuple) and default else (None,)
-        count = "none" if presets == (None,) else f"{len(presets)} tables"
+        presets = default if isinstance(default, tuple) else ()
+        count = f"{len(presets)} tables" if presets else "none"
         yield name, "", "a list of tables, each with the entries below", "", count
-        for index, preset in enumerate(presets):
+        for index, preset in enumerate(presets or (None,)):  # without defaults, one table shows the entries
             yield from parameter_rows(spec.item_type, f"{name}.{index}.", preset)
     elif spec.is_nested:
         if default is None:
@@ -166,22 +172,10 @@ def field_rows(spec: FieldSpec, name: str, default: object) -> Iterator[FieldRow
 
 
 def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
-    """Unit, meaning and admissible values of a field that is not a table."""
+    """Return unit, meaning and admissible values of a field that is not a table."""
     quantity = spec.mark
     if isinstance(quantity, Quantity):
-        meaning = quantity.meaning + ("", " (a list)", " (a list of rows)")[spec.depth]
-        limits = []
-        for sign, limit in (
-            (">", quantity.above),
-            (">=", quantity.at_least),
-            ("<", quantity.below),
-            ("<=", quantity.at_most),
-        ):
-            if limit is not None:
-                limits.append(f"{sign} {limit:g}")
-        if not quantity.law:
-            limits.append("no law")
-        return quantity.unit, meaning, ", ".join(limits)
+        return quantity.unit, f"{quantity.meaning}{LIST_REMARKS[spec.depth]}", limits_text(quantity)
     if spec.is_text:
         return "", "text", ""
     if isinstance(spec.hint, type) and issubclass(spec.hint, Enum):
@@ -189,8 +183,20 @@ def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
     return "", "option", "true | false"
 
 
+def limits_text(quantity: Quantity) -> str:
+    """List the bounds of a quantity's values, and whether they may not have a law; empty if all is admissible."""
+    limits = []
+    bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
+    for sign, bound in bounds.items():
+        if bound is not None:
+            limits.append(f"{sign} {bound:g}")
+    if not quantity.law:
+        limits.append("no law")
+    return ", ".join(limits)
+
+
 def default_text(default: object) -> str:
-    """Format a default value as it would stand in a study file."""
+    """Format a default value as it would stand in a study file; "absent" for None and an empty text."""
     if isinstance(default, Enum):
         return str(default.value)
     if isinstance(default, tuple):
@@ -205,7 +211,11 @@ def default_text(default: object) -> str:
 
 
 def entry_of(model: Any, name: str) -> Entry:
-    """The registry row of an object that a user imports: a row itself, a model, or a type or preset of parameters.
+    """Return the registry row of an object that a user imports.
+
+    Args:
+        model: The object: a registry row, a model, a type of parameters, or a preset of parameters.
+        name: Name of the object, for messages.
 
     Raises:
         ConfigError: The object is none of these.
@@ -221,7 +231,7 @@ def entry_of(model: Any, name: str) -> Entry:
 
 
 def entries_named(name: str) -> dict[str, Entry]:
-    """The registry rows of all kinds with a name, by table; empty if the name is that of a law, metric or field.
+    """Return the registry rows of all kinds with a name, by table; empty if only a law, metric or field has it.
 
     Args:
         name: The name; or ``module:OBJECT``, a user's own model, which is imported.
@@ -234,16 +244,28 @@ def entries_named(name: str) -> dict[str, Entry]:
     by_table = registries()
     entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
     if not entries and name not in LAWS and name not in PACKAGE_METRICS and not fields_named(name):
-        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | PACKAGE_METRICS.keys()
-        for registry in by_table.values():
-            for entry in registry.values():
-                valid |= {row[0] for row in rows_of(entry) if "." not in row[0]}
-        raise ConfigError(name, f"is no kind and no field; {nearest(name, valid)}")
+        raise ConfigError(name, f"is no kind and no field; {nearest(name, all_names(by_table))}")
     return entries
 
 
+def all_names(by_table: Mapping[str, Registry]) -> set[str]:
+    """Collect the names of all kinds, laws, metrics, and fields that are not nested.
+
+    Args:
+        by_table: All registries, see :func:`registries`.
+    """
+    names = {*LAWS, *PACKAGE_METRICS}
+    for registry in by_table.values():
+        names.update(registry)
+        for entry in registry.values():
+            for field, *_ in rows_of(entry):
+                if "." not in field:
+                    names.add(field)
+    return names
+
+
 def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
-    """The rows of all fields with a name, and of the fields nested in them, by table and kind."""
+    """Return the rows of all fields with a name, and of the fields nested in them, by table and kind."""
     rows_by_kind: dict[tuple[str, str], list[FieldRow]] = {}
     for slot, registry in registries().items():
         for kind, entry in registry.items():
@@ -254,7 +276,7 @@ def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
 
 
 def described_name(name: str) -> dict[str, Any]:
-    """Describe all that has a name, as :func:`show_kind` prints it, for JSON.
+    """Describe for JSON what has a name: kinds, fields, a law, a metric.
 
     Arguments and errors are those of :func:`entries_named`.
     """
@@ -280,7 +302,7 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print all that has this name: kinds with their fields, a law, a metric, and the kinds that have such a field.
+    """Print what has a name: a law, a metric, kinds with their fields, and the kinds that have such a field.
 
     Arguments and errors are those of :func:`entries_named`.
     """
@@ -301,5 +323,10 @@ def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
     """Print rows of fields under a title, and a remark if they have units that depend on the plant."""
     show_paragraph(title)
     show_table(KIND_COLUMNS, rows)
-    if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
+    if any(depends_on_plant(unit) for _, unit, *_ in rows):
         show_paragraph("y and u are the units of the plant's output and of its command")
+
+
+def depends_on_plant(unit: str) -> bool:
+    """Whether a unit contains y or u, so that two plants with different units give it different names."""
+    return UNNAMED_UNITS.of(unit) != POSITION.of(unit)

@@ -11,7 +11,12 @@ from dssc_jax.statistics.divergence_balls import BALLS
 
 
 def show_laws(errors: LawErrors, files: list[Path]) -> None:
-    """Print how far all laws may be wrong together and each law alone, and what follows from stated amounts."""
+    """Print how far all laws together and each law alone may be wrong, and what follows from stated amounts.
+
+    Args:
+        errors: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = errors.answer
     show_required(errors.study.name, answer.requirements)
     failure = answer.failure
@@ -32,7 +37,7 @@ def show_laws(errors: LawErrors, files: list[Path]) -> None:
 
 
 def show_all_laws(answer: LawErrorsAnswer) -> None:
-    """Print how far all laws together may be wrong: by divergence, by shift of the means, and by width."""
+    """Print how far all laws together may be wrong: as a divergence, a shift of all means, and a relative width."""
     rows = []
     for name, ball in BALLS.items():
         estimate = getattr(answer.estimates, name)
@@ -66,7 +71,7 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
 
 def show_each_law(errors: LawErrors) -> None:
     """Print how far each law alone may be wrong; the law with the smallest admissible shift comes first."""
-    laws = sorted(errors.answer.by_law.items(), key=lambda entry: least_shift_first(entry[1]))
+    laws = sorted(errors.answer.by_law.items(), key=lambda item: least_shift_first(item[1]))
     quantities = errors.study.quantities
     rows = []
     for name, law in laws:
@@ -79,8 +84,12 @@ def show_each_law(errors: LawErrors) -> None:
 
 
 def show_value_of_knowledge(errors: LawErrors) -> None:
-    """Print the variance that knowledge of each number removes, and the quantiles of the number in failed draws."""
-    laws = sorted(errors.answer.by_law.items(), key=lambda entry: removed_variance(entry[1]), reverse=True)
+    """Print what it would be worth to know each number better, and the number's quantiles in draws that fail.
+
+    The worth is the share of the variance of failure that the knowledge removes, and how often it changes the
+    decision.
+    """
+    laws = sorted(errors.answer.by_law.items(), key=lambda item: removed_variance(item[1]), reverse=True)
     parts = 0
     rows = []
     for name, law in laws:
@@ -109,12 +118,12 @@ def show_value_of_knowledge(errors: LawErrors) -> None:
 
 
 def removed_variance(law: LawError) -> float:
-    """Share of the variance that knowledge of the number removes; 0 where no share was computed."""
+    """Return the share of the variance that knowledge of the number removes; 0 if it was not computed."""
     return law.knowledge.removed if law.knowledge else 0.0
 
 
 def share_text(value: float, interval: tuple[float, float]) -> str:
-    """Format a share with its interval in per cent."""
+    """Format a share and its interval in per cent; the arguments are shares of 1."""
     low, high = interval
     return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
@@ -132,11 +141,14 @@ def show_fresh_draws(answer: LawErrorsAnswer) -> None:
 
 
 def least_shift_first(law: LawError) -> tuple[float, float]:
-    """Sort key of a law: the admissible shift of its mean by the estimate, and among equals that with confidence."""
+    """Return a law's key for sorting: the estimated admissible shift of its mean, then the one with confidence.
+
+    An estimate of None means that no shift reaches the limit; such laws come last.
+    """
     estimate = law.mean_shift_estimate
     return (math.inf if estimate is None else estimate, law.mean_shift)
 
 
 def amount_text(value: float | None) -> str:
-    """Format the amount at which the limit is reached; None: it is not reached."""
+    """Format the amount at which the limit is reached; "not reached" for None."""
     return "not reached" if value is None else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Print the controllers that a library in C exports, and the lines with which a study names it."""
+"""Print the controllers that a library in C exports, and the lines by which a study uses it."""
 
 from pathlib import Path
 from typing import TypedDict
@@ -17,7 +17,15 @@ from dssc_jax.models.controllers.library import KIND
 
 
 class ParameterSummary(TypedDict):
-    """A parameter of a controller; ``default_admissible`` tells whether the default is an admissible value."""
+    """A parameter of a controller.
+
+    Args:
+        default: Default value.
+        unit: Unit.
+        meaning: Meaning.
+        admissible: Interval of the admissible values.
+        default_admissible: Whether the default lies in this interval.
+    """
 
     default: float
     unit: str
@@ -89,7 +97,12 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
 
 
 def show_library(library: NativeLibrary, file: Path) -> None:
-    """Print the controllers of a library with warnings, and the lines with which a study names it."""
+    """Print the controllers of a library with warnings, and the lines by which a study uses the library.
+
+    Args:
+        library: The library.
+        file: Its path, for these lines.
+    """
     for name, summary in library_summary(library)["controllers"].items():
         memory = f"{summary['bytes']} bytes a flight"
         show_line(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
@@ -110,7 +123,8 @@ def show_library(library: NativeLibrary, file: Path) -> None:
                 show_line(f"warning: {default}, is not {number['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
             show_line(f"warning: {parameter} {WITHOUT_EFFECT}")
-        if bad_samples := summary["samples_not_finite"]:
+        bad_samples = summary["samples_not_finite"]
+        if bad_samples:
             trial = f"{bad_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             show_line(f"warning: its command is not finite in {trial}")
     show_line(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")

@@ -1,4 +1,6 @@
-"""Print the content of a log."""
+"""Print what a log of a flight contains: its span, damage, topics and fields."""
+
+import math
 
 from dssc_jax.console.terminal import show_line, show_table
 from dssc_jax.flight_logs.reading.clocks import ClockStep
@@ -7,15 +9,17 @@ from dssc_jax.flight_logs.reading.resets import reset_list
 from dssc_jax.flight_logs.reading.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
-"""Printed entries of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
+"""Entries of a log's system that are printed: name, hardware (PX4_SITL: simulated) and version of the software."""
 NO_TIMES = "no column of times with numbers (t, or a name that begins with time, stamp or seconds)"
+"""Printed in place of the duration of a log without times."""
 DERIVED_MARK = "*"
+"""Marks a field that was converted to the axes of the model."""
 LONGEST_LOG = 1e6
-"""Times beyond this [s] are those of an absolute clock or of damage, and are printed with four digits."""
+"""Times beyond this [s] come from an absolute clock or from damage. They are printed with four digits only."""
 
 
 def show_log(log: LogContents) -> None:
-    """Print a log's span, segments, damage and topics, or in place of the topics the requested fields."""
+    """Print a log's span, segments and damage, and then the requested fields, or the topics if none are requested."""
     for line in (*span_lines(log), *damage_lines(log), *clock_lines(log), *validity_lines(log)):
         show_line(line)
     if log.topics and not log.fields:
@@ -89,22 +93,24 @@ def validity_lines(log: LogContents) -> list[str]:
 
 
 def step_text(step: ClockStep) -> str:
-    """Both ends of a step of the clock, to the millisecond."""
+    """Format the times before and after a step of the clock, to the millisecond."""
     texts = [f"{value:.3f}" if abs(value) < LONGEST_LOG else f"{value:.4g}" for value in step.stamps]
     return f"from {texts[0]} s to {texts[1]} s"
 
 
 def topic_row(topic: LogTopic) -> tuple[str, ...]:
     """A row on a topic: name, number of messages, rate [1/s], first and last time [s]."""
-    return (topic.name, f"{topic.messages:,}", *map(four_digits, (topic.rate, topic.first, topic.last)))
+    numbers = [four_digits(value) for value in (topic.rate, topic.first, topic.last)]
+    return (topic.name, f"{topic.messages:,}", *numbers)
 
 
 def field_row(field: FieldValues) -> tuple[str, ...]:
     """A row on a field: name, number of finite values, and lowest, median and highest value."""
     mark = DERIVED_MARK if field.derived else ""
-    return (field.name + mark, f"{field.finite:,}", *map(four_digits, (field.lowest, field.median, field.highest)))
+    numbers = [four_digits(value) for value in (field.lowest, field.median, field.highest)]
+    return (f"{field.name}{mark}", f"{field.finite:,}", *numbers)
 
 
 def four_digits(value: float) -> str:
     """Format a number with four digits; empty for NaN."""
-    return "" if value != value else f"{value:.4g}"
+    return "" if math.isnan(value) else f"{value:.4g}"

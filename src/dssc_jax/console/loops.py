@@ -19,11 +19,11 @@ from dssc_jax.study import Described, Study
 ROUNDING = 1e-6
 """Largest relative difference between the margins of two break points that counts as rounding."""
 HIGH_USE = 0.9
-"""Used share of the points above which ``--points`` is suggested."""
+"""If the search used more than this share of its points, the option ``--points`` is suggested."""
 
 
 def decibels(factor: float) -> str:
-    """Format a gain margin as a factor and in decibels."""
+    """Format a gain margin as a factor and in decibels; "none" for 0."""
     return f"{factor:.4g} ({20.0 * math.log10(factor):.3g} dB)" if factor > 0.0 else "none"
 
 
@@ -83,7 +83,12 @@ def crossings_text(frequencies: Sequence[float]) -> str:
 
 
 def show_loop(margins: LoopMargins, files: list[Path]) -> None:
-    """Print a table of margins for each operating point and break point."""
+    """Print a table of margins for each operating point and break point.
+
+    Args:
+        margins: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = margins.answer
     draws = answer.draws
     show_head(margins.study.name, f"{draws} draws, T_s = {answer.sample_time:g} s")
@@ -119,15 +124,14 @@ def merged_break_points(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, 
     Returns:
         The statistics, by the names of all break points that have them.
     """
-    groups: list[tuple[list[str], LoopStatistics]] = []
-    for name, statistics in loops.items():
-        for names, margins in groups:
-            if have_equal_margins(margins, statistics):
-                names.append(name)
-                break
-        else:
-            groups.append(([name], statistics))
-    return {tuple(names): statistics for names, statistics in groups}
+    merged: dict[tuple[str, ...], LoopStatistics] = {}
+    unmerged = list(loops)
+    while unmerged:
+        first, *later = unmerged
+        equal = [name for name in later if have_equal_margins(loops[first], loops[name])]
+        merged[first, *equal] = loops[first]
+        unmerged = [name for name in later if name not in equal]
+    return merged
 
 
 def have_equal_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
@@ -144,10 +148,10 @@ def have_equal_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
 def margin_rows(statistics: LoopStatistics) -> list[tuple[str, ...]]:
     """One row for each margin of a loop: title, median, tolerance limit and worst value over the draws."""
     rows = []
-    for name, (title, form) in MARGIN_ROWS.items():
+    for name, (title, format_value) in MARGIN_ROWS.items():
         margin = statistics.margins[name]
-        numbers = (margin.median, margin.tolerance_limit, margin.worst)
-        rows.append((title, *(margin_text(number, form) for number in numbers)))
+        cells = [margin_text(value, format_value) for value in (margin.median, margin.tolerance_limit, margin.worst)]
+        rows.append((title, *cells))
     return rows
 
 
@@ -183,7 +187,7 @@ def has_linear_plant(study: Study | Described) -> bool:
 
 
 def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, level: str) -> str:
-    """Tell why draws have no margin at a break point, and whether a limit can exist; empty if all draws have margins.
+    """Tell why some draws have no margin at a break point, and whether a limit exists; empty if all have margins.
 
     Args:
         statistics: Statistics of the break point.
@@ -201,21 +205,26 @@ def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, le
     return "; ".join(reasons)
 
 
-def margin_text(value: float, form: Callable[[float], str]) -> str:
-    """Format a margin; a dash if it is infinite, as that of a loop without margins is."""
-    return form(value) if math.isfinite(value) else "-"
+def margin_text(value: float, format_value: Callable[[float], str]) -> str:
+    """Format a margin by a function; a dash if it is infinite or NaN, as for a loop without margins."""
+    return format_value(value) if math.isfinite(value) else "-"
 
 
 def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
-    """Print the worst margins of each break point: drawn, found by the search, and bounded over the box of the laws."""
+    """Print the worst margins at each break point: drawn, found by the search, and bounded over the box of the laws.
+
+    Args:
+        worst: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = worst.answer
     show_head(worst.study.name, worst.headline)
     for broken_at, loop in answer.loops.items():
         rows = []
         for name, margin in loop.margins.items():
-            title, form = MARGIN_ROWS[name]
-            values = (margin.drawn, margin.found, margin.bounded)
-            rows.append((title, *(margin_text(value, form) for value in values), values_text(margin.numbers)))
+            title, format_value = MARGIN_ROWS[name]
+            cells = [margin_text(value, format_value) for value in (margin.drawn, margin.found, margin.bounded)]
+            rows.append((title, *cells, values_text(margin.numbers)))
         head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
         show_line(growth_text(loop))

@@ -1,4 +1,4 @@
-"""Print critical values of one number: of a loop, of several controllers, and beside theory."""
+"""Print the critical values of one number: for one loop, for several controllers, and beside theory."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,15 +19,16 @@ from dssc_jax.console.terminal import (
 from dssc_jax.statistics import CONFIDENCE, wilks_draws
 
 SHARES = ("fail at the start already", "pass the whole way", "pass again beyond a failure")
+"""Titles of the shares of draws that have no critical value on the walk, or more than one."""
 MOST_DRAWS = 0.5
-"""If more than this share of the draws fails at the start and passes further on, LO may not be the safe end."""
+"""If more than this share of the draws fails at the start and passes later, the walk may begin at the wrong end."""
 
 
 def value_text(value: float | None, end: float, unit: str = "") -> str:
     """Format a quantile of the critical values, and mark it if it lies outside the walk.
 
     Args:
-        value: The quantile; None: before the start of the walk.
+        value: The quantile; None: before the start of the walk; equal to ``end``: at the end or beyond.
         end: End of the walk.
         unit: Unit of both.
     """
@@ -38,7 +39,14 @@ def value_text(value: float | None, end: float, unit: str = "") -> str:
 
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
-    """Format the lower tolerance limit of the critical values, or tell how many draws it would need."""
+    """Format the lower tolerance limit of the critical values, or tell how many draws it would need.
+
+    Args:
+        limit: The limit; None: before the start of the walk.
+        draws: Number of draws.
+        end: End of the walk.
+        unit: Unit of the limit and of the end.
+    """
     least_draws = wilks_draws(CONTENT, CONFIDENCE)
     if draws < least_draws:
         return f"none of {draws} draws, {least_draws} are needed"
@@ -46,14 +54,22 @@ def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") 
 
 
 def show_margins(margins: Margins, files: list[Path]) -> None:
-    """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved."""
+    """Print statistics of the critical values, what Theorem 1 certifies, and how far the loop is proved.
+
+    Args:
+        margins: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = margins.answer
     start, end = answer.bounds
     show_required(margins.study.name, answer.criterion)
     limit = tolerance_text(answer.lower_tolerance, answer.draws, end, answer.unit)
+    walk = f"{start:g} to {end:g}"
+    if answer.unit != "1":
+        walk += f" {answer.unit}"
     rows = [
         ("draws", str(answer.draws)),
-        ("walk", f"{start:g} to {end:g}{'' if answer.unit == '1' else f' {answer.unit}'}"),
+        ("walk", walk),
         ("median critical value", value_text(answer.median, end, answer.unit)),
         ("95 % of all draws pass up to (confidence 95 %, Wilks)", limit),
         *zip(SHARES, share_texts(answer), strict=True),
@@ -81,7 +97,12 @@ def show_proof_statement(proof: Mapping[str, object] | None) -> None:
 
 
 def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
-    """Print the margins of each controller on the same draws, and the paired differences."""
+    """Print the margins of each controller on the same draws, and the paired differences.
+
+    Args:
+        contest: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = contest.answer
     start, end = answer.bounds
     show_head(contest.study.name, f"{answer.draws} draws; required: {'; '.join(answer.criterion)}")
@@ -102,7 +123,14 @@ def show_margin_contest(contest: MarginContest, files: list[Path]) -> None:
 
 
 def show_theory(assessment: Assessment, files: list[Path]) -> None:
-    """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies."""
+    """Print local and simulated margins, predicted and simulated oscillations, and what Theorem 1 certifies.
+
+    Of the values of mu at which an oscillation is predicted, the first, the middle one and the last are printed.
+
+    Args:
+        assessment: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = assessment.answer
     start, end = answer.bounds
     show_head(assessment.study.name, f"{answer.draws} draws, {answer.parameter}")
@@ -114,9 +142,11 @@ def show_theory(assessment: Assessment, files: list[Path]) -> None:
     show_table(head, rows, f"walk from {start:g} to {end:g}")
     rows = []
     for name, oscillation in answer.oscillations.items():
-        for k in (0, len(oscillation.mu) // 2, -1):
-            text = number_text(oscillation.predicted[k])
-            rows.append((name, f"{oscillation.mu[k]:.3g}", f"{oscillation.amplitude[k]:.3g}", text))
+        middle = len(oscillation.mu) // 2
+        for index in (0, middle, -1):
+            predicted = number_text(oscillation.predicted[index])
+            simulated = f"{oscillation.amplitude[index]:.3g}"
+            rows.append((name, f"{oscillation.mu[index]:.3g}", simulated, predicted))
     if rows:
         show_table(("oscillation", "mu [s]", "amplitude of sigma [output/s]", "by describing function"), rows)
     show_line(answer.certificate.text)

@@ -7,7 +7,7 @@ from typing import Any
 from dssc_jax.console.terminal import show_line, show_table
 
 MOST_LISTED = 12
-"""Largest number of boxes without a proof, or of invalid certificates, that are listed."""
+"""Largest number of unproved boxes, or of invalid certificates, that are printed."""
 
 
 def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str]) -> None:
@@ -15,18 +15,20 @@ def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str
 
     Args:
         summary: Summary of the proof.
-        path: File of the certificate, if one was written.
+        path: File of the certificate; None: none was written.
         remarks: Further lines; empty ones are left out.
     """
     show_line(summary["statement"])
-    if any(failure["box"] for failure in summary["failures"]):  # a vehicle is no box: the statement has the reason
+    has_boxes = any(failure["box"] for failure in summary["failures"])  # for a vehicle, the statement has the reason
+    if has_boxes:
         rows = []
         for failure in summary["failures"][:MOST_LISTED]:
             ranges = [f"{low:.4g} .. {high:.4g}" for low, high in failure["box"].values()]
             rows.append((*ranges, failure["text"]))
         show_table((*summary["failures"][0]["box"], "not proved because"), rows)
-    for remark in filter(None, remarks):
-        show_line(remark)
+    for remark in remarks:
+        if remark:
+            show_line(remark)
     if path is not None:
         show_line(f"wrote {path}")
 
@@ -49,7 +51,7 @@ def show_sweep_verdicts(points: int, certificate_count: int, reasons: list[str])
     Args:
         points: Number of points of the sweep.
         certificate_count: Number of certificates.
-        reasons: Why each other certificate is not valid.
+        reasons: Why a certificate is not valid, one reason for each such certificate.
     """
     valid_count = certificate_count - len(reasons)
     text = f"{valid_count} of {certificate_count} certificates are valid; the sweep has {points} points"

@@ -1,4 +1,4 @@
-"""Print the failure probability over ranges of laws."""
+"""Print the failure probability over all laws whose arguments lie within ranges."""
 
 from pathlib import Path
 
@@ -8,7 +8,12 @@ from dssc_jax.console.terminal import show_files, show_line, show_paragraph, sho
 
 
 def show_ranges(ranges: LawRanges, files: list[Path]) -> None:
-    """Print the failure probability over all laws within their ranges, and the best and the worst of these laws."""
+    """Print the interval of the failure probability over all laws, and the laws with the lowest and the highest one.
+
+    Args:
+        ranges: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = ranges.answer
     show_required(ranges.study.name, answer.requirements)
     show_line(ranges.headline)

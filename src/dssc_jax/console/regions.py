@@ -1,4 +1,4 @@
-"""Print the region in which two numbers are safe."""
+"""Print the region of two numbers in which enough plants meet the requirements."""
 
 from pathlib import Path
 
@@ -8,7 +8,12 @@ from dssc_jax.results.schema import name_with_unit
 
 
 def show_region(region: SafeRegion, files: list[Path]) -> None:
-    """Print how many pairs of values meet the requirements, the safe ranges, and the claim."""
+    """Print how many pairs of values are safe, the safe ranges, the confidence, and what Theorem 1 certifies.
+
+    Args:
+        region: The region.
+        files: Files that were written, whose paths are printed.
+    """
     answer = region.answer
     show_required(region.study.name, answer.requirements)
     share = f"{100 * answer.passing:g} %"
@@ -27,8 +32,8 @@ def show_region(region: SafeRegion, files: list[Path]) -> None:
 
 
 def show_safe_ranges(answer: RegionAnswer) -> None:
-    """Print the safe ranges of the second number at some values of the first."""
-    first, second = map(name_with_unit, answer.names, answer.units)
+    """Print the safe ranges of the second number at some values of the first number."""
+    first, second = [name_with_unit(name, unit) for name, unit in zip(answer.names, answer.units, strict=True)]
     rows = []
     for line in answer.safe_ranges:
         ranges = "; ".join(f"{low:.4g} to {high:.4g}" for low, high in line.second)

@@ -1,4 +1,4 @@
-"""Print results: a run, a sweep."""
+"""Print the result of a run or a sweep."""
 
 import math
 from itertools import islice
@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from dssc_jax.study import Study
 
 MOST_ROWS = 40
+"""Largest number of points of a sweep that are printed, one in each row."""
 MOST_COLUMNS = 24
+"""Largest number of columns of a table over two axes."""
 MOST_PAIRED = 6
 """Largest number of points of a sweep whose failures are compared with those of the first, draw by draw."""
 PROBABILITY_HEAD = ("probability", "95 % interval")
+"""Heads of the cells of :func:`failure_cells` after the first."""
 VERDICT_MARKS = {True: "yes", False: "no", None: "-"}
+"""Texts of the verdict of Theorem 1; None: the theorem does not apply."""
 
 
 def show_result(result: "Result") -> None:
@@ -43,14 +47,15 @@ def show_result(result: "Result") -> None:
         show_points(result)
         if not result.has_equal_draws:
             show_paired_differences(result)
-    for text in filter(None, (result.design_reason, idle_text(result), result.certificate, result.integration)):
-        show_paragraph(text)
+    for text in (result.design_reason, idle_text(result), result.certificate, result.integration):
+        if text:
+            show_paragraph(text)
     show_times(result)
     show_line(f"result  {result.path}")
 
 
 def show_single_point(result: "Result") -> None:
-    """Print the failure probability of a run, the effect of its design and stopping rule, and tables of its metrics."""
+    """Print the failure probability of a run, the effects of its design and stopping rule, and tables of metrics."""
     if not result.has_equal_draws:
         show_paragraph(describe_probability(result.failed.values, result.method))
     effect = result.design_effect
@@ -65,7 +70,7 @@ def show_single_point(result: "Result") -> None:
 
 
 def show_times(result: "Result") -> None:
-    """Print the time and the speed of a run, and the workers of a cluster."""
+    """Print how long a run took, its speed, and the workers if a cluster computed it."""
     times = result.manifest["times"]
     margins = times.get("margin_seconds", 0.0)
     margins_text = f" and {margins:.1f} s for margins" if margins else ""
@@ -79,7 +84,7 @@ def show_times(result: "Result") -> None:
 
 
 def equal_draws_text(result: "Result") -> str:
-    """Tell that all draws are the same, what follows, and how to change it."""
+    """Tell that all draws are the same, that there is no interval therefore, and how to change it."""
     draws = result.study.config.draws
     remedy = "set draws = 1, or give uncertain numbers, disturbances or sensors their laws"
     text = f"nothing in the study is random, so all {draws} draws are the same, and there is no interval: {remedy}"
@@ -90,7 +95,7 @@ def equal_draws_text(result: "Result") -> str:
 
 
 def design_effect_text(effect: "DesignEffect", draws: int) -> str:
-    """Tell how many independent draws an interval as narrow as that of a design would take.
+    """Tell how many independent draws would give an interval as narrow as that of a design.
 
     Args:
         effect: Variance under the design, relative to independent draws.
@@ -106,13 +111,15 @@ def design_effect_text(effect: "DesignEffect", draws: int) -> str:
 def show_paired_differences(result: "Result") -> None:
     """Print how the failure probability of a short sweep over one axis differs from that at its first value.
 
-    All values share the draws, so the paired difference is sharper than the intervals at both values suggest.
+    All values share the draws. Therefore the paired difference is sharper than the intervals at both values suggest.
+    Nothing is printed for other sweeps, and for draws that are not independent.
     """
     axes = result.study.axes
-    values = [value for axis in axes.values() for value in axis]
-    if len(axes) != 1 or not 2 <= len(values) <= MOST_PAIRED or not result.study.config.independent:
+    if len(axes) != 1 or not result.study.config.independent:
         return
-    (name,) = axes
+    ((name, values),) = axes.items()
+    if not 2 <= len(values) <= MOST_PAIRED:
+        return
     failures = result.failed.transpose(name, "draw").values
     rows = []
     for value, failed in zip(values[1:], failures[1:], strict=True):
@@ -129,45 +136,53 @@ def show_figures(figures: list[Path]) -> None:
     show_line(f"figures {', '.join(map(str, figures))}")
 
 
-def show_point(study: "Study", point: SummaryRow, equal: bool) -> None:
+def show_point(study: "Study", point: SummaryRow, draws_equal: bool) -> None:
     """Print violations of each requirement and of pairs of them, early ends, and quantiles of the metrics.
 
     Args:
         study: The study.
         point: Summary of its only point.
-        equal: Whether all draws are the same, so that intervals are left out.
+        draws_equal: Whether all draws are the same, so that intervals are left out.
     """
-    probability_head = () if equal else PROBABILITY_HEAD
+    probability_head = () if draws_equal else PROBABILITY_HEAD
     if point["requirements"]:
         head = ("requirement", "violated by", *probability_head, "by it alone", "first", "median time [s]")
-        show_table(head, requirement_rows(study, point, equal))
+        show_table(head, requirement_rows(study, point, draws_equal))
     for text in missing_value_texts(point):
         show_paragraph(text)
     if point["overlaps"]:
         head = ("both", "violated by", *probability_head, "not by early ends")
-        show_table(head, overlap_rows(point, equal))
+        show_table(head, overlap_rows(point, draws_equal))
     if point["ended_early"]:
         show_paragraph(f"ended early, and so violated every requirement: {early_ends_text(study, point)}")
-    levels = {"q50": "of every draw"} if equal else {"q5": "5 %", "q50": "median", "q95": "95 %"}
-    show_table(("metric (ended early: inf)", *levels.values()), metric_rows(study, point, list(levels), equal))
+    titles = {"q50": "of every draw"} if draws_equal else {"q5": "5 %", "q50": "median", "q95": "95 %"}
+    rows = metric_rows(study, point, list(titles), draws_equal)
+    show_table(("metric (ended early: inf)", *titles.values()), rows)
 
 
-def requirement_rows(study: "Study", point: SummaryRow, equal: bool) -> list[tuple[str, ...]]:
-    """One row for each requirement: the draws that violate it, alone and first, and the median time of violation."""
+def requirement_rows(study: "Study", point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
+    """One row for each requirement: how many draws violate it, alone and first, and the median time of violation [s].
+
+    Arguments as for :func:`show_point`.
+    """
     rows = []
     for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
-        cells = failure_cells(requirement, point["draws"], equal)
+        cells = failure_cells(requirement, point["draws"], draws_equal)
         time = requirement["violated_at"]
         time_text = "-" if time is None else f"{time:.4g}"
         rows.append((rule.short, *cells, str(requirement["alone"]), str(requirement["first"]), time_text))
     return rows
 
 
-def overlap_rows(point: SummaryRow, equal: bool) -> list[tuple[str, ...]]:
-    """One row for each pair of requirements: the draws that violate both."""
+def overlap_rows(point: SummaryRow, draws_equal: bool) -> list[tuple[str, ...]]:
+    """One row for each pair of requirements: how many draws violate both, and how many of these ran to their end.
+
+    Arguments as for :func:`show_point`.
+    """
     rows = []
     for pair in point["overlaps"]:
-        rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"], equal), str(pair["draws"])))
+        cells = failure_cells(pair, point["draws"], draws_equal)
+        rows.append((" and ".join(pair["names"]), *cells, str(pair["draws"])))
     return rows
 
 
@@ -181,18 +196,31 @@ def early_ends_text(study: "Study", point: SummaryRow) -> str:
     return ", ".join(texts)
 
 
-def metric_rows(study: "Study", point: SummaryRow, levels: list[str], equal: bool) -> list[tuple[str, ...]]:
-    """One row for each metric: its quantiles at the levels, with intervals unless all draws are the same."""
+def metric_rows(study: "Study", point: SummaryRow, levels: list[str], draws_equal: bool) -> list[tuple[str, ...]]:
+    """One row for each metric: its quantiles at the levels, with intervals unless all draws are the same.
+
+    Args:
+        study: The study, for the units.
+        point: Summary of a point.
+        levels: Names of the quantiles in the summary, such as ``q50``.
+        draws_equal: Whether all draws are the same.
+    """
     units = {measure.name: measure.unit for measure in study.measures}
     rows = []
     for name, quantiles in point["metrics"].items():
-        cells = [quantile_text(quantiles, level, with_interval=not equal) for level in levels]
+        cells = [quantile_text(quantiles, level, with_interval=not draws_equal) for level in levels]
         rows.append((name_with_unit(name, units[name]), *cells))
     return rows
 
 
 def quantile_text(quantiles: SummaryRow, level: str, with_interval: bool) -> str:
-    """Format the quantile at a level, such as ``q50``; None is infinite, as for draws that ended early."""
+    """Format a quantile of a metric, with its interval if requested.
+
+    Args:
+        quantiles: Quantiles and their intervals, by name; None means infinite, as for draws that ended early.
+        level: Name of the quantile, such as ``q50``.
+        with_interval: Whether to add the interval; an infinite quantile never has one.
+    """
     value = number_text(quantiles[level], ".4g", "inf")
     interval = quantiles.get(f"{level}_interval")
     if quantiles[level] is None or interval is None or not with_interval:
@@ -201,13 +229,17 @@ def quantile_text(quantiles: SummaryRow, level: str, with_interval: bool) -> str
     return f"{value} [{number_text(low, '.4g', '-inf')}, {number_text(high, '.4g', 'inf')}]"
 
 
-def failure_cells(row: SummaryRow, draws: int, equal: bool) -> tuple[str, ...]:
+def failure_cells(row: SummaryRow, draws: int, draws_equal: bool) -> tuple[str, ...]:
     """Cells with the number of failures, their probability and its interval.
 
-    Without failures the probability is given by its upper bound, never as 0. If all draws are the same, only the number
-    of failures is given.
+    Without failures, the upper bound takes the place of a probability of 0.
+
+    Args:
+        row: Entry of a summary with the failures, their probability and its interval.
+        draws: Number of draws.
+        draws_equal: Whether all draws are the same; then only the number of failures is given.
     """
-    if equal:
+    if draws_equal:
         return (f"{row['failures']}/{draws}",)
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
@@ -217,15 +249,17 @@ def failure_cells(row: SummaryRow, draws: int, equal: bool) -> tuple[str, ...]:
 def show_points(result: "Result") -> None:
     """Print a row for each point of a sweep: failures, the median of the headline metric, and Theorem 1's verdict.
 
-    Only the first :data:`MOST_ROWS` points are printed.
+    Points after the first :data:`MOST_ROWS` are left out.
     """
     axes = result.study.axes
     metric = headline_measure(result.study).name
     has_several_requirements = len(result.study.requirements) > 1
     result = result.with_theorem()
-    equal = result.has_equal_draws
+    draws_equal = result.has_equal_draws
     has_certificates = "certified" in result.dataset
-    head = [*axes, "failures", *(() if equal else PROBABILITY_HEAD)]
+    head = [*axes, "failures"]
+    if not draws_equal:
+        head.extend(PROBABILITY_HEAD)
     if has_several_requirements:
         head.append("most violated")
     head.append(f"median {metric}")
@@ -234,10 +268,11 @@ def show_points(result: "Result") -> None:
     rows = []
     for point in islice(result.points(), MOST_ROWS):
         row = [f"{point[name]:.5g}" for name in axes]
-        row += failure_cells(point, point["draws"], equal)
+        row.extend(failure_cells(point, point["draws"], draws_equal))
         if has_several_requirements:
             row.append(most_violated(point))
-        row.append(number_text(point["metrics"].get(metric, {}).get("q50"), ".4g", "inf"))
+        median = point["metrics"].get(metric, {}).get("q50")
+        row.append(number_text(median, ".4g", "inf"))
         if has_certificates:
             row.append(VERDICT_MARKS[point["certified"]])
         rows.append(row)
@@ -248,16 +283,16 @@ def show_points(result: "Result") -> None:
 
 
 def percent_text(percent: float, failures: int) -> str:
-    """Format the share of failures [%] at a point of the grid; a dot if there are none."""
+    """Format the share of failures [%] at a point of the grid: "." without failures, and "<1" below 0.5 %."""
     if failures == 0:
         return "."
     return "<1" if percent < 0.5 else f"{percent:.0f}"
 
 
 def show_grid(result: "Result", axes: list[str]) -> None:
-    """Print the failure probability in per cent over two axes.
+    """Print the failure probability in per cent over the two axes of a sweep.
 
-    If an axis has more values than the table has rows or columns, only every n-th value is printed.
+    If an axis has more values than the table may have rows or columns, only every n-th value is printed.
 
     Args:
         result: A sweep over two axes.
@@ -273,7 +308,8 @@ def show_grid(result: "Result", axes: list[str]) -> None:
     rows = []
     for value, failed_row in zip(down_values[::row_step], failed, strict=True):
         percents = 100.0 * failed_row.mean(-1)
-        rows.append((f"{value:.3g}", *map(percent_text, percents, failed_row.sum(-1))))
+        failure_counts = failed_row.sum(-1)
+        rows.append((f"{value:.3g}", *map(percent_text, percents, failure_counts)))
     draws = failed.shape[-1]
     legend = f"failures in % of {draws} draws"
     if not result.has_equal_draws:

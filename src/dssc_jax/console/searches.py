@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from dssc_jax.analyses.falsification.answer import LikelihoodAnswer
+from dssc_jax.analyses.falsification.answer import FalsifiedAnswer, LikelihoodAnswer
 from dssc_jax.analyses.falsification.falsify import Falsified
 from dssc_jax.analyses.selection import Selection
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
@@ -22,10 +22,16 @@ from dssc_jax.console.terminal import (
 from dssc_jax.study import Study
 
 ENDED_EARLY = "ended early"
+"""Printed in place of a number that does not exist because a draw ended early."""
 
 
 def show_tuning(tuned: Tuned, files: list[Path]) -> None:
-    """Print the tuned numbers, their evaluation on fresh draws, and the course of the search."""
+    """Print the tuned numbers, their evaluation on draws that were not used to tune, and how the search went.
+
+    Args:
+        tuned: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = tuned.answer
     output().print(f"[bold]{escape(tuned.study.name)}[/bold]")
     rows = [(name, f"{answer.start[name]:.6g}", f"{value:.6g}") for name, value in answer.tuned.items()]
@@ -38,7 +44,12 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
 
 
 def show_selection(selection: Selection, files: list[Path]) -> None:
-    """Print the selected candidates, the claim about them, and the cost."""
+    """Print the selected candidates, the claim about them, and the cost.
+
+    Args:
+        selection: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = selection.answer
     show_required(selection.study.name, answer.requirements)
     show_paragraph(f"{selection.headline} ({100 * answer.confidence:g} %, all together)")
@@ -61,12 +72,13 @@ def show_selection(selection: Selection, files: list[Path]) -> None:
 
 
 def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
-    """Print objective, limits and failures at the start and at the result, on fresh draws."""
+    """Print objective, limits and failures at the start and at the result, on draws that were not used to tune."""
     name = f"{objective.aggregate} {objective.level:g}" if objective.aggregate == "cvar" else objective.aggregate
     start, result = verdict.objective
     rows = [(f"objective ({name})", objective_text(start), objective_text(result), "")]
-    for metric, (bound, start, result) in verdict.limits.items():
-        rows.append((f"mean {metric}", objective_text(start), objective_text(result), f"<= {bound:.5g}"))
+    for metric, (bound, mean_at_start, mean_at_result) in verdict.limits.items():
+        means = (objective_text(mean_at_start), objective_text(mean_at_result))
+        rows.append((f"mean {metric}", *means, f"<= {bound:.5g}"))
     failed_at_start, failed = verdict.failures
     rows.append(("failed draws", str(failed_at_start), str(failed), ""))
     if len(verdict.requirements) > 1:
@@ -82,7 +94,7 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
 
 
 def show_search(study: Study, search: SearchFacts) -> None:
-    """Print what was certified and proved, the hunts for counterexamples, and how the search ended."""
+    """Print what was certified and proved, the searches for counterexamples, and how the search for gains ended."""
     if search.certified_points is not None:
         show_paragraph(f"certified: all {search.certified_points} points that were visited, by Theorem 1")
     aimed = search.aimed
@@ -113,30 +125,50 @@ def missed_text(bound: MissedBound, draws: int) -> str:
         draws: Number of validation draws.
     """
     excess = number_text(bound.excess, ".4g", "an infinite amount")
-    if math.isfinite(bound.excess):
-        excess = f"{excess} {bound.unit}".removesuffix(" 1")
+    if math.isfinite(bound.excess) and bound.unit not in ("", "1"):
+        excess = f"{excess} {bound.unit}"
     if bound.draws is None:
         return f"{bound.text}: missed by {excess}"
     text = f"{bound.text}: missed by {bound.draws:,} of {draws:,} draws"
-    has_no_amount = bound.unit == "" and not math.isfinite(bound.excess)  # such as "runs to its end"
-    return text if has_no_amount else f"{text}, by at most {excess}"
+    is_event = bound.unit == "" and not math.isfinite(bound.excess)  # such as "runs to its end", without an amount
+    return text if is_event else f"{text}, by at most {excess}"
 
 
 def objective_text(value: float | None) -> str:
-    """Format a value of the objective or of a limited metric; it does not exist if a draw ended early."""
+    """Format a value of the objective or of a limited metric; "ended early" if None or infinite."""
     return number_text(value, ".5g", ENDED_EARLY)
 
 
 def likelihood_text(likelihood: LikelihoodAnswer) -> str:
-    """Tell how far a draw is from the median draw, and how likely it is."""
+    """Tell how far a draw is from the median draw [sigma], and how likely such draws are."""
     return (
         f"at {likelihood.distance:.3g} sigma: log density {likelihood.log_density:.4g} relative to the mode; "
         f"{likelihood.mass:.5g} of all draws lie nearer"
     )
 
 
+def outcome_text(answer: FalsifiedAnswer) -> str:
+    """Tell whether a failure was found, the worst value of a requirement or how the draw ended, and the cost."""
+    worst = answer.worst
+    if worst.worst_value is not None:
+        value = f"{worst.worst_value} where {worst.worst_requirement} is required"
+    elif worst.ending is not None:
+        value = f"it {worst.ending}"
+    else:
+        value = ENDED_EARLY
+    cost = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
+    if answer.failed:
+        return f"it fails: {value}; the first failure came after {answer.first_failure} of {cost}"
+    return f"no failure was found, which proves nothing; the worst of {cost}: {value}"
+
+
 def show_falsification(falsified: Falsified, files: list[Path]) -> None:
-    """Print the worst draw and the likeliest failure that were found, with their likelihoods."""
+    """Print the worst draw and the likeliest failure that were found, with their likelihoods.
+
+    Args:
+        falsified: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = falsified.answer
     show_required(falsified.study.name, answer.requirements)
     within = answer.within
@@ -151,15 +183,7 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
         values = [f"{column[name]:.6g}" for column in columns.values()]
         rows.append((name, *values, "" if unit == "1" else unit))
     show_table(("number", *columns, ""), rows)
-    worst = answer.worst
-    result = ENDED_EARLY if worst.ending is None else f"it {worst.ending}"
-    if worst.worst_value is not None:
-        result = f"{worst.worst_value} where {worst.worst_requirement} is required"
-    cost = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
-    if answer.failed:
-        show_paragraph(f"it fails: {result}; the first failure came after {answer.first_failure} of {cost}")
-    else:
-        show_paragraph(f"no failure was found, which proves nothing; the worst of {cost}: {result}")
+    show_paragraph(outcome_text(answer))
     if len(answer.worst_seen) > 1:
         values = ", ".join(f"{name}: {value}" for name, value in answer.worst_seen.items())
         show_line(f"worst seen of each requirement, in different draws: {values}")
@@ -168,7 +192,7 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
         show_line(f"worst draw: {course}")
     if falsified.nearest_failure is not None and falsified.nearest_failure != falsified.worst:
         show_paragraph(f"likeliest failure: {falsified.course_at(falsified.nearest_failure)}")
-    show_line(f"worst draw {likelihood_text(worst.likelihood)}")
+    show_line(f"worst draw {likelihood_text(answer.worst.likelihood)}")
     if nearest:
         show_line(f"likeliest failure found {likelihood_text(nearest.likelihood)}")
     show_files(files)

@@ -1,4 +1,4 @@
-"""Print the failure probability if the laws are wrong by stated amounts."""
+"""Print the failure probability under laws that are wrong by amounts that the user states."""
 
 from collections.abc import Iterable
 
@@ -8,7 +8,7 @@ from dssc_jax.statistics import rounded_probability
 
 
 def show_stated(errors: Iterable[StatedError]) -> None:
-    """Print the interval of the failure probability for each stated amount."""
+    """Print the intervals of the failure probability for each stated amount; nothing if none is stated."""
     rows = []
     for error in errors:
         weighted = interval_text(error.weighted_interval) if error.weighted_interval else error.weights_refused

@@ -1,4 +1,4 @@
-"""Output shared by all commands: tables, progress, plain data for JSON."""
+"""Print text, tables and progress to the terminal, and format numbers; used by all commands."""
 
 import math
 import sys
@@ -21,17 +21,19 @@ if TYPE_CHECKING:
 STAYS_FINITE = "that the draw stays finite"
 """What is required of each draw of a study without requirements."""
 PIPE_WIDTH = 10_000
-NARROWEST_PROSE = 24  # least width of a column of prose that is folded, in characters
+"""Width of the output if it goes to a pipe or a file [characters]."""
+NARROWEST_PROSE = 24
+"""Least width to which a column of prose is folded [characters]."""
 
 
 def output() -> Console:
-    """Standard output; a pipe or a file has no width, so that each row of a table is one line there."""
+    """Return the console of standard output; in a pipe or a file, lines are not broken."""
     return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
 
 
 @cache
 def errors() -> Console:
-    """Standard error, used by the progress bar and by notices during a run."""
+    """Return the console of standard error, for the progress bar and for notices during a run."""
     return Console(stderr=True, highlight=False)
 
 
@@ -46,7 +48,10 @@ def show_head(name: str, text: str) -> None:
 
 
 def show_required(name: str, requirements: Sequence[str]) -> None:
-    """Print the name of a study in bold, followed by what it requires; without requirements that draws stay finite."""
+    """Print the name of a study in bold, followed by its requirements.
+
+    A study without requirements requires that its draws stay finite.
+    """
     show_head(name, f"required: {'; '.join(requirements) or STAYS_FINITE}")
 
 
@@ -61,26 +66,26 @@ def show_paragraph(text: str) -> None:
 
 
 def announce_compiling(study: "Study", quiet: bool) -> None:
-    """Tell on standard error that the loop is about to be compiled, unless ``quiet``."""
+    """Print to standard error that the loop will be compiled, unless a program reads the output (``quiet``)."""
     if not quiet:
         notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")
 
 
 @contextmanager
 def progress_bar(
-    study: "Study", quiet: bool, of: str = "draws", early: str | Callable[[], str] = "", compiles: bool = True
+    study: "Study", quiet: bool, unit: str = "draws", early: str | Callable[[], str] = "", compiles: bool = True
 ) -> Iterator["ProgressCallback"]:
     """Show a progress bar with the remaining time on standard error; with ``quiet`` only if that is a terminal.
 
     Args:
         study: The study that is computed.
         quiet: Whether a program reads the command's output.
-        of: Unit of the count.
+        unit: What is counted, for the message if the work ends early.
         early: Reason why the work may end early, or a function that returns it once the work has ended.
         compiles: Whether the loop is compiled first.
 
     Yields:
-        The progress callback. Without a total, the bar only counts.
+        The progress callback, to be called with the completed and the total count; None: the total is not known.
     """
     console = errors()
     columns = (
@@ -98,13 +103,14 @@ def progress_bar(
     announced = False
 
     def advance(completed: int, total: int | None) -> None:
+        """Move the bar; the first call shows it."""
         nonlocal latest, limit, announced
         if compiles and not announced:
             announce_compiling(study, quiet)
         announced = True
         latest = completed
         limit = completed if total is None else total
-        bar.start()  # not before the first call: bad input shows no bar
+        bar.start()  # not earlier, so that bad input shows no bar
         description = study.name if completed else f"{study.name} (compiling)"
         bar.update(task, completed=completed, total=total, description=description)
 
@@ -117,7 +123,7 @@ def progress_bar(
             bar.stop()
     if latest < limit and not bar.disable:
         reason = early() if callable(early) else early
-        notify(f"{study.name} took {latest:,} of at most {limit:,} {of}: {reason}")
+        notify(f"{study.name} took {latest:,} of at most {limit:,} {unit}: {reason}")
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
@@ -129,16 +135,20 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
     Args:
         head: Names of the columns.
         rows: Cells, one sequence for each row.
-        title: Title above the table, if any.
+        title: Title above the table; None: no title.
     """
     console = output()
-    widths = [max(len(line) for line in column) for column in zip(head, *rows, strict=True)]
+    widths = []
+    for column in zip(head, *rows, strict=True):
+        widths.append(max(map(len, column)))
     widest = widths.index(max(widths))
-    fixed = sum(widths) - widths[widest] + 2 * (len(widths) - 1)
-    fits = fixed + widths[widest] <= console.width
-    if not fits and (console.width - fixed < NARROWEST_PROSE or not is_prose([row[widest] for row in rows])):
-        show_blocks(head, rows, title)
-        return
+    other_width = sum(widths) - widths[widest] + 2 * (len(widths) - 1)  # with the gaps between columns
+    fits = other_width + widths[widest] <= console.width
+    if not fits:
+        has_room = console.width - other_width >= NARROWEST_PROSE
+        if not has_room or not is_prose([row[widest] for row in rows]):
+            show_blocks(head, rows, title)
+            return
     table = Table(title_justify="left", box=None, header_style="bold", pad_edge=False, padding=(0, 2, 0, 0))
     for index, name in enumerate(head):
         table.add_column(escape(name), no_wrap=index != widest or fits)
@@ -149,16 +159,20 @@ def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | 
 
 
 def is_prose(cells: Sequence[str]) -> bool:
-    """Whether a column may be folded: at least one cell is mostly words, not numbers or an interval."""
+    """Whether a column may be folded: at least one cell has several parts, and most of them are words."""
     for cell in cells:
-        words = cell.split()
-        if " " in cell and sum(word.isalpha() for word in words) > len(words) // 2:
+        parts = cell.split()
+        word_count = sum(part.isalpha() for part in parts)
+        if " " in cell and word_count > len(parts) // 2:
             return True
     return False
 
 
 def show_blocks(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None) -> None:
-    """Print each row of a table as a block: the first cell in bold, and one line for each further cell."""
+    """Print each row of a table as a block: the first cell in bold, and one line for each further cell.
+
+    Arguments as for :func:`show_table`.
+    """
     if title is not None:
         show_paragraph(title)
     width = max(map(len, head[1:]), default=0)
@@ -220,16 +234,18 @@ def show_files(files: Sequence[Path]) -> None:
         show_line(f"wrote {path}")
 
 
-def number_text(value: float | None, form: str = ".3g", missing: str = "none") -> str:
+def number_text(value: float | None, format_spec: str = ".3g", missing: str = "none") -> str:
     """Format a number; ``missing`` if it is None, infinite or NaN."""
-    return missing if value is None or not math.isfinite(value) else format(value, form)
+    if value is None or not math.isfinite(value):
+        return missing
+    return format(value, format_spec)
 
 
-def values_text(values: Mapping[str, float], form: str = ".6g") -> str:
-    """Format numbers by name in one line.
+def values_text(values: Mapping[str, float], format_spec: str = ".6g") -> str:
+    """Format numbers with their names in one line.
 
     Example:
         >>> values_text({"k_p": 1.25, "mu": 0.02})
         'k_p = 1.25, mu = 0.02'
     """
-    return ", ".join(f"{name} = {value:{form}}" for name, value in values.items())
+    return ", ".join(f"{name} = {value:{format_spec}}" for name, value in values.items())

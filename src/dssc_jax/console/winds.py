@@ -1,4 +1,4 @@
-"""Print the worst winds found."""
+"""Print the worst values that a search for winds found."""
 
 from pathlib import Path
 
@@ -7,7 +7,12 @@ from dssc_jax.console.terminal import number_text, show_files, show_head, show_l
 
 
 def show_worst_wind(worst_wind: WorstWind, files: list[Path]) -> None:
-    """Print the worst value of each signal under bounded winds, and the cost of the search."""
+    """Print the bounds of the wind, the worst value of each signal, and the cost of the search.
+
+    Args:
+        worst_wind: The analysis.
+        files: Files that were written, whose paths are printed.
+    """
     answer = worst_wind.answer
     rate = "it may jump" if answer.rate is None else f"|w'| <= {answer.rate:g} m/s^2"
     bounds = f"|w_h| <= {answer.speed:g} m/s, |w_z| <= {answer.vertical:g} m/s, {rate}"

@@ -24,7 +24,7 @@ def require_panel() -> None:
     """Require that Panel and Bokeh are installed.
 
     Raises:
-        ConfigError: One of them is not.
+        ConfigError: One of them is not installed.
     """
     for name in ("panel", "bokeh"):
         if find_spec(name) is None:
@@ -48,15 +48,16 @@ def explore(
         sliders: For a study, dotted names of the numbers to move; None: the swept ones, gains, unmodelled dynamics and
             laws.
         draws: For a study, number of draws; None: 1,000, for a vehicle 64.
-        logs: For a study, logged flights, see :func:`dssc_jax.read_log`; the page tells what they say of the next one,
-            see :func:`dssc_jax.next_flight`, or of a single one, see :func:`dssc_jax.compare_log`.
+        logs: For a study, logged flights, see :func:`dssc_jax.read_log`. The page compares a single one with the draws,
+            see :func:`dssc_jax.compare_log`; of several it predicts the next one, see :func:`dssc_jax.next_flight`.
 
     Returns:
         The page. That of a study has ``move({name: value})``, ``now`` (the run that is shown), ``before`` and
         ``save_as(name)``; that of a result has ``replay(row)``, ``flight`` and ``pin_draw()``.
 
     Raises:
-        ConfigError: The extra is not installed, a number cannot be moved, or the number of draws is not admissible.
+        ConfigError: The extra is not installed, a number cannot be moved, the number of draws is not admissible, or an
+            argument for a study is given with a result.
     """
     require_panel()
     import panel as pn

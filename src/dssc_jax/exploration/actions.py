@@ -1,4 +1,4 @@
-"""Actions of a study's page on request: margins, proofs, ranges of laws, and the file of the present study."""
+"""Actions on request of a study's page: find a margin, prove, answer over ranges of laws, save the present study."""
 
 import re
 from collections.abc import Callable
@@ -21,10 +21,11 @@ from dssc_jax.study import Study
 PROOF_BOXES = 4
 """Largest number of boxes of uncertain numbers in a proof."""
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.toml")
+"""Admissible names of a saved study: none leads to another folder."""
 
 Answer = TypeVar("Answer")
 Question: TypeAlias = Callable[[LiveRun, Callable[..., None]], Answer]
-"""Computes an answer about a run; its second argument is a progress callback, which may end the computation."""
+"""Computes an answer about a run. The second argument is a progress callback, which ends the computation by raising."""
 
 
 class Superseded(Exception):
@@ -32,9 +33,10 @@ class Superseded(Exception):
 
 
 def stop_when_stale(stale: Stale) -> Callable[..., None]:
-    """A progress callback that raises :class:`Superseded` once a computation is stale."""
+    """Return a progress callback that raises :class:`Superseded` once a newer request has come."""
 
     def check(*_: object) -> None:
+        """Raise if the computation is stale; counts of progress are ignored."""
         if stale():
             raise Superseded
 
@@ -42,9 +44,15 @@ def stop_when_stale(stale: Stale) -> Callable[..., None]:
 
 
 def margin_question(slider: Slider, position: float) -> Question[str]:
-    """The question how far a number may go from a position before draws fail, in both directions along its slider."""
+    """Return the question how far a number may go up and down before draws fail.
+
+    Args:
+        slider: Slider of the number; its ends are the ends of the walks.
+        position: Value at which both walks start.
+    """
 
     def answer(run: LiveRun, check: Callable[..., None]) -> str:
+        """Find the margins in both directions; none in the direction of an end at which the number already is."""
         answers = []
         for direction, end in (("upwards", slider.high), ("downwards", slider.low)):
             if end != position:
@@ -56,16 +64,22 @@ def margin_question(slider: Slider, position: float) -> Question[str]:
 
 
 def law_range_question(study: Study) -> Question[str]:
-    """The question about the failure probability over all laws within the ranges of a study."""
+    """Return the question for the failure probability over all laws within the ranges of a study."""
 
     def answer(_: LiveRun, check: Callable[..., None]) -> str:
+        """Find the probability; the run is not needed, because its laws are single ones."""
         return law_ranges(study, progress=check).headline
 
     return answer
 
 
 def proof(run: LiveRun, check: Callable[..., None]) -> str:
-    """Tell what is proved of the sampled loop, for all plants, or all vehicles and winds, within the bounds."""
+    """Answer whether the sampled loop is proved, for all plants, or all vehicles and winds, within their bounds.
+
+    Args:
+        run: The run, whose study is proved.
+        check: Progress callback, which may raise to end the search for a proof.
+    """
     try:
         from dssc_jax.proofs.prove import prove  # needs an optional extra
 
@@ -80,7 +94,12 @@ def proof(run: LiveRun, check: Callable[..., None]) -> str:
 
 
 def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
-    """Write the study of a run to a new file in a folder, and return the path.
+    """Write the study of a run to a new file, and return its path.
+
+    Args:
+        live_run: The run.
+        folder: Folder of the file.
+        name: Name of the file.
 
     Raises:
         ConfigError: The name is not that of a TOML file in the folder, the file exists, or it cannot be written.
@@ -101,7 +120,11 @@ def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
 def count_differing_draws(live_run: LiveRun, path: Path) -> int:
     """Count the draws whose outcome differs between the page's run and a run of the saved study.
 
-    The program of the saved study has its constants compiled in, and may round the last digits differently.
+    The saved study's program has all constants compiled in. Therefore it may round the last digits differently.
+
+    Args:
+        live_run: The page's run.
+        path: File of the saved study.
     """
     result = run(Study.load(path))
     return int(np.count_nonzero(result.dataset["outcome"].values != live_run.results["outcome"]))

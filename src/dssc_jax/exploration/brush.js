@@ -303,12 +303,12 @@ function changeAxis(source, axis, name, label, bars, labelled) {
   for (const shown of labelled) shown.axis_label = label
 }
 
-function countBrushed(source, said, bars, level, note) {
+function countBrushed(source, summary, bars, level, note) {
   // Say how many of the brushed draws fail, and fill the histograms.
   const indices = chosenDraws(source), failed = source.data.failed, all = indices.length == 0
   const draws = all ? failed.length : indices.length
   const failures = counted(failed, all ? failed.keys() : indices)
-  say(describe(failures, draws, exactInterval(failures, draws, level), all) + note, source, said)
+  say(describe(failures, draws, exactInterval(failures, draws, level), all) + note, source, summary)
   const failing = (all ? [...failed.keys()] : indices).filter(i => failed[i])
   for (const axis of ["x", "y"]) {
     const { left, right } = bars[axis].data, values = source.data[axis]

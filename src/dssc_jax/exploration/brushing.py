@@ -1,4 +1,4 @@
-"""Linked brushing over the draws of a result in Bokeh; all brushing happens in the browser, by a script."""
+"""Linked figures over the draws of a result in Bokeh; a script in the browser brushes draws in all of them."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,9 @@ from dssc_jax.plotting.style import BLUE, GREY, ORANGE
 from dssc_jax.statistics import CONFIDENCE, FixedCount, rounded_probability
 
 SCRIPT = files.read_text(Path(__file__).with_name("brush.js"))
+"""JavaScript of all functions that callbacks in the browser call."""
 BINS = 40
+"""Number of bars of a histogram; the script uses the same number."""
 TABLE_WIDTH = 1240  # px
 PICTURE = 500, 640
 """Rows and columns of the scatter, which the script paints [px]."""
@@ -36,6 +38,7 @@ LARGE_MARK_DRAWS = 5000
 OPACITIES = {"bright": 0.85, "dim": 0.12}
 """Opacity of the brushed draws, or of all draws if none is brushed, and of the others."""
 AXIS_NAMES = ("x", "y")
+"""Axes of the scatter; there is a histogram for each."""
 
 
 class Brushing:
@@ -49,6 +52,7 @@ class Brushing:
     """
 
     def __init__(self, table: DrawTable, folder: str) -> None:
+        """Fill the data sources, and make all figures and widgets; no draw is brushed yet."""
         self.table = table
         axis_columns = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
         columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
@@ -62,11 +66,12 @@ class Brushing:
         frame = {name: [0.0] for name in ("x", "y", "dw", "dh")}
         self.picture = ColumnDataSource({"image": [np.zeros(PICTURE, np.uint32)], **frame})
         self.bars = {axis: ColumnDataSource(self._histogram(name)) for axis, name in axis_columns.items()}
-        self.selects = {
-            axis: Select(title=f"{axis} axis", value=name, options=list(table.columns), width=300)
-            for axis, name in axis_columns.items()
-        }
-        self.colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in OPACITIES.items()}
+        self.selects: dict[str, Select] = {}
+        for axis, name in axis_columns.items():
+            self.selects[axis] = Select(title=f"{axis} axis", value=name, options=list(table.columns), width=300)
+        self.colours: dict[str, list[int]] = {}
+        for name, alpha in OPACITIES.items():
+            self.colours[name] = [pixel(BLUE, alpha), pixel(ORANGE, alpha)]
         self.parallel = ParallelAxes(table, self.source, SCRIPT, self.colours)
         self.map = CellMap(table, self.source, SCRIPT) if table.result.study.axes else None
         labels = [table.label(name) for name in axis_columns.values()]
@@ -83,12 +88,12 @@ class Brushing:
 
     @property
     def note(self) -> str:
-        """A remark on the draws that the page leaves out; empty if it has all."""
+        """A remark on the draws that the page leaves out; empty if it leaves out none."""
         table = self.table
         return "" if table.complete else f"; {len(table.rows):,} of {table.total:,} draws are shown"
 
     def statement(self) -> str:
-        """The failures of all draws with their interval, which the page shows until draws are brushed."""
+        """Tell how many of all draws fail, with the interval of the probability; shown until draws are brushed."""
         failures = int(self.table.failed.sum())
         draws = len(self.table.failed)
         interval = FixedCount().interval(self.table.failed, CONFIDENCE)
@@ -97,7 +102,12 @@ class Brushing:
         return f"{counts}: probability {probability} in [{low}, {high}] (95 % Clopper-Pearson){self.note}"
 
     def _scatter(self, x_label: str, y_label: str) -> figure:
-        """An empty figure of all draws over two columns, which the script paints."""
+        """Make the figure of all draws over two columns, which the script paints as a picture.
+
+        Args:
+            x_label: Label of the horizontal axis.
+            y_label: Label of the vertical axis.
+        """
         plot = figure(
             width=720,
             height=560,
@@ -115,7 +125,12 @@ class Brushing:
         return plot
 
     def _bar_figure(self, axis: str, label: str) -> figure:
-        """The histogram of an axis: all draws, brushed draws, and failures among the brushed draws."""
+        """Make the histogram of an axis: all draws, brushed draws, and failures among the brushed draws.
+
+        Args:
+            axis: The axis, x or y.
+            label: Name and unit of its values.
+        """
         plot = figure(width=500, height=270, tools="", x_axis_label=label, y_axis_label="draws")
         bars = self.bars[axis]
         for name, colour, alpha in (("all", GREY, 0.3), ("brushed", BLUE, 0.6), ("failed", ORANGE, 0.9)):
@@ -124,7 +139,7 @@ class Brushing:
         return plot
 
     def _histogram(self, name: str) -> dict[str, Any]:
-        """The columns of a histogram while no draw is brushed."""
+        """Count the values of a column of the table in bins, for a histogram while no draw is brushed."""
         values = self.table.columns[name]
         finite = np.isfinite(values)
         counts, edges = np.histogram(values[finite], BINS)
@@ -132,7 +147,7 @@ class Brushing:
         return {"left": edges[:-1], "right": edges[1:], "all": counts, "brushed": np.zeros(BINS), "failed": failed}
 
     def _callback(self, call: str, **models: object) -> CustomJS:
-        """A callback that calls a function of the script.
+        """Return a callback that calls a function of the script.
 
         Args:
             call: The call in JavaScript, in which the draws are ``source``.
@@ -141,7 +156,7 @@ class Brushing:
         return CustomJS(args={"source": self.source, **models}, code=SCRIPT + call)
 
     def _connect(self, folder: str) -> None:
-        """Connect brushes, clicks and the selection of axes with functions of the script.
+        """Let brushes, clicks and selected axes call the functions of the script.
 
         Args:
             folder: The results folder, for the command that replays a clicked draw.
@@ -158,16 +173,17 @@ class Brushing:
             colours=self.colours,
         )
         count = self._callback(
-            "countBrushed(source, said, bars, level, note)",
-            said=self.summary,
+            "countBrushed(source, summary, bars, level, note)",
+            summary=self.summary,
             bars=self.bars,
             level=CONFIDENCE,
             note=self.note,
         )
         show_all = self._callback("showAll(source, ranges, paint)", **scatter, paint=paint)
-        parts = [paint, count, self.parallel.paint]
+        callbacks = [paint, count, self.parallel.paint]
         show = CustomJS(
-            args={"source": self.source, "parts": parts}, code="for (const part of parts) part.execute(source)"
+            args={"source": self.source, "callbacks": callbacks},
+            code="for (const callback of callbacks) callback.execute(source)",
         )
         on_selection = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
         on_click = self._callback(
@@ -184,32 +200,32 @@ class Brushing:
         nearest = "nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
         self.scatter.js_on_event(Tap, self._callback(f"source.selected.indices = {nearest}", **scatter))
         self.scatter.js_on_event(Reset, show_all)
-        self.scatter.js_on_change("inner_width", show_all)  # when the page is laid out first
+        self.scatter.js_on_change("inner_width", show_all)  # once the page has its layout
         for axis_range in (self.scatter.x_range, self.scatter.y_range):
             axis_range.js_on_change("start", paint)
             axis_range.js_on_change("end", paint)
         self._connect_selects(show_all, count)
 
     def _connect_selects(self, show_all: CustomJS, count: CustomJS) -> None:
-        """Let a selected column move to its axis of the scatter and to a histogram.
+        """Let the selection of a column change an axis of the scatter and the histogram of this axis.
 
         Args:
             show_all: Callback that shows all draws in the scatter.
             count: Callback that counts the brushed draws.
         """
-        names = {name: self.table.label(name) for name in self.table.columns}
-        labelled: list[list[Model]] = [
-            [self.scatter.xaxis[0], self.histograms[0].xaxis[0]],
-            [self.scatter.yaxis[0], self.histograms[1].xaxis[0]],
-        ]
-        for axis, labelled_axes in zip(AXIS_NAMES, labelled, strict=True):
+        labels = {name: self.table.label(name) for name in self.table.columns}
+        labelled_axes: dict[str, list[Model]] = {
+            "x": [self.scatter.xaxis[0], self.histograms[0].xaxis[0]],
+            "y": [self.scatter.yaxis[0], self.histograms[1].xaxis[0]],
+        }
+        for axis in AXIS_NAMES:
             change = self._callback(
-                "changeAxis(source, axis, cb_obj.value, names[cb_obj.value], bars, labelled)\n"
+                "changeAxis(source, axis, cb_obj.value, labels[cb_obj.value], bars, labelled)\n"
                 "show_all.execute(source)\ncount.execute(source)",
                 axis=axis,
-                names=names,
+                labels=labels,
                 bars=self.bars[axis],
-                labelled=labelled_axes,
+                labelled=labelled_axes[axis],
                 show_all=show_all,
                 count=count,
             )
@@ -217,6 +233,6 @@ class Brushing:
 
 
 def pixel(colour: str, alpha: float) -> int:
-    """Convert a colour such as ``#0072B2`` with an opacity to a pixel: four bytes red, green, blue and opacity."""
+    """Convert a colour such as ``#0072B2`` and an opacity from 0 to 1 to a pixel: bytes red, green, blue, opacity."""
     red, green, blue = bytes.fromhex(colour[1:])
     return int.from_bytes(bytes((red, green, blue, round(255 * alpha))), "little")

@@ -1,5 +1,6 @@
 """The failure probability over the axes of a sweep as a curve or a map; a click on a point brushes its draws."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,12 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson, rounded_probability
 WIDTH = 1240  # px
 HEIGHT = 300
 MOST_LABELS = 12
+"""Largest number of labels on an axis."""
 SELECT_CELL = """
 const cell = cells.selected.indices[0]
 if (cell != undefined) choose(source, null, drawsAt(source, names, names.map(name => cells.data[name][cell])), true)
 """
+"""JavaScript that brushes the draws of a point that was clicked."""
 
 
 class CellMap:
@@ -32,34 +35,35 @@ class CellMap:
     """
 
     def __init__(self, table: DrawTable, source: ColumnDataSource, script: str) -> None:
+        """Count the failures at each point, and make the figure."""
         axes = table.result.study.axes
         self.names = list(axes)[:2]
         pooled_axes = list(axes)[2:]
         values = [axes[name] for name in self.names]
-        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values
-        failed = failed.reshape(*map(len, values), -1)
-        places = np.indices(failed.shape[:-1]).reshape(len(values), -1)
-        failures = failed.sum(-1).reshape(-1)
+        point_shape = [len(axis_values) for axis_values in values]
+        failed = table.result.failed.transpose(*self.names, *pooled_axes, "draw").values.reshape(*point_shape, -1)
         draws = failed.shape[-1]
+        failures = failed.sum(-1).reshape(-1)
         low, high = clopper_pearson(failures, draws, CONFIDENCE).T
-        data: dict[str, Any] = {"probability": failures / draws, "low": low, "high": high}
-        data["said"] = [
-            f"{count:,} of {draws:,} draws fail: in [{rounded_probability(lower)}, {rounded_probability(upper)}]"
-            for count, lower, upper in zip(failures, low, high, strict=True)
-        ]
-        for name, axis, column, place in zip(self.names, "xy", values, places, strict=False):
-            data[name] = np.asarray(column, np.float32)[place]
-            data[axis] = place
+        statements = []
+        for count, lower, upper in zip(failures, low, high, strict=True):
+            interval = f"[{rounded_probability(lower)}, {rounded_probability(upper)}]"
+            statements.append(f"{count:,} of {draws:,} draws fail: in {interval}")
+        data: dict[str, Any] = {"probability": failures / draws, "low": low, "high": high, "statement": statements}
+        places = np.indices(point_shape).reshape(len(values), -1)  # index of each point along each axis
+        for index, name in enumerate(self.names):
+            data[name] = np.asarray(values[index], np.float32)[places[index]]
+            data["xy"[index]] = places[index]
         self.cells = ColumnDataSource(data)
         self.figure = self._figure(values, pooled_axes)
         select = CustomJS(args={"source": source, "cells": self.cells, "names": self.names}, code=script + SELECT_CELL)
         self.cells.selected.js_on_change("indices", select)
 
     def _figure(self, values: list[tuple[float, ...]], pooled_axes: list[str]) -> figure:
-        """The curve or the map.
+        """Make the curve or the map.
 
         Args:
-            values: Values of the one or two axes.
+            values: Values of each of the one or two axes.
             pooled_axes: Names of the axes whose draws are counted together.
         """
         note = f", draws of all values of {', '.join(pooled_axes)} together" if pooled_axes else ""
@@ -67,16 +71,16 @@ class CellMap:
             width=WIDTH,
             height=HEIGHT,
             tools="tap,hover,save",
-            tooltips=[*((name, f"@{{{name}}}") for name in self.names), ("", "@said")],
+            tooltips=[*((name, f"@{{{name}}}") for name in self.names), ("", "@statement")],
             title=f"failure probability{note}; a click brushes the draws of a point",
             x_axis_label=self.names[0],
             y_axis_label=self.names[1] if len(values) > 1 else "failure probability",
         )
         plot.toolbar.logo = None
-        for axis, column in zip((plot.xaxis, plot.yaxis), values, strict=False):
-            step = -(-len(column) // MOST_LABELS)
-            axis.ticker = FixedTicker(ticks=list(range(0, len(column), step)))
-            axis.major_label_overrides = {place: f"{value:.3g}" for place, value in enumerate(column)}
+        for axis, axis_values in zip((plot.xaxis, plot.yaxis), values, strict=False):  # a curve has values of x only
+            step = math.ceil(len(axis_values) / MOST_LABELS)
+            axis.ticker = FixedTicker(ticks=list(range(0, len(axis_values), step)))
+            axis.major_label_overrides = {place: f"{value:.3g}" for place, value in enumerate(axis_values)}
         if len(values) == 1:
             plot.segment("x", "low", "x", "high", source=self.cells, color=GREY, line_width=2)
             plot.scatter("x", "probability", source=self.cells, color=BLUE, size=9)

@@ -1,5 +1,6 @@
 """The draws of a result as a table: one row for each draw at each point of the sweep."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,8 +33,9 @@ class DrawTable:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        """Flat indices of the rows in the grid of points and draws, shape (rows,)."""
-        return np.arange(0, self.total, max(1, -(-self.total // self.max_rows)))
+        """Flat index of each row in the grid of points and draws, shape (rows,)."""
+        step = max(1, math.ceil(self.total / self.max_rows))
+        return np.arange(0, self.total, step)
 
     @property
     def complete(self) -> bool:
@@ -42,7 +44,7 @@ class DrawTable:
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
-        """Swept numbers, drawn numbers and metrics by name, each of shape (rows,); NaN where there is no value."""
+        """Swept numbers, drawn numbers and metrics by name, shape (rows,); NaN if a number is not finite."""
         study = self.result.study
         dataset = self.result.dataset
         grid = dataset["outcome"]
@@ -68,7 +70,10 @@ class DrawTable:
 
     @property
     def first_axes(self) -> tuple[str, str]:
-        """The columns that are shown first: a swept or drawn number, and the headline metric."""
+        """Columns that the axes x and y show at first: a swept or drawn number, and the headline metric.
+
+        Without such a number, both are the metric.
+        """
         numbers = [*self.result.study.axes, *self.result.study.laws]
         metric = headline_measure(self.result.study).name
         return (numbers[0] if numbers else metric), metric
@@ -78,5 +83,11 @@ class DrawTable:
         return {name: float(self.columns[name][row]) for name in self.result.study.axes}
 
     def replay_commands(self, folder: str) -> tuple[str, list[str]]:
-        """The beginning of the command line that replays a draw, and the numbers whose values it also needs."""
+        """Return the command line that replays a draw, up to the draw's index, and the names of the swept numbers.
+
+        The values of these numbers follow the index, each as ``--at NAME=VALUE``.
+
+        Args:
+            folder: The results folder, quoted for a shell.
+        """
         return f"dssc-jax replay {folder} --draw ", list(self.result.study.axes)

@@ -26,8 +26,9 @@ from dssc_jax.runs.trajectory import column_attributes
 from dssc_jax.study import Study
 
 WIDTH = 440  # px
-HEIGHT = 250
+HEIGHT = 250  # px
 LEVEL_NAMES = ("q5", "q25", "q50", "q75", "q95")
+"""Columns of a fan's data source: the quantiles of :data:`dssc_jax.exploration.live.FAN_LEVELS`."""
 TICK_TEXT = r"""
 const largest = Math.max(...ticks.map(Math.abs))
 const minus = text => text.replace("-", "\u2212")
@@ -38,13 +39,19 @@ const raised = {"-": "\u207b", 1: "\u00b9", 2: "\u00b2", 3: "\u00b3"}
 const digits = [...String(power)].map(c => raised[c] ?? String.fromCharCode(0x2070 + Number(c)))
 return minus(String(Number((tick / 10 ** power).toPrecision(6)))) + "\u00b710" + digits.join("")
 """
-"""JavaScript that formats a tick in plain decimals, or as 5·10⁻⁶ if the axis has small or large numbers."""
+"""JavaScript that formats a tick as a decimal number, or as 5·10⁻⁶ if the axis has small or large numbers."""
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
 """Lower and upper quantile of each band of a fan, and its opacity."""
 
 
 def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
-    """An empty figure that fills its column, and shows its tools only while the pointer is over it."""
+    """Make an empty figure that fills its column and hides its tools until the pointer is over it.
+
+    Args:
+        tools: Names of Bokeh's tools, separated by commas.
+        height: Height [px].
+        options: Further options of the figure.
+    """
     plot = figure(width=WIDTH, height=height, tools=tools, sizing_mode="stretch_width", **options)
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
@@ -55,7 +62,13 @@ def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
 
 
 def signal_figure(name: str, study: Study, **options: Any) -> figure:
-    """An empty figure of a signal over time, with meaning and unit above it, where there is room for a long text."""
+    """Make an empty figure of a signal over time, whose title is the signal's meaning and unit.
+
+    Args:
+        name: Name of the signal.
+        study: The study.
+        options: Further options of the figure.
+    """
     attributes = column_attributes(name, study)
     text = name_with_unit(attributes["long_name"], attributes["units"])
     title = Title(text=PlainText(text=text), text_font_style="normal")
@@ -64,7 +77,12 @@ def signal_figure(name: str, study: Study, **options: Any) -> figure:
 
 
 def path_figure(across: str, upward: str) -> figure:
-    """An empty figure of a path over two channels, with equal scales."""
+    """Make an empty figure of a path over two channels, with equal scales.
+
+    Args:
+        across: Channel of the horizontal axis.
+        upward: Channel of the vertical axis.
+    """
     return page_figure(
         "pan,wheel_zoom,reset,save",
         match_aspect=True,
@@ -83,8 +101,9 @@ class FanFigure:
     """
 
     def __init__(self, study: Study, name: str, x_range: Range | None = None) -> None:
+        """Make the figure, without a run."""
         self.name = name
-        self._outlined: LiveRun | None = None
+        self._outlined: LiveRun | None = None  # the run whose outline is shown
         self.current = ColumnDataSource()
         self.previous = ColumnDataSource()
         self.draw = ColumnDataSource()
@@ -108,10 +127,16 @@ class FanFigure:
             dash = "solid" if level == "q50" else "dashed"
             plot.line("t", level, source=self.previous, color=GREY, line_width=1.5, line_dash=dash)
         plot.line("t", "value", source=self.draw, color=RED, line_width=1.5)
-        scale.renderers = fan  # a draw that diverges does not set the scale
+        scale.renderers = fan  # so that a draw that diverges does not set the scale
 
     def show(self, run: LiveRun, previous: LiveRun | None, draw: int) -> None:
-        """Show a run, the previous run for comparison, and one draw of the run."""
+        """Show a run.
+
+        Args:
+            run: The run.
+            previous: A run to compare with; None: the outline stays as it is.
+            draw: Index of the draw that is shown in red.
+        """
         fill_fan(self.current, run.times, run.fan(self.name).values)
         if previous is not None and previous is not self._outlined:
             self._outlined = previous
@@ -120,7 +145,7 @@ class FanFigure:
 
 
 def fill_fan(source: ColumnDataSource, times: np.ndarray, values: np.ndarray) -> None:
-    """Fill a data source with quantiles over time, as long as a draw is running.
+    """Fill a data source with the quantiles at the times at which a draw is still running.
 
     Args:
         source: The data source.
@@ -136,6 +161,7 @@ class PathFigure:
     """The path of a vehicle in one draw over two channels, with the desired path."""
 
     def __init__(self, across: str, upward: str) -> None:
+        """Make the figure over two channels, without a path."""
         self.channels = (across, upward)
         self.path = ColumnDataSource({"across": [], "upward": []})
         self.desired = ColumnDataSource({"across": [], "upward": []})
@@ -146,20 +172,24 @@ class PathFigure:
     def show_draw(self, run: LiveRun, draw: int) -> None:
         """Show the path in one draw of a run."""
         for source, signal in ((self.path, "y"), (self.desired, "y_ref")):
-            across, upward = (drawable(run.signal(f"{channel}_{signal}")[draw]) for channel in self.channels)
-            source.data = {"across": across, "upward": upward}
+            across, upward = self.channels
+            source.data = {
+                "across": drawable(run.signal(f"{across}_{signal}")[draw]),
+                "upward": drawable(run.signal(f"{upward}_{signal}")[draw]),
+            }
 
 
 class DrawsFigure:
-    """All draws over one uncertain number and their smallest slack; a click selects a draw.
+    """The smallest slack of all draws over one uncertain number; a click selects a draw.
 
-    Draws that pass are blue circles, draws that fail are orange crosses.
+    Draws that pass are blue circles. Draws that fail are orange crosses.
 
     Args:
         choose: Called with the index of a draw that was clicked.
     """
 
     def __init__(self, choose: Callable[[int], None]) -> None:
+        """Make the figure, without draws."""
         self.passed = ColumnDataSource()
         self.failed = ColumnDataSource()
         self.selected_draw = ColumnDataSource()
@@ -187,12 +217,12 @@ class DrawsFigure:
         """
         values = run.values[name] if name else np.arange(run.failed.size)
         self.number.text = name or "draw"
-        finite = np.isfinite(run.slack)
-        lowest = run.slack[finite].min() if finite.any() else -1.0
-        slack = np.where(finite, run.slack, lowest)
-        for source, is_in_source in ((self.passed, ~run.failed), (self.failed, run.failed)):
+        is_finite = np.isfinite(run.slack)  # that of a draw that ended early is -inf
+        lowest = run.slack[is_finite].min() if is_finite.any() else -1.0
+        slack = np.where(is_finite, run.slack, lowest)
+        for source, is_shown in ((self.passed, ~run.failed), (self.failed, run.failed)):
             source.selected.indices = []
-            draws = np.flatnonzero(is_in_source)
+            draws = np.flatnonzero(is_shown)
             source.data = {"x": values[draws], "slack": slack[draws], "draw": draws}
         self.selected_draw.data = {"x": values[[draw]], "slack": slack[[draw]]}
 
@@ -200,7 +230,15 @@ class DrawsFigure:
     def _clicked(
         source: ColumnDataSource, choose: Callable[[int], None], attr: str, old: list[int], new: list[int]
     ) -> None:
-        """Select the draw of a mark that was clicked; the last three arguments are those of Bokeh's callbacks."""
+        """Select the draw of a mark that was clicked.
+
+        Args:
+            source: Data source of the mark.
+            choose: Called with the index of the draw.
+            attr: Name of the changed property; this argument and the next two are those of Bokeh's callbacks.
+            old: Indices of the marks that were selected before.
+            new: Indices of the marks that are selected now; empty if none is.
+        """
         if new:
             choose(int(np.asarray(source.data["draw"])[new[0]]))
 
@@ -209,6 +247,7 @@ class ProbabilityFigure:
     """The failure probability with its interval, of the present run and of the previous one."""
 
     def __init__(self) -> None:
+        """Make the figure, without a run."""
         self.source = ColumnDataSource({"name": [], "p": [], "low": [], "high": [], "colour": []})
         self.figure = page_figure(
             "",
@@ -224,25 +263,32 @@ class ProbabilityFigure:
         self.figure.toolbar_location = None
 
     def show(self, run: LiveRun, previous: LiveRun | None) -> None:
-        """Show a run, and the previous run for comparison."""
-        runs = [run] if previous is None else [run, previous]
+        """Show a run, and the previous run for comparison; None: there is no other run."""
+        runs = {"now": run}
+        colours = [BLUE]
+        if previous is not None:
+            runs["before"] = previous
+            colours.append(GREY)
         self.source.data = {
-            "name": ["now", "before"][: len(runs)],
-            "p": [live_run.probability for live_run in runs],
-            "low": [live_run.interval[0] for live_run in runs],
-            "high": [live_run.interval[1] for live_run in runs],
-            "colour": [BLUE, GREY][: len(runs)],
+            "name": list(runs),
+            "p": [live_run.probability for live_run in runs.values()],
+            "low": [live_run.interval[0] for live_run in runs.values()],
+            "high": [live_run.interval[1] for live_run in runs.values()],
+            "colour": colours,
         }
 
 
 def path_views(study: Study) -> Sequence[tuple[str, str]]:
-    """The two channels of each view of a vehicle's path, from above and from the side; none without x, y and z."""
+    """Return the two channels of each view of a vehicle's path, from above and from the side.
+
+    There is no view if the study has no channels x, y and z.
+    """
     has_path = {"x", "y", "z"} <= set(study.loop.channels)
     return (("x", "y"), ("x", "z")) if has_path else ()
 
 
 def displayed_signals(study: Study) -> Sequence[str]:
-    """The signals that a page shows: output, error and command of a single channel, or the errors of several."""
+    """Return the signals that a page shows: output, error and command of a single channel, or all errors of several."""
     if len(study.loop.channels) == 1:
         return ("y", "e", "u_total")
     return tuple(f"{channel}_e" for channel in study.loop.channels)

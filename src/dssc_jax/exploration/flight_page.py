@@ -1,5 +1,7 @@
 """The flight of a vehicle as one HTML file: a draw in three dimensions over time, and other draws as ghosts."""
 
+from itertools import islice
+
 import numpy as np
 from bokeh.layouts import column
 from bokeh.models import Div
@@ -18,12 +20,14 @@ GHOSTS = 32
 
 
 def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
-    """A page with the flight of a draw and a slider of time, which needs no network and no program behind it.
+    """Return an HTML page with the flight of a draw and a slider of time.
+
+    The page needs no network, and no program behind it.
 
     Args:
         study: A study of a vehicle; its sweep is ignored.
         draw: Index of the draw.
-        ghosts: Number of other draws that are shown, from the first on.
+        ghosts: Largest number of other draws that are shown; the first ones are taken.
 
     Raises:
         ConfigError: The plant has no position and attitude, or there is no such draw.
@@ -33,8 +37,8 @@ def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
         raise ConfigError(fixed.source, "is no study of a vehicle: a flight needs x, y, z and an attitude")
     if not 0 <= draw < fixed.config.draws:
         raise ConfigError(fixed.source, f"draw must be in 0 .. {fixed.config.draws - 1}, got {draw}")
-    ghost_draws = [index for index in range(min(ghosts + 1, fixed.config.draws)) if index != draw]
-    indices = np.array([draw, *ghost_draws[:ghosts]])
+    other_draws = (index for index in range(fixed.config.draws) if index != draw)
+    indices = np.array([draw, *islice(other_draws, ghosts)])
     program = RecordedDraws(fixed, {}, recorded_signals(fixed), lanes=VEHICLE_BATCH)
     results = join_batches(list(program.batches(fixed, indices)))
     values_of_all = values_of_draws(fixed, slice(0, int(indices.max()) + 1))

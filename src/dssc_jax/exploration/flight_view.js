@@ -38,12 +38,12 @@ function sampleAt(times, t) {
   return row
 }
 
-function craftLines(project, one, row, size) {
+function craftLines(project, flight, row, size) {
   // Arms of a cross, the front one longer, and the upward axis; drawn larger than life.
   const lines = {across: [], upward: [], colour: []}
-  const R = rotation(one.phi[row], one.theta[row], one.psi[row])
+  const R = rotation(flight.phi[row], flight.theta[row], flight.psi[row])
   const turned = v => R.map(line => line[0] * v[0] + line[1] * v[1] + line[2] * v[2])
-  const place = [one.x[row], one.y[row], one.z[row]]
+  const place = [flight.x[row], flight.y[row], flight.z[row]]
   const parts = [
     [[-0.7, -0.7, 0], [0.7, 0.7, 0], "#333333"], [[-0.7, 0.7, 0], [0.7, -0.7, 0], "#333333"],
     [[0, 0, 0], [1.3, 0, 0], "#D55E00"], [[0, 0, 0], [0, 0, 0.9], "#009E73"],
@@ -59,9 +59,9 @@ function craftLines(project, one, row, size) {
 }
 
 function draw(args) {
-  const {scene, tracks, one, floor, slider, shown} = args
+  const {scene, tracks, flight, floor, slider, layers} = args
   const view = scene.data, project = projection(view), all = tracks.data
-  const row = sampleAt(one.data.t, slider.value)
+  const row = sampleAt(flight.data.t, slider.value)
   const span = view.span[0]
   const ghosts = {across: [], upward: [], colour: []}
   const points = {across: [], upward: [], colour: []}
@@ -82,21 +82,21 @@ function draw(args) {
       marks.upward.push(line.upward[mark])
     }
   }
-  const flown = projected(project, one.data.x, one.data.y, one.data.z, row + 1)
-  const wanted = projected(project, one.data.x_ref, one.data.y_ref, one.data.z_ref, one.data.t.length)
+  const flown = projected(project, flight.data.x, flight.data.y, flight.data.z, row + 1)
+  const wanted = projected(project, flight.data.x_ref, flight.data.y_ref, flight.data.z_ref, flight.data.t.length)
   const lines = {across: [], upward: []}
   for (let k = 0; k < floor.data.x.length; k++) {
     const line = projected(project, floor.data.x[k], floor.data.y[k], floor.data.z[k], 2)
     lines.across.push(line.across)
     lines.upward.push(line.upward)
   }
-  shown.floor.data = lines
-  shown.ghosts.data = ghosts
-  shown.points.data = points
-  shown.marks.data = marks
-  shown.flown.data = flown
-  shown.wanted.data = wanted
-  shown.craft.data = craftLines(project, one.data, row, 0.08 * span)
+  layers.floor.data = lines
+  layers.ghosts.data = ghosts
+  layers.points.data = points
+  layers.marks.data = marks
+  layers.flown.data = flown
+  layers.wanted.data = wanted
+  layers.craft.data = craftLines(project, flight.data, row, 0.08 * span)
 }
 
 function turn(scene, dx, dy) {

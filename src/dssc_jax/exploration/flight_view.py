@@ -1,4 +1,4 @@
-"""The flight of a vehicle in three dimensions over time, with other draws as ghosts, in Bokeh.
+"""Show the flight of a vehicle in three dimensions over time, with other draws as ghosts, in Bokeh.
 
 A script in the browser projects all paths for the time of the slider and the direction of view.
 """
@@ -23,14 +23,17 @@ from dssc_jax.runs.recorded_draws import SignalKey
 from dssc_jax.study import Study
 
 SCRIPT = files.read_text(Path(__file__).with_name("flight_view.js"))
+"""JavaScript of all functions that callbacks in the browser call."""
 FRAME = 900, 460
 """Width and height of the view [px]."""
 VIEW = {"azimuth": -1.0, "elevation": 0.45}
 """Direction from which the flight is seen at first [rad]: from the south-east, above."""
 FLOOR_LINES = 11
+"""Number of lines of the floor in each direction."""
 TAIL = 0.02
-"""Share of the positions, at each end of an axis, that does not set the scale."""
+"""Share of the positions at each end of an axis that may lie outside the view."""
 LAYERS = ("floor", "ghosts", "points", "marks", "flown", "wanted", "craft")
+"""Parts of the picture that the script projects, each with a data source of its own."""
 LEGEND = (
     "thin blue: draws that pass; orange: draws that fail, with a cross from the moment on at which that was certain; "
     "black: the chosen draw, as far as it has flown; dashed grey: where it should fly. Drag turns the view, the wheel "
@@ -42,15 +45,16 @@ class FlightView:
     """The flights of a run over time: the selected draw with its attitude, all others as ghosts."""
 
     def __init__(self) -> None:
-        first: dict[str, Any] = {name: [[0.0, 0.0]] for name in POSITION}
+        """Make the figure and its widgets; until :meth:`show`, all flights stay at the origin."""
+        one_line: dict[str, Any] = {name: [[0.0, 0.0]] for name in POSITION}
         names = ("t", *POSITION, *ATTITUDE, *(f"{axis}_ref" for axis in POSITION))
         selected_flight: dict[str, Any] = {name: [0.0] for name in names}
         view: dict[str, Any] = {name: [value] for name, value in VIEW.items()}
         view |= {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
         self.scene = ColumnDataSource(view)
-        self.tracks = ColumnDataSource({**first, "colour": [BLUE], "mark": [-1]})
+        self.tracks = ColumnDataSource({**one_line, "colour": [BLUE], "mark": [-1]})
         self.selected_flight = ColumnDataSource(selected_flight)
-        self.floor = ColumnDataSource(first)
+        self.floor = ColumnDataSource(one_line)
         self.layers = {name: ColumnDataSource({"across": [], "upward": [], "colour": []}) for name in LAYERS}
         self.slider = Slider(start=0.0, end=1.0, value=1.0, step=0.01, title="time [s]", width=FRAME[0] - 120)
         self.button = Toggle(label="play", width=80)
@@ -59,7 +63,7 @@ class FlightView:
         self._connect()
 
     def _figure(self) -> figure:
-        """An empty figure without axes, whose layers the script fills."""
+        """Make a figure without axes, whose layers the script fills."""
         width, height = FRAME
         plot = figure(
             frame_width=width,
@@ -83,12 +87,12 @@ class FlightView:
         return plot
 
     def _connect(self) -> None:
-        """Connect the slider, the mouse and new data with functions of the script."""
-        models = {"scene": self.scene, "tracks": self.tracks, "one": self.selected_flight, "floor": self.floor}
-        arguments = {**models, "slider": self.slider, "shown": self.layers}
+        """Let the slider, the mouse and new data call the functions of the script."""
+        sources = {"scene": self.scene, "tracks": self.tracks, "flight": self.selected_flight, "floor": self.floor}
+        arguments = {**sources, "slider": self.slider, "layers": self.layers}
         names = ", ".join(arguments)
         redraw = CustomJS(args=arguments, code=f"{SCRIPT}\ndraw({{{names}}})")
-        for source in models.values():
+        for source in sources.values():
             source.js_on_change("data", redraw)
         self.slider.js_on_change("value", redraw)
         turn = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
@@ -97,7 +101,7 @@ class FlightView:
         self.figure.js_on_event(MouseWheel, CustomJS(args=ranges, code=f"{SCRIPT}\nmagnify(ranges, cb_obj.delta)"))
         play_arguments = {"button": self.button, "slider": self.slider}
         self.button.js_on_change("active", CustomJS(args=play_arguments, code=f"{SCRIPT}\nplay(button, slider)"))
-        self.figure.js_on_change("inner_width", redraw)  # when the page is laid out
+        self.figure.js_on_change("inner_width", redraw)  # once the page has its layout
 
     @property
     def layout(self) -> LayoutDOM:
@@ -111,7 +115,7 @@ class FlightView:
         Args:
             run: The run.
             row: Row of the selected draw, which is shown with its attitude.
-            name: Name of the selected draw; None: the row.
+            name: Name of the selected draw; None: its row.
         """
         paths = {axis: compact(run.signal(f"{axis}_y")) for axis in POSITION}
         self._set_scene(paths)
@@ -125,14 +129,15 @@ class FlightView:
         for angle in ATTITUDE:
             selected_flight[angle] = run.signal(angle)[row]
         end = float(run.times[-1])
-        place = end if self.slider.value >= self.slider.end else min(self.slider.value, end)
-        self.slider.update(end=end, step=end / max(len(run.times) - 1, 1), value=place)
+        stood_at_end = self.slider.value >= self.slider.end
+        time = end if stood_at_end else min(self.slider.value, end)
+        self.slider.update(end=end, step=end / max(len(run.times) - 1, 1), value=time)
         self.selected_flight.data = selected_flight
         verdict = "fails" if run.failed[row] else "passes"
         self.title.text = f"{run.failed.size} flights; draw {name or row} {verdict}"
 
     def _set_scene(self, paths: dict[str, np.ndarray]) -> None:
-        """Set centre, scale and floor by nearly all positions, so that a draw that flies away does not set them.
+        """Set centre, scale and floor of the view by nearly all positions; a draw that flies away does not count.
 
         Args:
             paths: Positions of all draws along each axis [m], shape (draws, samples).
@@ -141,15 +146,19 @@ class FlightView:
         highs = []
         for values in paths.values():
             finite_values = values[np.isfinite(values)]
-            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL]) if finite_values.size else (0.0, 0.0)
+            if not finite_values.size:
+                finite_values = np.zeros(1)
+            low, high = np.quantile(finite_values, [TAIL, 1.0 - TAIL])
             lows.append(float(low))
             highs.append(float(high))
         extent = [high - low for low, high in zip(lows, highs, strict=True)]
         span = 0.6 * max(*extent, 0.5)
         centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
-        view: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}
-        places = {f"c{axis}": [value] for axis, value in zip(POSITION, centre, strict=True)}
-        self.scene.data = {**view, **places, "span": [span]}
+        scene: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}  # the direction stays
+        for axis, value in zip(POSITION, centre, strict=True):
+            scene[f"c{axis}"] = [value]
+        scene["span"] = [span]
+        self.scene.data = scene
         width, height = FRAME
         half = 1.1 * span
         self.figure.x_range.update(start=-half * width / height, end=half * width / height)
@@ -158,7 +167,12 @@ class FlightView:
 
 
 def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
-    """Make a run whose draws are recorded flights of a vehicle, in their order; all have the same samples."""
+    """Return a run whose draws are recorded flights of a vehicle.
+
+    Args:
+        study: The study.
+        flights: The flights, in the order of the draws; all have the same samples.
+    """
     requirements = study.requirements
     names = ["outcome", "failed_at", *(requirement.name for requirement in requirements)]
     names += [requirement.violation_name for requirement in requirements]
@@ -169,42 +183,43 @@ def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
 
 
 def failure_sample(run: LiveRun, draw: int) -> int:
-    """Index of the sample at which the failure of a draw was certain: its early end or its first violation.
+    """Return the index of the sample at which a draw fails: its early end or its first violation; -1 if it passes.
 
-    It is -1 for a draw that passes.
+    It is at most the last sample at which the position is finite.
     """
     if not run.failed[draw]:
         return -1
-    moments = [float(run.results["failed_at"][draw])]
+    times = [float(run.results["failed_at"][draw])]  # NaN if it ran to its end
     for requirement in run.study.requirements:
-        moments.append(float(run.results[requirement.violation_name][draw]))
-    finite_moments = [moment for moment in moments if np.isfinite(moment)]
-    place = run.signal("x_y")[draw]
-    final = int(np.flatnonzero(np.isfinite(place))[-1]) if np.isfinite(place).any() else 0
-    return min(final, int(np.searchsorted(run.times, min(finite_moments, default=run.times[-1]))))
+        times.append(float(run.results[requirement.violation_name][draw]))  # not finite if it is not violated
+    finite_times = [time for time in times if np.isfinite(time)]
+    failure_time = min(finite_times, default=run.times[-1])
+    samples_with_position = np.flatnonzero(np.isfinite(run.signal("x_y")[draw]))
+    last_sample = int(samples_with_position[-1]) if samples_with_position.size else 0
+    return min(last_sample, int(np.searchsorted(run.times, failure_time)))
 
 
 def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:
-    """The ends of the lines of a square grid below the flights.
+    """Return the ends of the lines of a square grid below the flights [m], by axis.
 
     Args:
         centre: Centre of the flights [m], shape (3,).
         height: Height of the grid [m].
         span: Scale of the view [m], in proportion to which the grid extends.
     """
-    offsets = np.linspace(-1.2 * span, 1.2 * span, FLOOR_LINES).tolist()
-    ends = [offsets[0], offsets[-1]]
+    half = 1.2 * span
+    x_ends = [centre[0] - half, centre[0] + half]
+    y_ends = [centre[1] - half, centre[1] + half]
     lines: dict[str, list[list[float]]] = {"x": [], "y": [], "z": []}
-    for offset in offsets:
-        along_x = ([centre[0] + end for end in ends], [centre[1] + offset] * 2)
-        along_y = ([centre[0] + offset] * 2, [centre[1] + end for end in ends])
-        for x, y in (along_x, along_y):
-            lines["x"].append(x)
-            lines["y"].append(y)
-            lines["z"].append([height] * 2)
+    for offset in np.linspace(-half, half, FLOOR_LINES).tolist():
+        x = centre[0] + offset
+        y = centre[1] + offset
+        lines["x"] += [x_ends, [x, x]]  # a line along x, and one along y
+        lines["y"] += [[y, y], y_ends]
+        lines["z"] += [[height, height], [height, height]]
     return lines
 
 
 def compact(values: np.ndarray) -> np.ndarray:
-    """Drawable values as float32, so that the browser receives half as much data."""
+    """Convert values to what a figure can draw, as float32, so that the browser receives half as much data."""
     return drawable(values).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The interactive report of a result: one HTML file with linked brushing."""
+"""Write the interactive report of a result: one HTML file with linked brushing."""
 
 import shlex
 
@@ -15,6 +15,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
 
 INTERACTIVE = "interactive.html"
+"""Usual name of the report in the results folder."""
 CONTENT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
     "font-src data:"
@@ -36,11 +37,13 @@ PAGE = """<!DOCTYPE html>
 </body>
 </html>
 """
-"""Template of a page. That of Bokeh would load files of all extensions that are imported, such as Panel's."""
+"""Template of a page. Bokeh's own template would load files of all imported extensions, such as Panel's."""
 
 
 def interactive_html(result: Result | Analysis) -> str:
-    """The interactive report of a result as an HTML page that needs no network and no program behind it.
+    """Return the interactive report of a result as an HTML page.
+
+    The page needs no network, and no program behind it.
 
     Args:
         result: A loaded or new result of a run or a sweep.
@@ -64,7 +67,12 @@ def interactive_html(result: Result | Analysis) -> str:
 
 
 def standalone_page(title: str, page: LayoutDOM) -> str:
-    """An HTML page with a layout of Bokeh and all its scripts, which needs no network."""
+    """Return an HTML page with a layout of Bokeh and all its scripts, so that it needs no network.
+
+    Args:
+        title: Title of the page, which is escaped.
+        page: The layout.
+    """
     script, place = components(page)
     library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
     return PAGE.format(policy=CONTENT_POLICY, title=escape(title), library=library, place=place, script=script)

@@ -1,4 +1,4 @@
-"""A study with sliders, which runs again whenever they move, and its runs."""
+"""Simulate all draws of a study again whenever one of its sliders moves, by a program that is compiled once."""
 
 import time
 from collections import OrderedDict
@@ -15,15 +15,8 @@ from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
 from dssc_jax.engine.batching import join_batches, values_of_draws
 from dssc_jax.engine.sampling import Arrays
-from dssc_jax.exploration.sliders import (
-    CLOCK_SLIDER,
-    Positions,
-    Slider,
-    admissible_sliders,
-    live_extents,
-    sliders_of,
-    study_changes,
-)
+from dssc_jax.exploration.positions import Positions, study_changes
+from dssc_jax.exploration.sliders import CLOCK_SLIDER, Slider, admissible_sliders, live_extents, sliders_of
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.results.result import interval_method
 from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey
@@ -36,11 +29,15 @@ POSITION = ("x", "y", "z")
 ATTITUDE = ("phi", "theta", "psi")
 """Signals of a vehicle's attitude."""
 FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Levels of the quantiles of a fan."""
 DRAWS = 1000
+"""Usual number of draws."""
 VEHICLE_DRAWS = 64
+"""Usual number of draws of a plant of several channels."""
 BATCH = 256
 """Number of draws after which a run checks whether a newer move has made it stale."""
 VEHICLE_BATCH = 16
+"""The same number for a plant of several channels."""
 QUIET_SECONDS = 0.3
 """Time [s] after which a run shows its progress."""
 PROGRAMS = 6
@@ -86,7 +83,7 @@ class LiveRun:
 
     @property
     def probability(self) -> float:
-        """The share of draws that failed."""
+        """Share of the draws that failed."""
         return float(self.failed.mean())
 
     @cached_property
@@ -97,7 +94,7 @@ class LiveRun:
 
     @cached_property
     def statement(self) -> str:
-        """Failures, probability and interval, in words."""
+        """A sentence with the number of failures, the failure probability and its interval."""
         return describe_probability(self.failed, interval_method(self.study))
 
     @cached_property
@@ -117,12 +114,15 @@ class LiveRun:
     @cached_property
     def order(self) -> np.ndarray:
         """Indices of the draws from the worst to the best, by smallest slack; among equals an early end comes first."""
-        end_times = np.nan_to_num(self.results["failed_at"], nan=np.inf)
+        end_times = np.nan_to_num(self.results["failed_at"], nan=np.inf)  # NaN: the draw ran to its end
         return np.lexsort((end_times, self.slack))
 
     @cached_property
     def slack(self) -> np.ndarray:
-        """Smallest relative slack of each draw, shape (draws,); without requirements, minus the largest |error|."""
+        """Smallest relative slack of each draw, shape (draws,).
+
+        Without requirements it is minus the largest |error|, and -inf for a draw that ended early.
+        """
         if self.study.requirements:
             return worst_slack(self.study.requirements, self.results)
         errors = [np.abs(self.signal(name)) for name in error_signals(self.study)]
@@ -136,15 +136,16 @@ class LiveRun:
     def fan(self, name: str) -> Fan:
         """Quantiles of a signal over time, over the draws that are still running."""
         if name not in self._fans:
-            sorted_signal = np.sort(self.signal(name), axis=0)  # NaN are last
+            sorted_signal = np.sort(self.signal(name), axis=0)  # draws that have ended are NaN, which come last
             running_counts = np.count_nonzero(~np.isnan(sorted_signal), axis=0)
-            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running_counts - 1, 0))).astype(int)
+            last_rows = np.maximum(running_counts - 1, 0)
+            rows = np.floor(np.outer(FAN_LEVELS, last_rows)).astype(int)
             self._fans[name] = Fan(np.take_along_axis(sorted_signal, rows, axis=0), running_counts)
         return self._fans[name]
 
     @cached_property
     def certificate(self) -> str:
-        """The verdict of Theorem 1 on the loop, in one line."""
+        """A sentence with the verdict of Theorem 1 on the loop, or the reason why it does not apply."""
         mark = certification.mark(self.study)
         if mark.certified is None:
             return f"Theorem 1 does not apply: {mark.reason}"
@@ -158,6 +159,9 @@ class LiveRun:
 class LiveStudy:
     """A study with sliders, compiled for all of their positions.
 
+    It holds three forms of the study, all with the page's number of draws: ``swept`` has its sweep, ``ranged`` has no
+    sweep, and ``base`` also has single laws in the middle of each range of laws.
+
     Args:
         study: The study.
         names: Numbers that can be moved; None: see :func:`dssc_jax.exploration.sliders.sliders_of`.
@@ -168,38 +172,38 @@ class LiveStudy:
     """
 
     def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
-        self.vehicle = len(study.loop.channels) > 1
-        default = VEHICLE_DRAWS if self.vehicle else DRAWS
+        """Make the forms of the study and its sliders; nothing is compiled before the first run."""
+        self._is_large = len(study.loop.channels) > 1
+        default = VEHICLE_DRAWS if self._is_large else DRAWS
         if not study.config.independent:
             default = study.config.draws
-        count = draws or default
-        self.swept = study.override({"draws": count})
+        self.swept = study.override({"draws": default if draws is None else draws})
         self.ranged = self.swept.without_sweep()
         self.base = self.ranged.with_laws({name: law.middle for name, law in self.ranged.ranged_laws.items()})
         self.sliders: list[Slider] = admissible_sliders(self.base, sliders_of(self.swept, names))
         self._programs: OrderedDict[float, RecordedDraws] = OrderedDict()
-        self._compiling = Lock()
+        self._compiling = Lock()  # held while a program is compiled
 
     @property
     def start(self) -> dict[Slider, float]:
-        """The positions that describe the study itself; a swept number is at its own value, or at its law's median."""
+        """Positions that describe the study itself; a swept number is at its own value, or at its law's median."""
         return {slider: slider.start for slider in self.sliders}
 
-    def at(self, positions: Positions) -> Study:
-        """The study at positions of the sliders.
+    def study_at(self, positions: Positions) -> Study:
+        """Return the study at positions of the sliders.
 
         Raises:
             ConfigError: The study is not valid there; the message names the number and gives the rule.
         """
         return self.base.override(study_changes(self.swept, positions))
 
-    def ranged_at(self, positions: Positions) -> Study:
-        """The study at positions of the sliders, with ranges of laws' arguments instead of the laws in their middle.
+    def ranged_study_at(self, positions: Positions) -> Study:
+        """Return the study at positions of the sliders, in which arguments of laws are still ranges.
 
         Raises:
             ConfigError: The study is not valid there.
         """
-        return self.at(positions).with_laws(self.ranged.ranged_laws)
+        return self.study_at(positions).with_laws(self.ranged.ranged_laws)
 
     def run(
         self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None
@@ -208,7 +212,7 @@ class LiveStudy:
 
         Args:
             positions: Position of each slider.
-            stale: Whether a newer request has come.
+            stale: Whether a newer request has come; asked after each batch of draws.
             progress: Called with a description of the work, once it takes longer than :data:`QUIET_SECONDS`.
 
         Returns:
@@ -217,7 +221,7 @@ class LiveStudy:
         Raises:
             ConfigError: The study is not valid there.
         """
-        study = self.at(positions)
+        study = self.study_at(positions)
         program = self._program(study, progress)
         count = study.config.draws
         batches = []
@@ -233,7 +237,7 @@ class LiveStudy:
         return LiveRun(study, join_batches(batches), values_of_draws(study, slice(0, count)), program.times)
 
     @cached_property
-    def first(self) -> LiveRun:
+    def first_run(self) -> LiveRun:
         """The run at the start of all sliders."""
         run = self.run(self.start)
         assert run is not None  # nothing makes it stale
@@ -241,17 +245,22 @@ class LiveStudy:
 
     def compile(self) -> None:
         """Compile the program that all pages share, by the first run."""
-        _ = self.first
+        _ = self.first_run
 
     def _program(self, study: Study, progress: Notice) -> RecordedDraws:
-        """The compiled program for a study's sample time."""
+        """Return the program for a study's sample time; it is compiled if it is not among those kept.
+
+        Args:
+            study: The study at positions of the sliders.
+            progress: Called before the program is compiled.
+        """
         sample_time = study.loop.sample_time
-        with self._compiling:  # tabs share the programs
+        with self._compiling:  # several tabs of the browser share the programs
             if sample_time not in self._programs:
                 progress("compiling")
                 compiled_study = self.base.override({CLOCK_SLIDER: sample_time})
                 extents = live_extents(self.sliders)
-                batch = VEHICLE_BATCH if self.vehicle else BATCH
+                batch = VEHICLE_BATCH if self._is_large else BATCH
                 program = RecordedDraws(compiled_study, extents, recorded_signals(study), lanes=batch)
                 program.compile()
                 self._programs[sample_time] = program
@@ -262,7 +271,7 @@ class LiveStudy:
 
 
 def error_signals(study: Study) -> list[str]:
-    """Names of the error signals of all channels."""
+    """Return the name of each channel's error signal."""
     return [f"{channel}_e" if channel else "e" for channel in study.loop.channels]
 
 
@@ -272,7 +281,14 @@ def has_vehicle(study: Study) -> bool:
 
 
 def recorded_signals(study: Study) -> list[str]:
-    """Names of the recorded signals: output, desired output, error and command of all channels, and attitude."""
-    names = ("y", "y_ref", "e", "u_total")
-    signals = [f"{channel}_{name}" if channel else name for channel in study.loop.channels for name in names]
-    return [*signals, *ATTITUDE] if has_vehicle(study) else signals
+    """Return names of the signals that a page records: output, its reference, error and command of each channel.
+
+    Of a vehicle, the attitude is recorded, too.
+    """
+    signals = []
+    for channel in study.loop.channels:
+        for name in ("y", "y_ref", "e", "u_total"):
+            signals.append(f"{channel}_{name}" if channel else name)
+    if has_vehicle(study):
+        signals.extend(ATTITUDE)
+    return signals

@@ -1,5 +1,6 @@
-"""The card of a study's page that compares logged flights with the draws."""
+"""Compare logged flights with the draws, on a card of a study's page."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import htpy as h
@@ -20,6 +21,7 @@ from dssc_jax.report.vector import inline_svg
 from dssc_jax.results.analysis import Analysis
 
 CONDITION = "This is exact for sliders that were set without looking at these flights."
+"""Shown under each answer: sliders that are fitted to the flights make the test too favourable."""
 CARD_STYLE = f"""
 :host {{ --blue: {BLUE}; --orange: {ORANGE}; --green: {GREEN}; --red: {RED}; --grey: {GREY}; }}
 svg.plot {{ width: 100%; max-width: 1000px; height: auto; }}
@@ -31,7 +33,7 @@ th, td {{ text-align: left; font-weight: 400; padding: 2px 16px 2px 0; vertical-
 
 
 class LoggedFlights:
-    """The card "The next flight"; with a single log "The logged flight", which shows its place among the draws.
+    """The card that compares several flights with the draws and predicts the next, or compares a single flight.
 
     Args:
         logs: The flights, at least one.
@@ -39,6 +41,7 @@ class LoggedFlights:
     """
 
     def __init__(self, logs: Sequence[FlightLog], search: Callable[[], None]) -> None:
+        """Make the card's widgets, without an answer."""
         self.logs = tuple(logs)
         self.title = "The next flight" if len(self.logs) > 1 else "The logged flight"
         self.probability = pn.widgets.FloatInput(
@@ -57,12 +60,13 @@ class LoggedFlights:
 
     @property
     def question(self) -> Question[Analysis]:
-        """The question how the flights compare with the draws of a run, with the present probability."""
+        """The question how the flights compare with the draws of a run, for the probability in the field."""
         logs = self.logs
         value = self.probability.value
-        probability = float("nan") if value is None else float(value)  # an empty field, which is refused
+        probability = math.nan if value is None else float(value)  # NaN: an empty field, which is refused
 
         def answer(run: LiveRun, check: Callable[..., None]) -> Analysis:
+            """Compare a single flight, or predict the next flight."""
             if len(logs) == 1:
                 return compare_log(run.study, logs[0], progress=check)
             return next_flight(run.study, logs, probability=probability, progress=check)

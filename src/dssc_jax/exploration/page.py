@@ -1,4 +1,4 @@
-"""Base class of the pages: status line, panes of text, and work in the background."""
+"""The base class of the pages: a status line, panes of text, and tasks in the background."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -16,12 +16,14 @@ from dssc_jax.exploration.worker import Stale, Work, Worker
 WORST_DRAW = "worst draw"
 MEDIAN_DRAW = "median draw"
 RANDOM_DRAW = "random draw"
+"""The three choices of a draw, see :meth:`Page.choose`."""
 PAGE_STYLE = """
 :host { font-size: 15px; }
 p.error { color: #a00000; font-weight: 600; }
 p.headline { font-size: 20px; font-weight: 600; margin: 0; }
 p { margin: 2px 0; }
 """
+"""Style sheet of the panes of text."""
 
 Answer = TypeVar("Answer")
 Arguments = ParamSpec("Arguments")
@@ -31,11 +33,12 @@ class Page(ABC):
     """A page for the browser, a notebook or a program.
 
     Args:
-        background: Whether work happens in threads, in which newer work replaces older work, as on a served page. If
-            not, a change of the page returns when its work is done.
+        background: Whether tasks run in threads, in which a newer task replaces an older one, as on a served page. If
+            not, a change of the page returns when its task is done.
     """
 
     def __init__(self, background: bool = False) -> None:
+        """Make the threads, which start with their first task, and an empty status line."""
         self._worker = Worker() if background else None
         self._second_worker = Worker() if background else None
         self._document = pn.state.curdoc if background else None
@@ -52,32 +55,41 @@ class Page(ABC):
         return self.view._repr_mimebundle_(*args, **options)
 
     def choose(self, choice: str, order: np.ndarray) -> int:
-        """Select the worst, the median or a random draw.
+        """Return the worst, the median or a random draw.
 
         Args:
             choice: :data:`WORST_DRAW`, :data:`MEDIAN_DRAW` or :data:`RANDOM_DRAW`.
             order: Draws from the worst to the best.
         """
-        places = {WORST_DRAW: 0, MEDIAN_DRAW: len(order) // 2}
-        return int(order[places[choice]] if choice in places else self._random.integers(len(order)))
+        if choice == WORST_DRAW:
+            return int(order[0])
+        if choice == MEDIAN_DRAW:
+            return int(order[len(order) // 2])
+        return int(self._random.integers(len(order)))
 
-    def work(self, task: Work) -> None:
-        """Do a task, in a thread if the page works in the background."""
-        do(task, self._worker)
+    def run_task(self, task: Work) -> None:
+        """Run a task, in a thread if the page has a background."""
+        run_or_submit(task, self._worker)
 
-    def work_aside(self, task: Work) -> None:
-        """Do a task in a second thread, so that it does not delay those of :meth:`work`."""
-        do(task, self._second_worker)
+    def run_second_task(self, task: Work) -> None:
+        """Run a task in a second thread, so that it does not delay those of :meth:`run_task`."""
+        run_or_submit(task, self._second_worker)
 
-    def show_aside(self, compute: Callable[[], Answer], show: Callable[[Answer], None]) -> None:
-        """Compute an answer in the second thread, and show it unless a newer request has come."""
+    def show_later(self, compute: Callable[[], Answer], show: Callable[[Answer], None]) -> None:
+        """Compute an answer in the second thread, and show it unless a newer request has come.
+
+        Args:
+            compute: Computes the answer.
+            show: Shows it on the page.
+        """
 
         def task(stale: Stale) -> None:
+            """Compute the answer and show it."""
             answer = compute()
             if not stale():
                 self.update(show, answer)
 
-        self.work_aside(task)
+        self.run_second_task(task)
 
     def update(
         self, change: Callable[Arguments, None], *arguments: Arguments.args, **options: Arguments.kwargs
@@ -101,16 +113,20 @@ class Page(ABC):
         with hold(self._document):
             change(*arguments, **options)
 
-    def say(self, text: str) -> None:
-        """Show a text as the status."""
+    def show_status(self, text: str) -> None:
+        """Show a text in the status line."""
         self.status.object = markup(h.p(role="status")[text])
 
-    def complain(self, text: str) -> None:
-        """Show an error as the status."""
+    def show_error(self, text: str) -> None:
+        """Show a text in the status line as an error."""
         self.status.object = markup(h.p(".error", role="alert")[text])
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no work is running, at most for a timeout [s]; return whether that came true."""
+        """Wait until no task is running, at most for a timeout [s]; return whether none is.
+
+        Args:
+            timeout: Longest time to wait for each thread [s]; None: no limit.
+        """
         return all(worker is None or worker.wait(timeout) for worker in (self._worker, self._second_worker))
 
     def close(self) -> None:
@@ -120,8 +136,8 @@ class Page(ABC):
                 worker.close()
 
 
-def do(task: Work, worker: Worker | None) -> None:
-    """Let a worker do a task; without a worker, do it at once."""
+def run_or_submit(task: Work, worker: Worker | None) -> None:
+    """Submit a task to a worker; without a worker, run it at once."""
     if worker is None:
         task(lambda: False)
     else:
@@ -129,10 +145,10 @@ def do(task: Work, worker: Worker | None) -> None:
 
 
 def html_pane(text: str) -> pn.pane.HTML:
-    """A pane of HTML text in the style of the pages."""
+    """Make a pane of HTML text in the style of the pages."""
     return pn.pane.HTML(text, stylesheets=[PAGE_STYLE])
 
 
 def markup(element: h.Element) -> str:
-    """An element as HTML text, in which all strings are escaped."""
+    """Write an element as HTML text, in which all strings are escaped."""
     return "".join(element.iter_chunks())

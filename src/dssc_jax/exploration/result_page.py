@@ -1,4 +1,4 @@
-"""The page of a result, on which its draws are brushed, replayed by a click, and pinned for comparison."""
+"""Explore a result on a page: brush its draws, replay one by a click, and pin it for comparison."""
 
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -10,6 +10,7 @@ import panel as pn
 import xarray as xr
 from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
+from panel.viewable import Viewable
 
 from dssc_jax.closed_loop.metrics.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
@@ -29,7 +30,7 @@ from dssc_jax.study import Described
 MOST_SAMPLES = 1500
 """Approximate number of samples of a replayed flight."""
 COLOURS = (RED, BLUE, GREEN, VIOLET, ORANGE)
-"""Colours of the present flight and of the pinned flights."""
+"""Colours of the present flight, and then of the pinned flights."""
 
 
 class ResultPage(Page):
@@ -41,22 +42,19 @@ class ResultPage(Page):
     """
 
     def __init__(self, result: Result, background: bool = False) -> None:
+        """Make the figures and widgets; no draw is replayed yet."""
         super().__init__(background)
         self.result = result
         self.table = DrawTable(result)
         self.brushing = Brushing(self.table, str(result.path or f"results/{result.study.name}"))
         self.flight: xr.Dataset | None = None
         self.pinned: list[xr.Dataset] = []
-        self.key = html_pane("")
+        self.legend = html_pane("")
         self.wrong_laws = WrongLaws(self.show_wrong_laws, self.show_how_wrong)
-        self.say("click a draw to see its flight")
+        self.show_status("click a draw to see its flight")
         if not result.study.axes:
             self.show_wrong_laws()
-        self.choices: list[pn.widgets.Button] = []
-        for name in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW):
-            button = pn.widgets.Button(label=name.capitalize())
-            button.on_click(lambda _, name=name: self.replay(self.row_of(name)))
-            self.choices.append(button)
+        self.draw_buttons = [self._draw_button(choice) for choice in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW)]
         self.pin = pn.widgets.Button(label="Pin this draw", color="primary")
         self.clear = pn.widgets.Button(label="Unpin all")
         self.pin.on_click(lambda _: self.pin_draw())
@@ -67,8 +65,14 @@ class ResultPage(Page):
         self.flight_view = FlightView() if has_vehicle(result.study) else None
         self.brushing.clicked_row.on_change("data", self._clicked)
 
+    def _draw_button(self, choice: str) -> pn.widgets.Button:
+        """Make a button that replays the worst, the median or a random draw, see :meth:`Page.choose`."""
+        button = pn.widgets.Button(label=choice.capitalize())
+        button.on_click(lambda _: self.replay(self.row_of(choice)))
+        return button
+
     def _figure(self, name: str) -> figure:
-        """An empty figure of one signal of all displayed flights."""
+        """Make an empty figure of one signal, for all displayed flights."""
         source = ColumnDataSource({"t": [], "value": [], "colour": [], "draw": []})
         self.sources[name] = source
         plot = signal_figure(name, self.result.study)
@@ -76,7 +80,7 @@ class ResultPage(Page):
         return plot
 
     def _path(self, across: str, upward: str) -> figure:
-        """An empty figure of paths over two channels, with the desired path of the present draw as a dashed line."""
+        """Make an empty figure of paths over two channels, with the present draw's desired path as a dashed line."""
         source = ColumnDataSource({"across": [], "upward": [], "colour": []})
         desired = ColumnDataSource({"across": [], "upward": []})
         self.sources[across + upward] = source
@@ -87,31 +91,29 @@ class ResultPage(Page):
         return plot
 
     def show_wrong_laws(self) -> None:
-        """Show the failure probability if the laws are wrong by the amount of the slider."""
+        """Show the failure probability under laws that are wrong by the amount of the slider."""
         result = self.result
         amounts = self.wrong_laws.amounts
         compute = partial(probability_text, amounts, result.study, result.failed.values, result.method)
-        self.show_aside(compute, self.wrong_laws.show)
+        self.show_later(compute, self.wrong_laws.show)
 
     def show_how_wrong(self) -> None:
-        """Show how far the laws may be wrong."""
-        limit = float(self.wrong_laws.limit.value)
-        self.show_aside(partial(largest_errors_text, self.result, limit), self.wrong_laws.show)
+        """Show how far the laws may be wrong before too many draws fail."""
+        compute = partial(largest_errors_text, self.result, self.wrong_laws.largest_share)
+        self.show_later(compute, self.wrong_laws.show)
 
     @property
     def view(self) -> pn.Column:
         """The page for Panel."""
         figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in (*self.paths, *self.figures)]
-        return pn.Column(
-            pn.pane.Bokeh(self.brushing.layout),
-            *([] if self.result.study.axes else [self.wrong_laws.view]),
-            pn.Row(*self.choices, self.pin, self.clear),
-            self.status,
-            self.key,
-            pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width"),
-            *([pn.pane.Bokeh(self.flight_view.layout)] if self.flight_view else []),
-            sizing_mode="stretch_width",
-        )
+        parts: list[Viewable] = [pn.pane.Bokeh(self.brushing.layout)]
+        if not self.result.study.axes:
+            parts.append(self.wrong_laws.view)
+        parts.append(pn.Row(*self.draw_buttons, self.pin, self.clear))
+        parts += [self.status, self.legend, pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width")]
+        if self.flight_view is not None:
+            parts.append(pn.pane.Bokeh(self.flight_view.layout))
+        return pn.Column(*parts, sizing_mode="stretch_width")
 
     @cached_property
     def order(self) -> np.ndarray:
@@ -124,65 +126,83 @@ class ResultPage(Page):
         return np.lexsort((end_times, worst_slack(requirements, lanes)))
 
     def row_of(self, choice: str) -> int:
-        """The row of the worst, the median or a random draw, see :meth:`Page.choose`."""
+        """Return the row of the worst, the median or a random draw, see :meth:`Page.choose`."""
         return self.choose(choice, self.order)
 
     @cached_property
     def _record(self) -> Callable[[int, dict[str, float]], xr.Dataset]:
-        """The program that simulates one draw, compiled once."""
+        """The program that simulates a draw at a point of the sweep; it is compiled once."""
         study = self.result.study
         return recorder(study, max(1, study.loop.steps // MOST_SAMPLES))
 
     def _clicked(self, attr: str, old: dict[str, list[int]], new: dict[str, list[int]]) -> None:
-        """Replay the draw that was clicked; the arguments are those of Bokeh's callbacks."""
+        """Replay the draw that was clicked.
+
+        Args:
+            attr: Name of the changed property; the arguments are those of Bokeh's callbacks.
+            old: Data of ``clicked_row`` before the click.
+            new: Its data after the click; without a row, no draw was clicked.
+        """
         if len(new["row"]):
             self.replay(int(new["row"][0]))
 
     def replay(self, row: int) -> None:
-        """Simulate the draw in a row of :attr:`table` again, and show its flight."""
+        """Simulate the draw in a row of :attr:`table` again, and show its flight.
+
+        A study whose code is not loaded cannot be simulated, and the status line says so.
+        """
         if isinstance(self.result.study, Described):
-            self.say("the study's own code is not loaded; trust the code to simulate its draws")
+            self.show_status("the study's own code is not loaded; trust the code to simulate its draws")
             return
-        self.say(f"simulating draw {self.table.draw[row]} ...")
-        self.work(partial(self._simulate, row))
+        self.show_status(f"simulating draw {self.table.draw[row]} ...")
+        self.run_task(partial(self._simulate, row))
 
     def _simulate(self, row: int, stale: Stale) -> None:
-        """Simulate a draw, show it unless a newer click has come, and then compare it with the stored draw."""
+        """Simulate a draw, show it unless a newer click has come, and then compare it with the stored draw.
+
+        Args:
+            row: Row of the draw.
+            stale: Whether a newer click has come.
+        """
         try:
-            run = self._record(int(self.table.draw[row]), self.table.point(row))
+            flight = self._record(int(self.table.draw[row]), self.table.point(row))
         except ConfigError as error:
-            self.update(self.complain, str(error))
+            self.update(self.show_error, str(error))
         except Exception as error:  # a user's model may raise anything, and the page goes on
-            self.update(self.complain, f"the draw cannot be simulated: {type(error).__name__}: {error}")
+            self.update(self.show_error, f"the draw cannot be simulated: {type(error).__name__}: {error}")
         else:
             if not stale():
-                self.update(self.show, run)
-                self.work_aside(partial(self._compare, run))
+                self.update(self.show, flight)
+                self.run_second_task(partial(self._compare, flight))
 
-    def _compare(self, run: xr.Dataset, stale: Stale) -> None:
-        """Compare a flight with the stored draw.
+    def _compare(self, flight: xr.Dataset, stale: Stale) -> None:
+        """Compare a flight with the stored draw, and show whether they agree unless a newer click has come.
 
-        It happens aside, because a draw that rounding decides is simulated once more by a program that compiles slowly.
+        This is a task of the second thread, because it may take long: a draw whose outcome rounding decides is
+        simulated once more, by a program that compiles slowly.
         """
-        run.attrs["agreement"] = agreement_of(self.result, run).verdict
+        flight.attrs["agreement"] = agreement_of(self.result, flight).verdict
         if not stale():
-            self.update(self._say_agreement, run)
+            self.update(self._show_agreement, flight)
 
-    def show(self, run: xr.Dataset) -> None:
+    def show(self, flight: xr.Dataset) -> None:
         """Show a flight beside the pinned ones."""
-        self.flight = run
-        self._draw()
-        self.say(f"{self._name(run)}: {run.attrs['verdict']}; comparing it with what is stored ...")
+        self.flight = flight
+        self._fill_figures()
+        self.show_status(f"{self._name(flight)}: {flight.attrs['verdict']}; comparing it with what is stored ...")
 
-    def _say_agreement(self, run: xr.Dataset) -> None:
-        """Tell how a flight agrees with the stored draw, if it is still the present one."""
-        if run is self.flight:
-            self.say(f"{self._name(run)}: {run.attrs['verdict']}; stored metrics: {run.attrs['agreement']}")
+    def _show_agreement(self, flight: xr.Dataset) -> None:
+        """Show whether a flight agrees with the stored draw, if it is still the present flight."""
+        if flight is self.flight:
+            text = f"{flight.attrs['verdict']}; stored metrics: {flight.attrs['agreement']}"
+            self.show_status(f"{self._name(flight)}: {text}")
 
-    def _name(self, run: xr.Dataset) -> str:
-        """The draw of a flight, and its point of the sweep, in words."""
-        point = "".join(f", {name} = {run.attrs[name]:.4g}" for name in self.result.study.axes)
-        return f"draw {run.attrs['draw']}{point}"
+    def _name(self, flight: xr.Dataset) -> str:
+        """Name a flight by its draw and its point of the sweep."""
+        parts = [f"draw {flight.attrs['draw']}"]
+        for name in self.result.study.axes:
+            parts.append(f"{name} = {flight.attrs[name]:.4g}")
+        return ", ".join(parts)
 
     def pin_draw(self) -> None:
         """Pin the present flight, so that it stays when another draw is replayed.
@@ -192,30 +212,30 @@ class ResultPage(Page):
         most_pinned = len(COLOURS) - 1
         if self.flight is not None and len(self.pinned) < most_pinned:
             self.pinned.append(self.flight)
-            draws = ", ".join(str(run.attrs["draw"]) for run in self.pinned)
-            self.say(f"pinned: {draws}")
+            draws = ", ".join(str(flight.attrs["draw"]) for flight in self.pinned)
+            self.show_status(f"pinned: {draws}")
 
     def unpin(self) -> None:
         """Remove all flights but the present one."""
         self.pinned.clear()
-        self._draw()
+        self._fill_figures()
 
-    def _draw(self) -> None:
-        """Fill the figures with the present flight in red, and each pinned flight in a colour of its own."""
-        flights = [run for run in self.pinned if run is not self.flight]
+    def _fill_figures(self) -> None:
+        """Fill the figures with the present flight in red, and each pinned flight in another colour."""
+        flights = [flight for flight in self.pinned if flight is not self.flight]
         if self.flight is not None:
             flights.insert(0, self.flight)
         colours = list(COLOURS[: len(flights)])
-        names = []
-        for run, colour in zip(flights, colours, strict=True):
-            names.append(h.span(style=f"color: {colour}")[f"\u25a0 {self._name(run)}  "])
-        self.key.object = markup(h.p[names])
+        entries = []
+        for flight, colour in zip(flights, colours, strict=True):
+            entries.append(h.span(style=f"color: {colour}")[f"\u25a0 {self._name(flight)}  "])
+        self.legend.object = markup(h.p[entries])
         for name in displayed_signals(self.result.study):
             self.sources[name].data = {
-                "t": [run["t"].values for run in flights],
-                "value": [drawable(run[name].values) for run in flights],
+                "t": [flight["t"].values for flight in flights],
+                "value": [drawable(flight[name].values) for flight in flights],
                 "colour": colours,
-                "draw": [run.attrs["draw"] for run in flights],
+                "draw": [flight.attrs["draw"] for flight in flights],
             }
         for across, upward in path_views(self.result.study):
             desired = path_lines(flights[:1], f"{across}_y_ref", f"{upward}_y_ref")
@@ -228,8 +248,14 @@ class ResultPage(Page):
 
 
 def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, Any]:
-    """Two signals of flights as the columns of a figure of paths."""
+    """Return two signals of flights as the columns of a figure of paths.
+
+    Args:
+        flights: The flights.
+        across: Signal of the horizontal axis.
+        upward: Signal of the vertical axis.
+    """
     return {
-        "across": [drawable(run[across].values) for run in flights],
-        "upward": [drawable(run[upward].values) for run in flights],
+        "across": [drawable(flight[across].values) for flight in flights],
+        "upward": [drawable(flight[upward].values) for flight in flights],
     }

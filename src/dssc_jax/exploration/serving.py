@@ -29,12 +29,14 @@ LOCAL = "127.0.0.1"
 HOST_NAMES = (LOCAL, "localhost")
 """Names of this machine in a browser's address; the second one is that of a forwarded port."""
 PAGE_PATH = "explore"
+"""Last part of the page's address."""
 ICON = r"favicon\.ico"
 PLAIN_NAME = r"[A-Za-z0-9@_-](?:[A-Za-z0-9@_.^-]|%5E)*"
+"""Name of a file or folder that does not begin with a dot; a browser may encode ``^``."""
 SCRIPT_OR_STYLE = re.compile(rf"{ICON}|static/(?:{PLAIN_NAME}/)*{PLAIN_NAME}")
-"""Path of a file that the page loads: plain names, none of which begins with a dot; a browser may encode ``^``."""
+"""Path of a file that the page loads."""
 FILE_VERSION = re.compile(r"(?:v=[0-9a-z.]+)?")
-"""Query of such a file."""
+"""Query of the request of such a file."""
 REDIRECT = """<!doctype html>
 <meta charset="utf-8">
 <meta name="referrer" content="no-referrer">
@@ -43,17 +45,18 @@ REDIRECT = """<!doctype html>
 <a href="{address}">Explore</a>
 """
 """A file that leads a browser to the page."""
-LIFE = 15_000
-"""Time [ms] that a session outlives its closed page."""
+SESSION_LIFETIME = 15_000
+"""Time [ms] for which a session is kept after its page was closed."""
 LARGEST_MESSAGE = 64 * 2**20
 """Largest message of the websocket [byte]."""
 
 
 class Refused(Matcher):
-    """Matches all requests that are not those of the page.
+    """Matches all requests that the page does not need.
 
-    A request of the page only reads. It names this machine as its host. Its path begins with the token and leads to the
-    page, its websocket, a script or a style. If it names an origin, as a websocket must, the origin is this server.
+    A request that the page needs only reads. It names this machine as its host. Its path begins with the token and
+    leads to the page, its websocket, a script or a style. If it names an origin, as a websocket must, the origin is
+    this server.
 
     Args:
         token: The secret first part of the path.
@@ -61,25 +64,29 @@ class Refused(Matcher):
     """
 
     def __init__(self, token: str, port: int) -> None:
+        """Keep the token and the admissible values of the headers Host and Origin."""
         self._token = token.encode()
         self._hosts = [f"{name}:{port}" for name in HOST_NAMES]
         self._origins = [f"http://{host}" for host in self._hosts]
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """An empty dictionary where the request is refused, as Tornado expects; None where it passes."""
+        """Return what Tornado expects: an empty dictionary to refuse the request, None to let it pass."""
         return None if self._passes(request) else {}
 
     def _passes(self, request: HTTPServerRequest) -> bool:
-        """Whether a request is one of the page."""
-        path, _, query = request.uri.partition("?") if request.uri else ("", "", "")
-        _, _, path = path.partition("/")
-        token, _, place = path.partition("/")
+        """Whether the page needs a request."""
+        path, _, query = (request.uri or "").partition("?")
+        _, _, path_after_slash = path.partition("/")
+        token, _, place = path_after_slash.partition("/")
         if not secrets.compare_digest(token.encode(), self._token):
             return False
-        if request.method not in ("GET", "HEAD") or request.headers.get_list("Host") not in [[h] for h in self._hosts]:
+        if request.method not in ("GET", "HEAD"):
+            return False
+        hosts = request.headers.get_list("Host")
+        if len(hosts) != 1 or hosts[0] not in self._hosts:
             return False
         origins = request.headers.get_list("Origin")
-        if origins not in [[], *([origin] for origin in self._origins)]:
+        if len(origins) > 1 or not set(origins) <= set(self._origins):
             return False
         if place == f"{PAGE_PATH}/ws":
             return request.method == "GET" and len(origins) == 1 and not query
@@ -92,7 +99,7 @@ class NotFound(RequestHandler):
     """Answers every request with "not found"."""
 
     def prepare(self) -> None:
-        """End the request."""
+        """Answer the request before its method is looked at."""
         self.set_status(404)
         self.finish()
 
@@ -104,14 +111,18 @@ class PageServer:
     loaded from the network.
 
     Args:
-        make: Makes the page of a session.
+        make_page: Makes the page of a session.
         title: Title of the page.
         port: Port; 0: any free port.
+
+    Raises:
+        OSError: The port is in use, or may not be used.
     """
 
-    def __init__(self, make: Callable[[], Page], title: str, port: int = 0) -> None:
+    def __init__(self, make_page: Callable[[], Page], title: str, port: int = 0) -> None:
+        """Bind the port, behind a gate for requests; nothing is served before :meth:`serve`."""
         self.token = secrets.token_urlsafe(24)
-        self._make = make
+        self._make_page = make_page
         pn.extension()
         self._server: Server = pn.io.server.get_server(
             {f"/{PAGE_PATH}": self._session},
@@ -121,14 +132,14 @@ class PageServer:
             title=title,
             use_index=False,
             redirect_root=False,
-            check_unused_sessions_milliseconds=LIFE // 3,
-            unused_session_lifetime_milliseconds=LIFE,
+            check_unused_sessions_milliseconds=SESSION_LIFETIME // 3,
+            unused_session_lifetime_milliseconds=SESSION_LIFETIME,
             websocket_max_message_size=LARGEST_MESSAGE,
         )
         gate = Rule(Refused(self.token, self.port), NotFound)
         icon = Rule(PathMatches(f"/{self.token}/({ICON})"), StaticFileHandler, {"path": DIST_DIR / "images"})
-        self._server._tornado.add_handlers(r"(?s).*", [gate, icon])  # before all others
-        self._server._tornado.settings["log_function"] = lambda handler: None  # requests of others fill no terminal
+        self._server._tornado.add_handlers(r"(?s).*", [gate, icon])  # asked before all other handlers
+        self._server._tornado.settings["log_function"] = lambda handler: None  # no request is logged to the terminal
 
     @property
     def url(self) -> str:
@@ -171,7 +182,7 @@ class PageServer:
         self._server.io_loop.stop()
 
     def _session(self) -> Viewable:
-        """The page of a new session."""
-        page = self._make()
+        """Make the page of a new session; the page is closed when the session ends."""
+        page = self._make_page()
         pn.state.on_session_destroyed(lambda _: page.close())
         return page.view

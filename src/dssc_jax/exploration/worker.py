@@ -1,5 +1,6 @@
-"""Work in the background by a thread that serves the newest request."""
+"""Do work in the background, by a thread that serves the newest request only."""
 
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -19,9 +20,10 @@ class Worker:
     """
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._pending: Work | None = None
-        self._number = 0
+        """Begin without a thread and without requests."""
+        self._changed = threading.Condition()  # guards the fields below; notified when one of them changes
+        self._pending: Work | None = None  # the newest work, until it begins
+        self._number = 0  # of the newest request
         self._closed = False
         self._busy = False
         self._thread: threading.Thread | None = None
@@ -39,7 +41,11 @@ class Worker:
             self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no request is pending or running, at most for a timeout [s]; return whether that came true."""
+        """Wait until no request is pending or running, at most for a timeout [s]; return whether none is.
+
+        Args:
+            timeout: Longest time to wait [s]; None: no limit.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: self._pending is None and not self._busy, timeout)
 
@@ -52,7 +58,7 @@ class Worker:
             self._changed.notify_all()
 
     def _serve(self) -> None:
-        """Do the newest work whenever there is some, until the worker is closed."""
+        """Wait for work and do it, again and again until the worker is closed."""
         while True:
             with self._changed:
                 self._busy = False
@@ -60,12 +66,15 @@ class Worker:
                 self._changed.wait_for(lambda: self._pending is not None or self._closed)
                 work = self._pending
                 number = self._number
-                if work is None:
+                if work is None:  # the worker is closed
                     return
                 self._pending = None
                 self._busy = True
-            work(partial(self._is_stale, number))
+            try:
+                work(partial(self._is_stale, number))
+            except Exception:  # reported as of a thread that ends, but this one serves newer requests
+                threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
     def _is_stale(self, number: int) -> bool:
-        """Whether a request has come after that with a number."""
+        """Whether a newer request than the one with this number has come, or the worker is closed."""
         return self._number != number

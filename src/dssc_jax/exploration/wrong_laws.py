@@ -1,5 +1,6 @@
-"""A slider for an error of the laws, with the failure probability that follows."""
+"""Widgets for an error of the laws, and the texts with the failure probability that follows from it."""
 
+import math
 from collections.abc import Callable
 
 import htpy as h
@@ -19,33 +20,35 @@ from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.study import Study
 
 MOST_ERROR = 1.0
+"""Largest size of an error, at the end of the slider."""
 STEP = 0.01
+"""Step of the slider."""
 ALL_MEANS = "shift of all means [standard deviations]"
 ALL_WIDTHS = "widening of all laws [share of their width]"
-AMOUNTS: dict[str, Callable[[float], StatedAmounts]] = {
-    ALL_MEANS: lambda size: StatedAmounts({}, size, None),
-    ALL_WIDTHS: lambda size: StatedAmounts({}, None, 1.0 + size),
-} | {ball.title: lambda size, name=name: StatedAmounts({name: size}, None, None) for name, ball in BALLS.items()}
-"""Kinds of errors of the laws, with the amounts that a position of the slider stands for."""
+DIVERGENCES = {ball.title: name for name, ball in BALLS.items()}
+"""Names of the divergences between two laws, by title."""
+ERROR_KINDS = (ALL_MEANS, ALL_WIDTHS, *DIVERGENCES)
+"""Kinds of errors of the laws."""
 
 
 class WrongLaws:
     """Widgets for the kind and the size of an error of the laws, and for the answer.
 
     Args:
-        follow: Called when kind or size change; the page answers by :meth:`show`.
-        search: Called when the largest errors are requested; the page answers by :meth:`show`.
+        on_change: Called when kind or size change; the page answers by :meth:`show`.
+        on_search: Called when the largest errors are requested; the page answers by :meth:`show`.
     """
 
-    def __init__(self, follow: Callable[[], None], search: Callable[[], None]) -> None:
-        self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(AMOUNTS), width=300)
+    def __init__(self, on_change: Callable[[], None], on_search: Callable[[], None]) -> None:
+        """Make the widgets; the size is 0, and there is no answer yet."""
+        self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(ERROR_KINDS), width=300)
         self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST_ERROR, step=STEP, value=0.0, width=260)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)
         self.how_wrong = pn.widgets.Button(label="Largest law errors")
-        self.how_wrong.on_click(lambda _: search())
+        self.how_wrong.on_click(lambda _: on_search())
         self.answer = html_pane("")
         for widget in (self.kind, self.size):
-            widget.param.watch(lambda _: follow(), "value")
+            widget.param.watch(lambda _: on_change(), "value")
 
     @property
     def view(self) -> pn.Column:
@@ -54,8 +57,19 @@ class WrongLaws:
 
     @property
     def amounts(self) -> StatedAmounts:
-        """The amounts that the present kind and size stand for."""
-        return AMOUNTS[self.kind.value](float(self.size.value))
+        """The error of the present kind and size, as one of the amounts that a user may state."""
+        size = float(self.size.value)
+        if self.kind.value == ALL_MEANS:
+            return StatedAmounts({}, shift=size, widening=None)
+        if self.kind.value == ALL_WIDTHS:
+            return StatedAmounts({}, shift=None, widening=1.0 + size)
+        return StatedAmounts({DIVERGENCES[self.kind.value]: size}, shift=None, widening=None)
+
+    @property
+    def largest_share(self) -> float:
+        """The largest share of draws that may fail; NaN for an empty field, which is refused."""
+        value = self.limit.value
+        return math.nan if value is None else float(value)
 
     def show(self, text: str) -> None:
         """Show an answer."""
@@ -83,10 +97,10 @@ def largest_errors_text(subject: Study | Result, limit: float) -> str:
 
 
 def probability_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method: Method) -> str:
-    """Tell the failure probability if the laws are wrong by an amount, or why there is no answer.
+    """Tell the failure probability under laws that are wrong by an amount, or why there is no answer.
 
     Args:
-        amounts: One amount.
+        amounts: The amount, which must be a single one.
         study: The study, without a sweep.
         failed: Whether each draw failed, shape (draws,).
         method: Method of the interval of the failure probability.
@@ -101,7 +115,7 @@ def probability_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, m
 
 
 def error_text(error: StatedError) -> str:
-    """Tell the failure probability that follows from an amount."""
+    """Tell the bounds of the failure probability under laws that are wrong by an amount."""
     parts = []
     if error.interval is not None:
         parts.append(f"in {interval_text(error.interval)} whatever draws fail")

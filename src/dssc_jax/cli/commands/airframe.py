@@ -14,10 +14,12 @@ from dssc_jax.study.tables import to_toml
 
 
 def run(options: Airframe) -> int:
-    """Read the airframe and print its table."""
+    """Read the airframe, and print it as the table [plant]; comments name what is estimated or left out."""
     with errors_under(str(options.file)):
-        is_log = is_ulog(options.file)
-        content = logged_parameters(options.file) if is_log else files.read_text(options.file, errors="replace")
+        if is_ulog(options.file):
+            content = logged_parameters(options.file)
+        else:
+            content = files.read_text(options.file, errors="replace")
         vehicle, notes, entries, warnings = read_airframe(content, options.mass, options.arm, options.cascade)
     for warning in warnings:
         say(f"warning: {warning}")
@@ -25,6 +27,7 @@ def run(options: Airframe) -> int:
     if options.as_json:
         print(json.dumps({"vehicle": vehicle, "notes": notes, "warnings": warnings, "plant": plant}))
     else:
-        table = to_toml({"plant": plant | {"vehicle": vehicle}})
-        print(table + "".join(f"# {note}\n" for note in notes), end="")
+        print(to_toml({"plant": plant | {"vehicle": vehicle}}), end="")
+        for note in notes:
+            print(f"# {note}")
     return DONE

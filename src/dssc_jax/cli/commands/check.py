@@ -6,6 +6,6 @@ from dssc_jax.design.files import load_design
 
 
 def run(options: Check) -> int:
-    """Check the design and print its certificate."""
+    """Check the design, print its certificate, and return whether it is certified as the exit code."""
     require_one_form(options.as_json, options.as_latex)
     return print_design(load_design(options.design), options.as_json, options.as_latex)

@@ -1,9 +1,9 @@
-"""dssc-jax code: the sampled controller as C99, and as an FMU."""
+"""dssc-jax code: the sampled controller as C99, with an FMU and a monitor on request."""
 
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt, save_text
+from dssc_jax.cli.analysing import save_text, write_or_refuse
 from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import read_json, study_of
@@ -19,7 +19,11 @@ from dssc_jax.study import Study
 
 
 def premises_of(study: Study, path: Path) -> Premises:
-    """The premises of a certificate in a file, for a monitor.
+    """Return the premises of a certificate, which the monitor observes in flight.
+
+    Args:
+        study: The study, whose loop the certificate must be about.
+        path: File of the certificate.
 
     Raises:
         ConfigError: The verifier rejects the certificate, or it is that of another loop.
@@ -33,7 +37,8 @@ def run(options: Code) -> int:
     """Write the folder with the code of the controller, and print its content and cost."""
     study = study_of(options).without_sweep()
     warn_of_study(study)
-    folder = FlightFolder(study, None if options.monitor is None else premises_of(study, options.monitor))
+    premises = None if options.monitor is None else premises_of(study, options.monitor)
+    folder = FlightFolder(study, premises)
     out = options.out
     texts = folder.texts()
     recordings = {"recorded.bin": folder.recording}
@@ -42,22 +47,24 @@ def run(options: Code) -> int:
     if folder.monitor is not None:
         recordings[monitor_text.RECORDING] = folder.monitor_recording
     unit = folder.fmu() if options.fmu else None
-    file_names = [*texts, *recordings, *([] if unit is None else [f"{unit.name}.fmu"])]
+    file_names = [*texts, *recordings]
+    if unit is not None:
+        file_names.append(f"{unit.name}.fmu")
     require_replaceable(out, file_names)
-    attempt(out, lambda: files.make_folder(out))
+    write_or_refuse(out, lambda: files.make_folder(out))
     for name, text in texts.items():
         save_text(out / name, text)
     for name, recording in recordings.items():
         path = out / name
         parts = recording(options.draws, options.samples)
-        attempt(path, lambda path=path, parts=parts: files.write_parts(path, parts))
+        write_or_refuse(path, lambda path=path, parts=parts: files.write_parts(path, parts))
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
         library, reason = build_fmu_library(unit)
         fmu_file = out / f"{unit.name}.fmu"
-        attempt(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
+        write_or_refuse(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
         summary["fmu"] = {"file": fmu_file.name, "library": library is not None, "reason": reason}
-    attempt(out, lambda: write_sums(out, file_names))
+    write_or_refuse(out, lambda: write_sums(out, file_names))
     summary["files"] = [*file_names, SUMS]
     if options.as_json:
         print(json.dumps(summary, allow_nan=False))

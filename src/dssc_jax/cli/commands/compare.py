@@ -18,8 +18,9 @@ def run(options: Compare) -> int:
     folder = free_folder(study, "compare", options.out, options.settings, options.draws, options.seed)
     candidates = options.tune
     if candidates is None:
-        candidates = CANDIDATES if len(study.loop.channels) == 1 else 0
-    with progress_bar(study, quiet=options.as_json, of="runs") as advance:
+        has_one_channel = len(study.loop.channels) == 1  # others cannot be tuned
+        candidates = CANDIDATES if has_one_channel else 0
+    with progress_bar(study, quiet=options.as_json, unit="runs") as advance:
         comparison = compare(study, names, candidates=candidates, progress=advance)
     finish(comparison, folder, options, show_comparison)
     return DONE

@@ -23,17 +23,17 @@ from dssc_jax.study.tables import to_toml, toml_entries
 
 
 def run(options: Design) -> int:
-    """Find the gains, write the file if one is named, and print them."""
+    """Find the gains, write them to a file if one is named, and print them."""
     require_one_form(options.as_json, options.as_latex)
     if is_study(options.bounds):
         return print_first_gains(options)
-    options_set = {
+    options_of_a_study = {
         "--controller": options.controller,
         "--bandwidth": options.bandwidth,
         "--limit": options.limit,
         "--at": options.at,
     }
-    for name, value in options_set.items():
+    for name, value in options_of_a_study.items():
         if value is not None:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")
     design = load_design(options.bounds, complete=False)
@@ -43,12 +43,23 @@ def run(options: Design) -> int:
 
 
 def is_study(path: Path) -> bool:
-    """Whether a file, or a packaged study of that name, has a plant."""
+    """Whether a path leads to a study, which has a plant, and not to a file of bounds.
+
+    Args:
+        path: The file, or the name of a packaged study.
+
+    Raises:
+        ConfigError: There is no such file or study, or it is not TOML.
+    """
     return "plant" in read_toml(find_study(str(path)))
 
 
 def print_first_gains(options: Design) -> int:
-    """Find first gains for the plant of a study, write the study with them, and print them."""
+    """Find first gains for the plant of a study, write the study with them if a file is named, and print them.
+
+    Raises:
+        ConfigError: LaTeX is requested, the study has no such gains, or the file cannot be written.
+    """
     if options.as_latex:
         raise ConfigError("--latex", "prints a certificate, which first gains do not have")
     study = load_study(str(options.bounds), {}, options.allow_local, options.allow_native).without_sweep()
@@ -78,11 +89,13 @@ def print_first_gains(options: Design) -> int:
 
 
 def gain_lines(study: Study, gains: FirstGains, margins: DesignedMargins) -> list[str]:
-    """Lines on first gains: their table, the poles and the settling of the loop, and its margins."""
+    """Lines on first gains: their table, the loop's largest pole and settling time, and its margins."""
     sampling = f"T_s = {study.loop.sample_time:g} s"
     actuators = f" behind its linear actuators ({' + '.join(gains.linear_kinds)})" if gains.linear_kinds else ""
     sliding = " while it slides" if gains.table["kind"] == FirstController.SSC else ""
-    decay = study.loop.sample_time / -math.log(gains.radius) if gains.radius > 0.0 else 0.0
+    decay = 0.0  # time constant of the largest pole [s]; a pole at 0 decays at once
+    if gains.radius > 0.0:
+        decay = study.loop.sample_time / -math.log(gains.radius)
     lines = [
         toml_entries(gains.table, "controller").strip(),
         f"\nfor {study.name} at {gains.bandwidth:.4g} rad/s, {sampling}, at the nominal plant",
@@ -114,6 +127,10 @@ def point_lines(gains: FirstGains) -> list[str]:
 
 def write_study(out: Path, table: TomlTable) -> None:
     """Write a study with first gains.
+
+    Args:
+        out: The file.
+        table: Table of the study, with the gains.
 
     Raises:
         ConfigError: The other sections do not fit the gains, or the file cannot be written.

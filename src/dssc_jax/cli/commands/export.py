@@ -10,10 +10,10 @@ from dssc_jax.results.export import export
 
 
 def run(options: Export) -> int:
-    """Write the files and name them."""
+    """Write the files and print their paths."""
     exported_files = export(stored_analysis(options.result), options.to, options.out)
     if options.as_json:
-        print(json.dumps({"result": str(options.result), "files": list(map(str, exported_files))}))
+        print(json.dumps({"result": str(options.result), "files": [str(path) for path in exported_files]}))
     else:
         show_files(exported_files)
     return DONE

@@ -1,7 +1,7 @@
 """dssc-jax falsify: the worst draw."""
 
 from dssc_jax.analyses.falsification.falsify import falsify
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, save_text
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, save_text, write_or_refuse
 from dssc_jax.cli.declarations.searches import Falsify
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
@@ -13,7 +13,7 @@ from dssc_jax.study.tables import to_toml
 
 
 def run(options: Falsify) -> int:
-    """Hunt the worst draw, save it as an analysis, a study and a result, and print it."""
+    """Search for the worst draw, save it as an analysis, a study and a result, and print it."""
     study = study_of(options).without_sweep()
     folder = free_folder(
         study,
@@ -25,7 +25,7 @@ def run(options: Falsify) -> int:
         options.within_mass,
         options.requirement,
     )
-    with progress_bar(study, quiet=options.as_json, of="simulations", early=lambda: falsified.stopped) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", early=lambda: falsified.stopped) as advance:
         falsified = falsify(
             study,
             budget=options.budget,
@@ -36,11 +36,11 @@ def run(options: Falsify) -> int:
             progress=advance,
         )
     figures = save_analysis(falsified, folder, options)
-    file = folder / "witness.toml"
-    witness = folder / "witness"
-    save_text(file, to_toml(falsified.witness_study.table))
-    attempt(witness, lambda: files.delete_tree(witness, folder))
-    runs.run(falsified.witness_study, witness)
-    paths = {"result": folder, "witness_study": file, "replay": witness}
+    study_file = folder / "witness.toml"
+    result_folder = folder / "witness"
+    save_text(study_file, to_toml(falsified.witness_study.table))
+    write_or_refuse(result_folder, lambda: files.delete_tree(result_folder, folder))  # that of an earlier search
+    runs.run(falsified.witness_study, result_folder)
+    paths = {"result": folder, "witness_study": study_file, "replay": result_folder}
     print_analysis(falsified, figures, options, show_falsification, paths)
     return FAILS if falsified.slack < 0.0 else DONE

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from dssc_jax.cli.declarations.overview import Info
 from dssc_jax.cli.exit_codes import DONE
-from dssc_jax.cli.loading import show_code
+from dssc_jax.cli.loading import announce_code
 from dssc_jax.console.environment import environment, show_environment
 from dssc_jax.console.kinds import described_name, show_kind
 from dssc_jax.study.importing import allow_imports
@@ -17,15 +17,15 @@ def run(options: Info) -> int:
         if options.allow_local:
             allow_imports(Path.cwd())
         if ":" in options.kind:
-            show_code("command", {"kind": options.kind})
+            announce_code("command", {"kind": options.kind})
         if options.as_json:
             print(json.dumps(described_name(options.kind)))
         else:
             show_kind(options.kind)
         return DONE
-    machine = environment()
+    description = environment()
     if options.as_json:
-        print(json.dumps(machine))
+        print(json.dumps(description))
     else:
-        show_environment(machine)
+        show_environment(description)
     return DONE

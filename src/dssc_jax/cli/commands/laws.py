@@ -24,11 +24,11 @@ def run(options: Laws) -> int:
     if isinstance(subject, Study) and subject.ranged_laws:
         return run_ranges(subject, options)
     is_stored = isinstance(subject, Result)
-    study = subject.study if isinstance(subject, Result) else subject
+    study = subject.study if is_stored else subject
     question = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
     subject_options = (options.study if is_stored else None, options.settings, options.draws, options.seed)
     folder = free_folder(study, "laws", options.out, *question, *subject_options)
-    with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not is_stored) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", compiles=not is_stored) as advance:
         errors = laws(
             subject,
             limit=options.limit,
@@ -38,7 +38,7 @@ def run(options: Laws) -> int:
             fresh=options.fresh,
             progress=advance,
         )
-    if isinstance(subject, Result):  # its integration was checked when it was simulated
+    if is_stored:  # its integration was checked when it was simulated
         errors.integration = subject.manifest.get("integration")
         options = replace(options, no_check=True)
     finish(errors, folder, options, show_laws)
@@ -46,12 +46,23 @@ def run(options: Laws) -> int:
 
 
 def run_ranges(study: Study, options: Laws) -> int:
-    """Find the failure probability over all laws within their ranges, save and print the answer."""
+    """Find the failure probability over all laws within their ranges, save and print the answer.
+
+    Args:
+        study: A study in which arguments of laws are ranges.
+        options: Options of the command.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ConfigError: An amount by which the laws are wrong is given.
+    """
     amounts = {"within": options.within, "shift": options.shift, "widening": options.widening}
     require_unset("with laws whose arguments are ranges", **amounts)
     question = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
     folder = free_folder(study, "law-ranges", options.out, *question, name="laws")
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
     options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again
     finish(ranges, folder, options, show_ranges)
@@ -59,7 +70,11 @@ def run_ranges(study: Study, options: Laws) -> int:
 
 
 def subject_of(options: Laws) -> Result | Study:
-    """The stored result or the study that the user names."""
+    """Load the stored result, if the user names a folder, or else the study.
+
+    Raises:
+        ConfigError: It cannot be loaded, or a change of the study is requested of a result.
+    """
     folder = Path(options.study)
     if not folder.is_dir():
         return study_of(options).without_sweep()

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.flight import Library
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.native_build import build_library
@@ -16,6 +16,7 @@ from dssc_jax.core.native.libraries import NativeLibrary
 from dssc_jax.flight_code.template_files import template_text
 
 TEMPLATE = "library.c"
+"""Name of the example among the package's templates."""
 
 
 def run(options: Library) -> int:
@@ -37,19 +38,28 @@ def run(options: Library) -> int:
 
 
 def write_template(path: Path, sources: list[Path]) -> int:
-    """Write an example of a controller to a new file, and return the exit code."""
+    """Write an example of a controller to a new file, and return the exit code.
+
+    Args:
+        path: The file.
+        sources: Source files that the user names, which must be none.
+
+    Raises:
+        ConfigError: Source files are named, or the file exists or cannot be written.
+    """
     if sources:
         raise ConfigError("--template", "writes a file and builds nothing; omit FILE.c")
-    attempt(path, lambda: files.create_text(path, template_text(TEMPLATE)))
+    write_or_refuse(path, lambda: files.create_text(path, template_text(TEMPLATE)))
     say(f"wrote {path}; build it with dssc-jax library {path}")
     return DONE
 
 
 def library_file(options: Library) -> Path:
-    """The path of the library: a shared object that the user names, or one that is built from sources.
+    """Return the path of the library: the shared object that the user names, or one that is built from sources.
 
     Raises:
-        ConfigError: A shared object is among several files, or the sources do not compile.
+        ConfigError: A shared object is among several files, the sources do not compile, or the library cannot be
+            written.
     """
     sources = options.sources or []
     first = sources[0]
@@ -59,5 +69,5 @@ def library_file(options: Library) -> Path:
         return first
     out = options.out or first.with_suffix(".so")
     content = build_library(sources, options.include or [])
-    attempt(out, lambda: files.write_bytes(out, content))
+    write_or_refuse(out, lambda: files.write_bytes(out, content))
     return out

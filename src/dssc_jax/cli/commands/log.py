@@ -1,6 +1,7 @@
 """dssc-jax log: the topics, segments and fields of logged flights."""
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,7 +34,11 @@ def run(options: Log) -> int:
 
 
 def write_topic(options: Log, out: Path) -> int:
-    """Write a topic of a log as CSV, and return the exit code."""
+    """Write a topic of a log as CSV, and return the exit code.
+
+    Raises:
+        ConfigError: There is not exactly one file with one topic, or the table cannot be written.
+    """
     topics = options.topic or []
     if len(options.file) != 1 or len(topics) != 1:
         raise ConfigError("--csv", "writes one topic of one file; give one FILE and one --topic")
@@ -48,7 +53,12 @@ def write_topic(options: Log, out: Path) -> int:
 
 
 def csv_lines(table: dict[str, np.ndarray]) -> Iterator[str]:
-    """The lines of a table as CSV, numbers with all their digits and NaN as an empty cell."""
+    """Yield the lines of a table as CSV; numbers have all their digits, and NaN is an empty cell.
+
+    Args:
+        table: Columns of equal length, by name.
+    """
     yield ",".join(table) + "\n"
     for row in zip(*table.values(), strict=True):
-        yield ",".join("" if value != value else repr(float(value)) for value in row) + "\n"
+        cells = ["" if math.isnan(value) else repr(float(value)) for value in row]
+        yield ",".join(cells) + "\n"

@@ -13,6 +13,7 @@ from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
 
 EARLY = "every critical value is found"
+"""Reason why fewer simulations than the largest number are needed."""
 
 
 def run(options: Margin) -> int:
@@ -30,7 +31,7 @@ def run(options: Margin) -> int:
         study, kind, options.out, options.settings, options.draws, options.seed, name=f"{kind}-{walk.name}"
     )
     settings = {"bounds": walk.bounds, "log": options.log, "points": options.points, "bisections": options.bisections}
-    progress = progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY)
+    progress = progress_bar(study, quiet=options.as_json, unit="simulations", early=EARLY)
     if options.controllers is None:
         with progress as advance:
             margins = margin(study, over=walk.name, **settings, prove=options.prove, progress=advance)

@@ -14,7 +14,7 @@ def run(options: Probability) -> int:
     study = study_of(options).without_sweep()
     question = (options.width, options.most)
     folder = free_folder(study, "probability", options.out, options.settings, options.seed, *question)
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         estimate = probability(study, options.width, options.most, progress=advance)
     finish(estimate, folder, options, show_probability)
     return DONE

@@ -1,4 +1,4 @@
-"""dssc-jax prove: a proof of the sampled loop, with lag, and the verification of certificates in a file."""
+"""dssc-jax prove: prove a sampled loop with lag, or verify the certificates in a file."""
 
 import json
 from pathlib import Path
@@ -32,8 +32,9 @@ from dssc_jax.runs.prove_sweep import foreign_points
 from dssc_jax.study import Described, Study
 
 MALFORMED = ("P0", "V0")
-"""Beginnings of the reasons of a verdict on a certificate whose problem may be malformed."""
+"""How the reason of a verdict begins if the certificate's ``problem`` may be malformed."""
 FOREIGN = "P0: the certificate is that of another loop than the folder's"
+"""Reason of a verdict on a valid certificate that lies in the folder of another loop."""
 
 
 def run(options: Prove) -> int:
@@ -63,7 +64,16 @@ def run(options: Prove) -> int:
 
 
 def verify_certificate(content: object, path: Path, as_json: bool) -> int:
-    """Verify the certificate in a file and print the verdict."""
+    """Verify a certificate and print the verdict, with a description of its loop.
+
+    Args:
+        content: Content of the certificate's file.
+        path: The file.
+        as_json: Whether to print JSON.
+
+    Returns:
+        The exit code: :data:`DONE` if the verifier accepts the certificate.
+    """
     verdict = check_certificate(content)
     words = {}
     if isinstance(content, dict) and not verdict.reason.startswith(MALFORMED):
@@ -83,7 +93,7 @@ def verify_certificate(content: object, path: Path, as_json: bool) -> int:
 
 
 def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
-    """A verdict in the types of JSON."""
+    """Return a verdict as JSON: whether the loop is proved, the reason if not, and otherwise the bounds."""
     if not verdict.proved:
         return {"proved": False, "reason": verdict.reason}
     if isinstance(verdict, VehicleVerdict):
@@ -93,7 +103,12 @@ def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
 
 
 def is_of_another_loop(problem: JsonObject, path: Path) -> bool:
-    """Whether a certificate's file is that of a tuning's folder, but its problem is not the tuned loop."""
+    """Whether a certificate lies in the folder of a tuning, but is not about the tuned loop.
+
+    Args:
+        problem: The certificate's description of its loop.
+        path: File of the certificate.
+    """
     if path.name != PROOF_FILE or not (path.parent / f"{Tuned.kind}.json").exists():
         return False
     tuned = load(path.parent)
@@ -109,10 +124,19 @@ def write_certificate(proved: AnyProved, out: Path | None) -> None:
 
 
 def prove_over(study: Study, over: str, options: Prove) -> int:
-    """Find the last value of a number for which the loop is proved, write its certificate and print it."""
+    """Find the last value of a number for which the loop is proved, write its certificate and print the value.
+
+    Args:
+        study: The study, without a sweep.
+        over: Text of the option ``--over``: the number and the ends of its walk.
+        options: Options of the command.
+
+    Returns:
+        The exit code: :data:`FAILS` if nothing is proved.
+    """
     walk = parse_walk(over)
     boxes = options.boxes or SWEEP_BOXES
-    with proof_coverage(study), progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
+    with proof_coverage(study), progress_bar(study, quiet=options.as_json, unit="values", compiles=False) as advance:
         reach = proved_up_to(study, walk.name, walk.bounds, log=options.log, boxes=boxes, progress=advance)
     if reach.last is not None:
         write_certificate(reach.last, options.out)
@@ -134,7 +158,10 @@ def verify_sweep(content: JsonObject, folder: Path, as_json: bool) -> int:
         as_json: Whether to print JSON.
 
     Returns:
-        The exit code.
+        The exit code: :data:`DONE` if all certificates are valid.
+
+    Raises:
+        ConfigError: The file or the result in its folder is damaged.
     """
     try:
         pairs = zip(content["points"], content["certificates"], strict=True)
@@ -158,7 +185,7 @@ def verify_sweep(content: JsonObject, folder: Path, as_json: bool) -> int:
 
 
 def study_of_folder(folder: Path) -> Study | None:
-    """The study of a results folder; None if the folder is not one, or if the study's code is not loaded."""
+    """Load the study of a results folder; None if the folder holds no result, or the study's code is not loaded."""
     if not (folder / MANIFEST).exists():
         return None
     study = load_result(folder).study

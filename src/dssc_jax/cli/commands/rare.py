@@ -20,7 +20,7 @@ def run(options: Rare) -> int:
     splitting = Splitting(options.particles, killed, options.moves, options.repeats, plain=options.plain or PLAIN)
     importance = ImportanceSampling(options.variation, plain=options.plain or FEWER_PLAIN)
     folder = free_folder(study, "rare", options.out, options.settings, options.seed)
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         event = rare(
             study,
             None if options.method is RareMethod.SPLITTING else importance,

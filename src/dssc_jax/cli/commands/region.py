@@ -19,14 +19,18 @@ def run(options: Region) -> int:
     study = study_of(options).without_sweep()
     name = f"region-{first.name}-{second.name}"
     folder = free_folder(study, "region", options.out, options.settings, options.draws, options.seed, name=name)
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         safe = region(study, over=(first, second), halvings=options.halvings, progress=advance)
     finish(safe, folder, options, show_region)
     return DONE
 
 
 def parse_axis(text: str) -> RegionAxis:
-    """Parse a number and its range from ``NAME=LO:HI[:log]``."""
+    """Parse ``NAME=LO:HI[:log]`` to a number and its range.
+
+    Raises:
+        ConfigError: The text has another form, or the range is not valid.
+    """
     name, value = parse_assignment(text, "--over")
     low, colon, remainder = value.partition(":")
     high, _, scale = remainder.partition(":")

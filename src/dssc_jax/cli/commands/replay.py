@@ -16,7 +16,7 @@ def run(options: Replay) -> int:
     point = parse_point(options.at)
     result = stored_result(options.result, options.trust_code, options.allow_local, options.allow_native)
     require_writable(options)
-    trajectories.point_of(result, options.draw, point)
+    trajectories.point_of(result, options.draw, point)  # bad input is reported before anything is compiled
     announce_compiling(result.study, quiet=options.as_json or isinstance(result.study, Described))
     trajectory = trajectories.replay(result, options.draw, point=point or None, every=options.every)
     print_trajectory(trajectory, options, units_of(result.study))

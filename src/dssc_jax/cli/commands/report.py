@@ -4,7 +4,7 @@ import json
 import time
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.analysing import write_or_refuse
 from dssc_jax.cli.declarations.results import Report
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_analysis
@@ -16,13 +16,13 @@ from dssc_jax.report.page import write_page
 
 
 def run(options: Report) -> int:
-    """Write the page and name it."""
+    """Write the page of a result or an index, and print its path."""
     if (options.result is None) == (options.index is None):
         raise ConfigError("report", "takes a results folder, or --index with a folder of them, and not both")
     if options.result is None:
         if options.out is not None:
             raise ConfigError("--out", "applies to one report; the index is written into the folder of results")
-        assert options.index is not None
+        assert options.index is not None  # one of them is given
         return print_index(options.index, options.as_json)
     began = time.perf_counter()
     analysis = stored_analysis(options.result, options.trust_code, options.allow_local, options.allow_native)
@@ -32,10 +32,10 @@ def run(options: Report) -> int:
 
         page = options.out or options.result / INTERACTIVE
         text = interactive_html(analysis)
-        attempt(page, lambda: write_page(text, page, analysis))
+        write_or_refuse(page, lambda: write_page(text, page, analysis))
     else:
         page = options.out or options.result / "report.html"
-        attempt(page, lambda: write(analysis, page, options.worst))
+        write_or_refuse(page, lambda: write(analysis, page, options.worst))
     size = page.stat().st_size
     seconds = time.perf_counter() - began
     if options.as_json:
@@ -46,9 +46,15 @@ def run(options: Report) -> int:
 
 
 def print_index(root: Path, as_json: bool) -> int:
-    """Write the index of a folder of results and analyses, and print its path; return the exit code."""
+    """Write the index of a folder of results and analyses, print its path, and return the exit code.
+
+    Args:
+        root: The folder.
+        as_json: Whether to print JSON.
+    """
 
     def show_written(file: Path) -> None:
+        """Print the path of a report that was made for the index."""
         if not as_json:
             show_line(f"wrote {file} (it was missing or out of date)")
 

@@ -30,7 +30,7 @@ def run(options: Run) -> int:
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> StoppingRule | None:
-    """The stopping rule that the options describe; None: a fixed number of draws.
+    """Return the stopping rule that the options describe; None if they give none, and the number of draws is fixed.
 
     Args:
         width: Width of the interval at which to stop (``--until-width``).
@@ -40,7 +40,7 @@ def stopping_rule(width: float | None, accept: float | None, reject: float | Non
     Raises:
         ConfigError: The options contradict each other, one is missing, or a value is not valid.
     """
-    if width is accept is reject is None:
+    if width is None and accept is None and reject is None:
         return None
     if width is not None:
         if accept is not None or reject is not None:
@@ -58,7 +58,16 @@ def stopping_rule(width: float | None, accept: float | None, reject: float | Non
 
 
 def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
-    """Simulate draws until a stopping rule is met, print the result, and return the exit code."""
+    """Simulate draws until a stopping rule is met, and print the result.
+
+    Args:
+        study: The study, without a sweep.
+        rule: The stopping rule.
+        options: Options of the command.
+
+    Returns:
+        The exit code: :data:`DONE` if the interval is narrow enough, or the loop is accepted.
+    """
     warn_of_study(study)
     limit = MOST_DRAWS if options.max_draws is None else options.max_draws
     out = options.out or usual_folder(study.override({"draws": limit}), f"run-{rule.slug}", limit)

@@ -20,7 +20,7 @@ def run(options: Select) -> int:
     study = study_of(options).without_sweep()
     question = (options.over, options.candidates, options.keep, options.within, options.most)
     folder = free_folder(study, "select", options.out, options.settings, options.seed, *question)
-    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations") as advance:
         selection = select(
             study,
             over=over or None,

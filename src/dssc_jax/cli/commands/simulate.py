@@ -37,7 +37,11 @@ def run(options: Simulate) -> int:
 
 
 def flight_html(study: Study, options: Simulate) -> str:
-    """The page with the flight of the draw.
+    """Return the HTML page that shows the flight of the draw.
+
+    Args:
+        study: The study.
+        options: Options of the command: the draw, and the number of other draws to show.
 
     Raises:
         ConfigError: A package is missing, or the plant is not a vehicle.

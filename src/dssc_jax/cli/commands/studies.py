@@ -11,16 +11,18 @@ from dssc_jax.study.library import available_studies
 
 
 def run(options: Studies) -> int:
-    """List the studies."""
+    """Print name, description and file of each study."""
     rows = []
+    content = []
     for name, path in available_studies().items():
         try:
             description = str(read_toml(path).get("description", ""))
         except ConfigError as error:
             description = f"({error.rule})"
         rows.append((name, description, str(path)))
+        content.append({"name": name, "description": description, "path": str(path)})
     if options.as_json:
-        print(json.dumps({"studies": [dict(zip(("name", "description", "path"), row, strict=True)) for row in rows]}))
+        print(json.dumps({"studies": content}))
     else:
         show_table(("study", "description", "file"), rows)
     return DONE

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from dssc_jax.cli.analysing import attempt, usual_folder
+from dssc_jax.cli.analysing import usual_folder, write_or_refuse
 from dssc_jax.cli.declarations.simulation import Sweep
 from dssc_jax.cli.exit_codes import DONE
-from dssc_jax.cli.parsing import parse_overs
+from dssc_jax.cli.parsing import parse_sweep_axes
 from dssc_jax.cli.proving import proof_coverage, require_proofs
 from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.console.terminal import progress_bar
@@ -18,7 +18,7 @@ def run(options: Sweep) -> int:
     """Simulate the points, prove them if asked, and print the result."""
     study = simulated_study(options)
     if options.over:
-        study = study.override({"sweep": parse_overs(options.over)})
+        study = study.override({"sweep": parse_sweep_axes(options.over)})
     if not study.axes:
         raise ConfigError(study.source, "has no [sweep]; add one, or --over NAME=LO:HI:COUNT")
     if options.prove:
@@ -32,13 +32,13 @@ def run(options: Sweep) -> int:
 
 
 def require_provable(study: Study) -> None:
-    """Require that proofs are installed and cover the points of a study's sweep, before anything is simulated.
+    """Require that the points of a study's sweep can be proved, before anything is simulated.
 
     Raises:
-        ConfigError: They are not installed, or do not cover the first point.
+        ConfigError: A package is not installed, or proofs do not cover the first point.
     """
     require_proofs()
-    from dssc_jax.proofs.coverage import problem_of  # needs optional packages, as the one below
+    from dssc_jax.proofs.coverage import problem_of  # both imports need optional packages
     from dssc_jax.runs.prove_sweep import sweep_points
 
     with proof_coverage(study):
@@ -46,10 +46,19 @@ def require_provable(study: Study) -> None:
 
 
 def proved_sweep(result: Result, out: Path, options: Sweep) -> Result:
-    """Prove the points of a sweep, write the proofs into its folder, and return the result with them."""
+    """Prove the points of a sweep, write the proofs into its folder, and return the result with the proofs.
+
+    Args:
+        result: Result of the sweep.
+        out: Its folder.
+        options: Options of the command.
+
+    Raises:
+        ConfigError: The proofs cannot be written.
+    """
     from dssc_jax.runs.prove_sweep import prove_sweep  # needs optional packages
 
-    with progress_bar(result.study, quiet=options.as_json, of="proofs", compiles=False) as advance:
+    with progress_bar(result.study, quiet=options.as_json, unit="proofs", compiles=False) as advance:
         proofs = prove_sweep(result.study, boxes=options.boxes, progress=advance)
-    attempt(out, lambda: proofs.save(out))
+    write_or_refuse(out, lambda: proofs.save(out))
     return result.with_proofs(proofs)

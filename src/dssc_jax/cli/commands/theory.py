@@ -14,6 +14,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
 
 EARLY = "every critical value is found"
+"""Reason why fewer simulations than the largest number are needed."""
 
 
 def run(options: Theory) -> int:
@@ -26,7 +27,7 @@ def run(options: Theory) -> int:
         study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walk.name}"
     )
     rivals = switching_rivals(study)
-    with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="simulations", early=EARLY) as advance:
         assessment = assess(
             study,
             over=walk.name,
@@ -43,7 +44,10 @@ def run(options: Theory) -> int:
 
 
 def switching_rivals(study: Study) -> dict[str, Study]:
-    """The study with each controller that has a describing function and gains that follow from the study."""
+    """Return the study with each controller whose oscillation can be predicted, by the controller's kind.
+
+    Such a controller has a describing function, and gains that follow from those of the study.
+    """
     rivals = {}
     for name in switching_kinds():
         try:

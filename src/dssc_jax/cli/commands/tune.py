@@ -15,7 +15,7 @@ def run(options: Tune) -> int:
     """Tune, save the result and the tuned study, and print them."""
     study = study_of(options).without_sweep()
     folder = free_folder(study, "tune", None, options.settings, options.draws, options.seed)
-    with progress_bar(study, quiet=options.as_json, of="steps", early="nothing better came") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="steps", early="nothing better came") as advance:
         tuned = tune(study, robust=options.robust, rounds=options.rounds, budget=options.budget, progress=advance)
     figures = save_analysis(tuned, folder, options)
     file = options.out or folder / "tuned.toml"

@@ -1,7 +1,7 @@
 """dssc-jax worst-loop: worst margins of the linearised loop over the box of the laws."""
 
 from dssc_jax.analyses.worst_loop import worst_loop
-from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis, save_text
+from dssc_jax.cli.analysing import free_folder, print_analysis, save_analysis, save_text, write_or_refuse
 from dssc_jax.cli.declarations.robustness import WorstLoop
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import study_of
@@ -11,6 +11,7 @@ from dssc_jax.core import files
 from dssc_jax.study.tables import to_toml
 
 EARLY = "the searches and the bounds have ended"
+"""Reason why fewer points than the largest number are needed."""
 
 
 def run(options: WorstLoop) -> int:
@@ -28,7 +29,7 @@ def run(options: WorstLoop) -> int:
         None if options.cells == WorstLoop.cells else options.cells,
         options.points,
     )
-    with progress_bar(study, quiet=options.as_json, of="points", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, unit="points", early=EARLY) as advance:
         worst = worst_loop(
             study,
             broken_at=options.broken_at or (),
@@ -39,7 +40,7 @@ def run(options: WorstLoop) -> int:
         )
     figures = save_analysis(worst, folder, options)
     witnesses = folder / "witnesses"
-    attempt(witnesses, lambda: files.delete_tree(witnesses, folder))
+    write_or_refuse(witnesses, lambda: files.delete_tree(witnesses, folder))
     files.make_folder(witnesses, folder)
     for name, witness in worst.witnesses().items():
         save_text(witnesses / f"{name}.toml", to_toml(witness.table))

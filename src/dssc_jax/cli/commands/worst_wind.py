@@ -17,7 +17,7 @@ def run(options: WorstWindOptions) -> int:
     """Search, save the analysis and a study of each worst flight, and print it."""
     study = study_of(options).without_sweep()
     folder = free_folder(study, "worst-wind", options.out, options.settings, options.seed, options.signal)
-    with progress_bar(study, quiet=options.as_json, of="steps", early="nothing worse came") as advance:
+    with progress_bar(study, quiet=options.as_json, unit="steps", early="nothing worse came") as advance:
         worst = worst_wind(
             study,
             signals=options.signal,
@@ -36,9 +36,17 @@ def run(options: WorstWindOptions) -> int:
 
 
 def write_flight(worst: WorstWind, signal: str, folder: Path) -> None:
-    """Write the study of the worst flight of a signal as TOML, and its wind as CSV."""
+    """Write the study of a signal's worst flight as TOML, and its wind as CSV.
+
+    The wind is in m/s along the axes x, y, z, and the time t in s.
+
+    Args:
+        worst: The analysis.
+        signal: Name of the signal, and of both files.
+        folder: The folder to write to.
+    """
     save_text(folder / f"{signal}.toml", to_toml(worst.flight(signal).table))
     rows = ["t,x,y,z"]
-    for time, vector in zip(worst.grid.times.tolist(), worst.wind(signal).tolist(), strict=True):
-        rows.append(",".join(repr(number) for number in (time, *vector)))
+    for time, wind in zip(worst.grid.times.tolist(), worst.wind(signal).tolist(), strict=True):
+        rows.append(",".join(map(repr, (time, *wind))))
     save_text(folder / f"{signal}.csv", "\n".join(rows) + "\n")
