@@ -80,7 +80,12 @@ def fragments() -> list[str]:
 
 def messages() -> list[str]:
     """What hints, fits and replays may say."""
-    files = [*(LOGS / "hints").glob("*.py"), *(LOGS / "fit").glob("*.py"), LOGS / "replay.py"]
+    files = [
+        *(LOGS / "hints").glob("*.py"),
+        *(LOGS / "fit").glob("*.py"),
+        LOGS / "replay.py",
+        LOGS / "channel_replay.py",
+    ]
     return [text for file in files for text in texts(file) if len(text) >= LEAST_LENGTH and " " in text]
 
 

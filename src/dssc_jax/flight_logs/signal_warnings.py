@@ -43,6 +43,7 @@ WarningCode: TypeAlias = Literal[
     "reference-slope",
     "repeated-times",
     "rough-squares",
+    "rounded-command",
     "row-numbers",
     "shifted-command",
     "shifted-reference",
@@ -51,6 +52,7 @@ WarningCode: TypeAlias = Literal[
     "still-rate",
     "stuck-command",
     "stuck-output",
+    "wrong-scale",
 ]
 """What a warning is about, for scripts; docs/log_fits.md lists the codes beside the messages."""
 
