@@ -40,7 +40,7 @@ from dssc_jax.flight_logs.reading.reader import (
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, causes_first, signal_warnings
 from dssc_jax.study import Study
 
 LONGER = 2.0  # factor on a study's duration: times of a longer log that count by one may be the numbers of its rows
@@ -149,7 +149,7 @@ class LogReplay(NamedTuple):
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:
         """The hints as warnings."""
-        return signal_warnings(self.hints.all())
+        return causes_first(signal_warnings(self.hints.all()))
 
     def summary(self, study: Study) -> dict[str, object]:
         """For JSON."""

@@ -20,6 +20,7 @@ from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimit
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import replay_log
+from dssc_jax.flight_logs.signal_warnings import joined_warnings
 from dssc_jax.study import Study
 
 
@@ -105,7 +106,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
     replay_summary = replay.summary(study)
     summary = log_fit.summary()
-    warnings = replay.warnings + log_fit.warnings
+    warnings = joined_warnings(replay.warnings, log_fit.warnings)
     summary |= {"identifiable": True, "explained": True, "file": str(out) if out else None}
     summary |= replay_summary | {"warned": bool(warnings), "warnings": [asdict(warning) for warning in warnings]}
     if out is not None:
