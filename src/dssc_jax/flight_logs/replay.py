@@ -25,7 +25,7 @@ from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit,
 from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.integrals import integral_hints
 from dssc_jax.flight_logs.hints.log_hints import LogHints
-from dssc_jax.flight_logs.hints.output_scales import scale_hint
+from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
 from dssc_jax.flight_logs.hints.references import compared_references, study_references
 from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
@@ -208,7 +208,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         replay = ChannelReplay(study, index, references[index])
         command = replay.command(signals)
         name = signal_name(channel, "u_total")
-        columns = wrong_columns(replay, signals, command)
+        columns = wrong_columns(replay, signals, command, conversions)
         if columns:
             changed = (conversions, factors, integrals.jumps, comparison.shifts, comparison.others, comparison.slopes)
             for hints in changed:
@@ -229,12 +229,14 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         if unit_text:
             conversions.setdefault(name, Hint("another-unit", unit_text))
             continue
-        scale = None if signal_name(channel, "y") in conversions else scale_hint(replay, signals, command)
-        if scale is not None:
-            factors[signal_name(channel, "y")] = scale
-            continue
         hint = rate_hint(log.columns[name], loop.sample_time)
-        hint = hint or command_hint(signals["u_total"], command, loop.sample_time, units.of("u"))
+        y = signal_name(channel, "y")
+        scaled = None if y in conversions else scaled_output(replay, signals, command)
+        if scaled is not None:
+            factors[y] = scaled.hint
+            command = scaled.command
+        if hint is None and y not in conversions and not has_wrong_reference(replay, signals, command):
+            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"))
         if hint is not None:
             factors[name] = hint
     conversions |= angle_hints(study, log, references)
@@ -263,7 +265,10 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
 
 
 def wrong_columns(
-    replay: ChannelReplay, signals: Mapping[str, np.ndarray], command: np.ndarray | str
+    replay: ChannelReplay,
+    signals: Mapping[str, np.ndarray],
+    command: np.ndarray | str,
+    conversions: Mapping[str, Hint],
 ) -> dict[str, Hint]:
     """The hint about a channel's columns, by signal, as its controller's command for them tells; empty: none is wrong.
 
@@ -271,11 +276,17 @@ def wrong_columns(
         replay: The channel's controller.
         signals: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
         command: The controller's command for them, shape (samples,), or why there is none.
+        conversions: What the signals alone tell; a hint of it about the same columns stays.
     """
     if "u_total" not in signals:
         return {}
     share = np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
-    return column_hints(replay, signals, share)
+    hints = column_hints(replay, signals, share)
+    for name, hint in hints.items():
+        columns = hint.text.partition(":")[0]
+        if name in conversions and conversions[name].text.startswith(columns):
+            hints[name] = conversions[name]
+    return hints
 
 
 def drop_channel(hints: dict[str, Hint], channel: str) -> None:

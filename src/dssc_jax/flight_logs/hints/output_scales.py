@@ -80,8 +80,15 @@ class AveragedDifference:
         return self.averaged(self.logged["u_total"] - self.command(factor, offset))
 
 
-def scale_hint(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> Hint | None:
-    """That an output is logged too large or too small; None if nothing is certain.
+class ScaledOutput(NamedTuple):
+    """What to say of an output with a wrong scale, and the controller's command for the right one."""
+
+    hint: Hint
+    command: np.ndarray
+
+
+def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> ScaledOutput | None:
+    """Find out whether an output is logged too large or too small; None if nothing is certain.
 
     Args:
         replay: The channel's controller.
@@ -105,7 +112,24 @@ def scale_hint(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command:
         f"{scale.differences[1]:.3g} {unit} rms, without it to {scale.differences[0]:.3g}. A fit takes the factor for "
         "one of the gain"
     )
-    return Hint("wrong-scale", text)
+    return ScaledOutput(Hint("wrong-scale", text), averaged.command(scale.factor))
+
+
+def has_wrong_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> bool:
+    """Whether the controller gives the logged command far better for the study's reference than for the logged one.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
+        command: The controller's command for them, shape (samples,).
+    """
+    if has_study_reference(replay, logged):
+        return False
+    others = {name: values for name, values in logged.items() if not name.startswith("y_ref")}
+    by_study = replay.command(others)
+    if isinstance(by_study, str):
+        return False
+    return rms(logged["u_total"] - by_study) < EXPLAINED * rms(logged["u_total"] - command)
 
 
 def has_study_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> bool:
