@@ -16,6 +16,7 @@ from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
+LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
 LARGEST_FACTOR = 1.4  # of a scale that is sought, and its inverse
 WINDOW = 0.5  # s over which differences are averaged: noise of y in a derivative has no longer memory
 LEAST_WINDOWS = 16
@@ -96,7 +97,7 @@ def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comma
         command: The controller's command for them, shape (samples,).
     """
     difference = rms(logged["u_total"] - command)
-    if not ROUNDING * rms(logged["u_total"]) < difference < np.inf or not has_study_reference(replay, logged):
+    if not ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
         return None
     averaged = AveragedDifference(replay, logged)
     scale = fitted_scale(averaged)
@@ -148,9 +149,8 @@ def fitted_scale(averaged: AveragedDifference) -> Scale | None:
         return None
 
     def cost(logarithm: float) -> float:
-        """The mean square of the averaged difference for a factor."""
-        square = rms(averaged.at(float(np.exp(logarithm)))) ** 2
-        return square if np.isfinite(square) else np.inf
+        """The root mean square of the averaged difference for a factor."""
+        return rms(averaged.at(float(np.exp(logarithm))))
 
     widest = float(np.log(LARGEST_FACTOR))
     found = optimize.minimize_scalar(cost, bounds=(-widest, widest), method="bounded", options={"xatol": STEP})
