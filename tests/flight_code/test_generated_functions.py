@@ -14,7 +14,7 @@ from dssc_jax.core.signals import Command
 from dssc_jax.flight_code.controller import channel_labels
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.recording import recorded_draws
-from dssc_jax.flight_logs.replay import analysed_command
+from dssc_jax.flight_logs.channel_replay import analysed_command
 from dssc_jax.lanes.c.names import c_string, member_names, prefix_name
 from tests.angles import heading
 from tests.flight_code.compiling import FLAGS, CompiledController, made, require

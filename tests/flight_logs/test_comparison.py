@@ -11,9 +11,10 @@ from scipy import stats
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.console.flight import show_log_comparison
+from dssc_jax.flight_logs.channel_replay import analysed_command, replayed_channel
 from dssc_jax.flight_logs.hints.references import study_references
 from dssc_jax.flight_logs.reading.reader import Column, FlightLog, nearest_values, read_log, samples_within
-from dssc_jax.flight_logs.replay import analysed_command, curves_of_draws, replayed_channel
+from dssc_jax.flight_logs.replay import curves_of_draws
 from dssc_jax.statistics.exchangeable import extremeness, largest_departures, rank_p_value
 from tests.cli.conftest import last_json
 from tests.flight_code.test_code import table

@@ -14,6 +14,7 @@ PAGE = ROOT / "docs" / "log_fits.md"
 LEAST_LENGTH = 40  # characters of a message; shorter texts are parts of one
 PARTS = (
     "with that, the study describes the flight",  # behind the words for what is wrong
+    "with that, the analysed controller gives",
     "Compare the log's columns",  # remedies, at the end of a message
     "Begin at the take-off",
     "Log the time",
@@ -80,7 +81,12 @@ def fragments() -> list[str]:
 
 def messages() -> list[str]:
     """What hints, fits and replays may say."""
-    files = [*(LOGS / "hints").glob("*.py"), *(LOGS / "fit").glob("*.py"), LOGS / "replay.py"]
+    files = [
+        *(LOGS / "hints").glob("*.py"),
+        *(LOGS / "fit").glob("*.py"),
+        LOGS / "replay.py",
+        LOGS / "channel_replay.py",
+    ]
     return [text for file in files for text in texts(file) if len(text) >= LEAST_LENGTH and " " in text]
 
 

@@ -7,7 +7,13 @@ import pytest
 import tomli_w
 
 from dssc_jax.cli.main import guarded
-from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import (
+    Hint,
+    SignalWarning,
+    causes_first,
+    joined_warnings,
+    signal_warnings,
+)
 from tests.cli.conftest import last_json
 from tests.flight_logs.fit.test_fit import DT, linear, output
 
@@ -64,3 +70,17 @@ def test_a_refused_fit_keeps_its_warnings(late_reference, capsys):
     assert found["identifiable"] is False
     assert found["warned"]
     assert [entry["signal"] for entry in found["warnings"]] == ["y_ref"]
+
+
+def test_causes_stand_before_effects():
+    effect = SignalWarning("u_total", "another-command", "u_total is not ...")
+    cause = SignalWarning("y", "wrong-scale", "y is ...")
+    assert causes_first([effect, cause]) == (cause, effect)
+
+
+def test_what_replay_and_fit_tell_is_told_once():
+    of_replay = SignalWarning("u_total", "command-dropouts", "by the replay")
+    of_fit = SignalWarning("u_total", "command-dropouts", "by the fit")
+    residual = SignalWarning("y", "large-residual", "y ...")
+    assert joined_warnings([of_replay], [residual, of_fit]) == (of_fit, residual)
+    assert joined_warnings([of_replay], []) == (of_replay,)

@@ -32,7 +32,7 @@ from dssc_jax.flight_logs.replay import (
     replayed_command,
     signal_unit,
 )
-from dssc_jax.flight_logs.signal_warnings import SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import SignalWarning, causes_first, signal_warnings
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import departure_ranks, rank_p_value
@@ -341,7 +341,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
         not_replayed=replay.not_replayed,
         references=replay.references,
         rates=replay.rates,
-        warnings=signal_warnings(output_hints(study, dataset) | replay.hints.all()),
+        warnings=causes_first(signal_warnings(output_hints(study, dataset) | replay.hints.all())),
         steps=loop.steps,
         cut=samples < loop.steps and log.is_cut(),
         dropped=dict(log.dropped),

@@ -1,6 +1,6 @@
 """A logged flight through the analysed controller, and the signals that the study's draws would log."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -8,42 +8,40 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.control import ControlState, control, initial_control, near_reference
+from dssc_jax.closed_loop.control import near_reference
 from dssc_jax.closed_loop.draw import Progress, initial_progress, make_sample_step
 from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
+from dssc_jax.core.signals import Outcome, Scalar
 from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import values_of_draws
-from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_logs.channel_replay import ChannelReplay
 from dssc_jax.flight_logs.hints.angle_units import angle_hints
 from dssc_jax.flight_logs.hints.attitudes import attitude_hints
 from dssc_jax.flight_logs.hints.command_hints import command_hint, command_unit, rate_hint
 from dssc_jax.flight_logs.hints.conversions import followed_conversion, rms
 from dssc_jax.flight_logs.hints.integrals import integral_hints
 from dssc_jax.flight_logs.hints.log_hints import LogHints
+from dssc_jax.flight_logs.hints.output_scales import has_wrong_reference, scaled_output
 from dssc_jax.flight_logs.hints.output_steps import is_reference
-from dssc_jax.flight_logs.hints.references import compared_references, median_values, study_references
+from dssc_jax.flight_logs.hints.references import compared_references, study_references
+from dssc_jax.flight_logs.hints.replayed_columns import column_hints, command_share
 from dssc_jax.flight_logs.hints.reset_hints import reset_hints
 from dssc_jax.flight_logs.hints.starts import start_hints
-from dssc_jax.flight_logs.reading.coverage import few_samples_remedy, times_text
+from dssc_jax.flight_logs.reading.coverage import times_text
 from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
     channel_signals,
-    forward_filled,
     held_samples,
+    log_signals,
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, signal_warnings
+from dssc_jax.flight_logs.signal_warnings import Hint, SignalWarning, causes_first, signal_warnings
 from dssc_jax.study import Study
-
-REPLAY_SHARE = 0.95
-"""Share of the samples at which a replay needs the measured output."""
-REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
 LONGER = 2.0  # factor on a study's duration: times of a longer log that count by one may be the numbers of its rows
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
@@ -70,82 +68,6 @@ class ChannelCurves(NamedTuple):
 
 DrawCurves: TypeAlias = tuple[ChannelCurves, ...]
 """The curves of each channel."""
-
-
-def analysed_command(study: Study, index: int, readings: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """Compute the command that a channel's analysed differentiator and controller give for logged measurements.
-
-    They start from the first sample, as after a reset. Uncertain gains have the medians of their laws.
-
-    Args:
-        study: The study, without a sweep.
-        index: Position of the channel.
-        readings: Measured output and its derivative, shape (2, samples).
-        references: Desired output with two derivatives, shape (3, samples).
-
-    Returns:
-        The command u + u_n, shape (samples,).
-    """
-    loop = study.loop
-    if loop.controller[index].takes(study.template.controller[index]):
-        raise ConfigError("controller", "takes measured signals beside y and y', which a log does not have")
-
-    def commands(columns: tuple[Measurement, ReferencePoint]) -> jax.Array:
-        params = study.params(median_values(study))
-
-        def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:
-            next_state, controlled = control(loop, params, index, state, *signals)
-            return as_arrays(next_state), jnp.asarray(controlled.command.total)
-
-        first = jax.tree.map(lambda column: column[0], columns)
-        initial = as_arrays(initial_control(loop, params, index, *first))
-        return jax.lax.scan(sample, initial, columns)[1]
-
-    with arithmetic(study.config.loop.precision):
-        real = jnp.result_type(float)
-        measurement = Measurement(*jnp.asarray(readings, real))
-        reference = ReferencePoint(*jnp.asarray(references, real))
-        compiled = jax.jit(commands, compiler_options=plain_options())
-        return np.asarray(compiled((measurement, reference)), float)
-
-
-def replayed_channel(
-    study: Study, index: int, logged: dict[str, np.ndarray], reference: np.ndarray
-) -> np.ndarray | str:
-    """The command of the analysed controller for a channel's sampled log, or why there is none.
-
-    The study's reference, of shape (3, samples), fills in for the log's, if the logged reference agrees with it.
-    """
-    if "y" not in logged:
-        return "the log has no measured output y"
-    share = float(np.mean(np.isfinite(logged["y"])))
-    if share < REPLAY_SHARE:
-        return (
-            f"the log has y at {100 * share:.3g} % of the controller's samples; a replay needs {100 * REPLAY_SHARE:g} %"
-            f", and makes up none: {few_samples_remedy(np.isfinite(logged['y']), study.loop.sample_time)}"
-        )
-    signals = {name: forward_filled(values) for name, values in logged.items() if np.isfinite(values).any()}
-    defaults = {"y_ref": reference[0]}
-    if "y_ref" not in signals or is_close(signals["y_ref"], reference[0]):
-        defaults |= {"y_ref_dot": reference[1], "y_ref_ddot": reference[2]}
-    signals = {**defaults, **signals}
-    missing = [name for name in ("y_dot", "y_ref_dot", "y_ref_ddot") if name not in signals]
-    for name in missing:
-        signals[name] = np.full(len(signals["y"]), np.nan)
-    readings = np.array([signals["y"], signals["y_dot"]])
-    desired = np.array([signals["y_ref"], signals["y_ref_dot"], signals["y_ref_ddot"]])
-    command = analysed_command(study, index, readings, desired)
-    if np.isfinite(command).all():
-        return command
-    if missing:
-        return f"the controller needs {' or '.join(missing)}, which the log lacks"
-    return "the controller's command is not finite for these measurements"
-
-
-def is_close(logged: np.ndarray, reference: np.ndarray) -> bool:
-    """Whether a logged reference is that of the study."""
-    largest = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
-    return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * largest
 
 
 @dataclass(frozen=True)
@@ -227,7 +149,7 @@ class LogReplay(NamedTuple):
     @property
     def warnings(self) -> tuple[SignalWarning, ...]:
         """The hints as warnings."""
-        return signal_warnings(self.hints.all())
+        return causes_first(signal_warnings(self.hints.all()))
 
     def summary(self, study: Study) -> dict[str, object]:
         """For JSON."""
@@ -283,24 +205,40 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             del comparison.others[y_ref]
         if not commands:
             continue
-        replay = replayed_channel(study, index, signals, references[index])
-        if isinstance(replay, str):
-            not_replayed[channel] = replay
-            continue
+        replay = ChannelReplay(study, index, references[index])
+        command = replay.command(signals)
         name = signal_name(channel, "u_total")
-        replays[name] = replay
+        columns = wrong_columns(replay, signals, command, conversions)
+        if columns:
+            changed = (conversions, factors, integrals.jumps, comparison.shifts, comparison.others, comparison.slopes)
+            for hints in changed:
+                drop_channel(hints, channel)
+            conversions |= columns
+        if isinstance(command, str):
+            not_replayed[channel] = command
+            continue
+        replays[name] = command
         inputs = {label: values for label, values in signals.items() if label != "u_total"}
         held_counts |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
         if "u_total" not in signals:
             not_replayed[channel] = f"the log has no command {name} to compare with that of the analysed controller"
-        else:
-            unit_text = command_unit(signals["u_total"], replay, units.of("u"))
-            hint = rate_hint(log.columns[name], loop.sample_time)
-            hint = hint or command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
-            if unit_text:
-                conversions[name] = Hint("another-unit", unit_text)
-            elif hint is not None:
-                factors[name] = hint
+            continue
+        if columns:
+            continue
+        unit_text = command_unit(signals["u_total"], command, units.of("u"))
+        if unit_text:
+            conversions.setdefault(name, Hint("another-unit", unit_text))
+            continue
+        hint = rate_hint(log.columns[name], loop.sample_time)
+        y = signal_name(channel, "y")
+        scaled = None if y in conversions else scaled_output(replay, signals, command)
+        if scaled is not None:
+            factors[y] = scaled.hint
+            command = scaled.command
+        if hint is None and y not in conversions and not has_wrong_reference(replay, signals, command):
+            hint = command_hint(signals["u_total"], command, loop.sample_time, units.of("u"))
+        if hint is not None:
+            factors[name] = hint
     conversions |= angle_hints(study, log, references)
     hints = LogHints(
         conversions=conversions,
@@ -324,6 +262,37 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         hints=hints,
         dropped=dict(log.dropped),
     )
+
+
+def wrong_columns(
+    replay: ChannelReplay,
+    signals: Mapping[str, np.ndarray],
+    command: np.ndarray | str,
+    conversions: Mapping[str, Hint],
+) -> dict[str, Hint]:
+    """The hint about a channel's columns, by signal, as its controller's command for them tells; empty: none is wrong.
+
+    Args:
+        replay: The channel's controller.
+        signals: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
+        command: The controller's command for them, shape (samples,), or why there is none.
+        conversions: What the signals alone tell; a hint of it about the same columns stays.
+    """
+    if "u_total" not in signals:
+        return {}
+    share = np.inf if isinstance(command, str) else command_share(signals["u_total"], command)
+    hints = column_hints(replay, signals, share)
+    for name, hint in hints.items():
+        columns = hint.text.partition(":")[0]
+        if name in conversions and conversions[name].text.startswith(columns):
+            hints[name] = conversions[name]
+    return hints
+
+
+def drop_channel(hints: dict[str, Hint], channel: str) -> None:
+    """Remove the hints about a channel's signals, which a wrong column explains."""
+    for name in log_signals((channel,)):
+        hints.pop(name, None)
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:

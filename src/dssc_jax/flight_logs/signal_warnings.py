@@ -1,6 +1,6 @@
 """The warnings of a comparison or a fit: what a user has to look at before the answer is trusted."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple, TypeAlias
 
@@ -43,6 +43,7 @@ WarningCode: TypeAlias = Literal[
     "reference-slope",
     "repeated-times",
     "rough-squares",
+    "rounded-command",
     "row-numbers",
     "shifted-command",
     "shifted-reference",
@@ -51,8 +52,21 @@ WarningCode: TypeAlias = Literal[
     "still-rate",
     "stuck-command",
     "stuck-output",
+    "wrong-scale",
 ]
 """What a warning is about, for scripts; docs/log_fits.md lists the codes beside the messages."""
+
+EFFECTS: tuple[WarningCode, ...] = (
+    "command-offset",
+    "another-reference",
+    "another-command",
+    "output-likeness",
+    "initial-output",
+    "noisy-output",
+    "large-residual",
+    "estimate-outside-law",
+)
+"""Warnings that tell an effect, which the cause in another warning of the same log usually explains."""
 
 
 class Hint(NamedTuple):
@@ -83,3 +97,16 @@ class FlightWarning(SignalWarning):
 def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
     """The warnings for hints, which say by signal or number what is wrong with it."""
     return tuple(SignalWarning(name, hint.code, f"{name} {hint.text}") for name, hint in hints.items())
+
+
+def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
+    """Order warnings: those that name a cause stand before those that tell an effect; otherwise the order stays."""
+    return tuple(sorted(warnings, key=lambda warning: warning.code in EFFECTS))
+
+
+def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
+    """The warnings of a replay and a fit, causes first; what both tell of a signal is told as the fit has it."""
+    fitted = tuple(of_fit)
+    told = {(warning.signal, warning.code) for warning in fitted}
+    remaining = [warning for warning in of_replay if (warning.signal, warning.code) not in told]
+    return causes_first((*remaining, *fitted))

@@ -21,6 +21,7 @@ from dssc_jax.flight_logs.fit.search_limits import MOST_SIMULATIONS, SearchLimit
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reading.reader import FlightLog
 from dssc_jax.flight_logs.replay import LogReplay, replay_log
+from dssc_jax.flight_logs.signal_warnings import joined_warnings
 from dssc_jax.study import Study
 
 
@@ -151,7 +152,7 @@ def print_fit(fitted: Fitted, study: Study, replay: LogReplay, options: CompareL
     """
     # hints on starts doubt that the flight starts where the study does, and the fit has found that it does
     replay = replay._replace(hints=replay.hints._replace(starts={}))
-    warnings = replay.warnings + fitted.warnings
+    warnings = joined_warnings(replay.warnings, fitted.warnings)
     summary = fitted.summary()
     summary |= {"identifiable": True, "explained": True, "file": str(options.out) if options.out else None}
     summary |= replay.summary(study)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.channel_replay import replayed_channel
 from dssc_jax.flight_logs.fit.command_gaps import is_rare, largest_jump, reconstructions
 from dssc_jax.flight_logs.fit.least_squares import LEAST_SAMPLES
 from dssc_jax.flight_logs.fit.reading_noise import reading_noise
@@ -21,7 +22,6 @@ from dssc_jax.flight_logs.reading.reader import (
     samples_within,
     signal_name,
 )
-from dssc_jax.flight_logs.replay import replayed_channel
 from dssc_jax.study import Study
 
 LARGE_JUMP = 0.2  # of a command's range

@@ -45,6 +45,13 @@ class SearchCount:
             self.progress(min(self.simulations, self.limits.simulations), self.limits.simulations)
 
     @property
+    def is_stopped(self) -> bool:
+        """Whether the user has stopped the search, or its time is over: no further fit may follow."""
+        seconds = self.limits.seconds
+        is_late = seconds is not None and time.monotonic() - self.begin >= seconds
+        return self.interrupted or is_late
+
+    @property
     def reason(self) -> str:
         """Why the search ended before it was complete; empty: it need not end."""
         if self.interrupted:

@@ -94,6 +94,8 @@ def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWar
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
     """
+    if problem.count.reason:
+        return ()
     start = fixed_start(problem.study)
     found = fitted_start(problem, minimum)
     if start is None or found is None or not found.p_value < SIGNIFICANCE:

@@ -47,7 +47,11 @@ def column_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning,
         problem: The least-squares problem of the log.
         minimum: Its minimum.
     """
+    if problem.count.is_stopped:
+        return ()
     logged = Refit(problem, minimum)
+    if problem.count.reason:  # wrong columns use up the simulations: those given are minimised as far as others are
+        logged = refit(problem, minimum, problem.log)
     candidates = list(other_columns(problem))
     for is_same_command in (True, False):
         chosen = []

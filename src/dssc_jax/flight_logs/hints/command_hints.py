@@ -9,6 +9,8 @@ import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.hints.conversions import FEWER, conversion_text, multiple_of, rms
+from dssc_jax.flight_logs.hints.lost_commands import lost_commands, lost_commands_hint
+from dssc_jax.flight_logs.hints.rounded_commands import command_rounding, rounded_hint
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.reading.interpolated_outputs import bends
 from dssc_jax.flight_logs.reading.reader import Column, forward_filled
@@ -39,7 +41,8 @@ def rate_hint(command: Column, sample_time: float) -> Hint | None:
         command: The command as logged.
         sample_time: T_s of the study [s].
     """
-    is_bend = bends(command.value)
+    is_limited = np.isin(command.value, (np.nanmin(command.value), np.nanmax(command.value)))
+    is_bend = bends(np.where(is_limited, np.nan, command.value))  # a line at a limit is no interpolation
     if is_bend.size:
         interval = len(is_bend) / np.count_nonzero(is_bend) * float(np.median(np.diff(command.time)))
         text = (
@@ -130,6 +133,12 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             "fit the part before or after"
         )
         return Hint("stuck-command", text)
+    lost = lost_commands(logged, replayed) if hold == 1 else []
+    if lost:
+        return lost_commands_hint(lost, sample_time)
+    rounding = command_rounding(logged, replayed)
+    if rounding is not None and rounding.is_analysed:
+        return rounded_hint(rounding, unit)
     if hold > 1 and rms(logged - held_like(logged, replayed)) <= min(largest_residual, FEWER * difference):
         text = (
             f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
@@ -161,7 +170,7 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
         return Hint("another-command", text)
-    return None
+    return None if rounding is None else rounded_hint(rounding, unit)
 
 
 def spike_rows(logged: np.ndarray, replayed: np.ndarray) -> list[int]:

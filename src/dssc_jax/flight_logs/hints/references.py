@@ -12,6 +12,7 @@ from dssc_jax.flight_logs.hints.conversions import (
     SAME_REFERENCE,
     is_same_reference,
     is_shifted,
+    multiple_of,
     reference_conversion,
     reference_shift,
     rms,
@@ -120,7 +121,14 @@ def compared_references(
         same_unit = [units.output == unit for units in study.units]
         largest_range = float(np.ptp(references[same_unit, 0], axis=1).max())
         text = other_reference_text(logged[index], references[index, 0], largest_range, unit)
-        if text:
+        factor = multiple_of(logged[index], references[index, 0])
+        if factor != 1.0:
+            text = (
+                f"is {factor:.4g} times the study's: a scale of {1.0 / factor:.4g} for its column mends it. If the "
+                "flight had that reference, give it to the study"
+            )
+            comparison.others[name] = Hint("wrong-scale", text)
+        elif text:
             comparison.others[name] = Hint("another-reference", text)
     return comparison
 

@@ -1,0 +1,184 @@
+"""Outputs that are logged some per cent too large or too small, or with an offset, as the analysed controller tells.
+
+The controller answers the error y_ref - y. Where the logged y is not the one that it got, its command for the log
+differs from the logged command. The factor is sought with which both agree.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from dssc_jax.flight_logs.channel_replay import ChannelReplay, is_close
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
+
+ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
+LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
+LARGEST_FACTOR = 1.4  # of a scale that is sought, and its inverse
+WINDOW = 0.5  # s over which differences are averaged: noise of y in a derivative has no longer memory
+LEAST_WINDOWS = 16
+LEAST_DIFFERENCE = 0.01  # of the factor from 1
+DEVIATIONS = 6.0  # least distance of the factor from 1, in its standard deviations
+EXPLAINED = 0.3  # largest share of the averaged difference that the factor leaves
+CLEARLY = 0.5  # share of what another cause leaves: less, and the factor is the better explanation
+BATCHES = 8  # parts of the difference, whose sums tell the factor's deviation
+FITTED = 2  # numbers of the regression: the factor and a constant
+STEP = 1e-4  # relative change of a number for a derivative by it
+
+
+class Scale(NamedTuple):
+    """The factor of a logged output, with its standard deviation, and what it explains.
+
+    Args:
+        factor: The logged output over the one that the controller got.
+        deviation: Its standard deviation.
+        share: Share of the averaged difference of the commands that it leaves.
+        differences: Root mean squares of the difference of the commands, before and after.
+    """
+
+    factor: float
+    deviation: float
+    share: float
+    differences: tuple[float, float]
+
+
+class AveragedDifference:
+    """The difference of the logged command from that of the analysed controller, averaged over windows.
+
+    A constant is taken off, which an integral has that began elsewhere.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, each of shape (samples,).
+    """
+
+    def __init__(self, replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> None:
+        self.replay = replay
+        self.logged = logged
+        samples = len(logged["u_total"])
+        self.width = max(1, min(round(WINDOW / replay.study.loop.sample_time), samples // LEAST_WINDOWS))
+
+    def command(self, factor: float, offset: float = 0.0) -> np.ndarray:
+        """The controller's command for (y - offset) / factor, shape (samples,); NaN if it gives none."""
+        command = self.replay.command({**self.logged, "y": (self.logged["y"] - offset) / factor})
+        return np.full(len(self.logged["u_total"]), np.nan) if isinstance(command, str) else command
+
+    def averaged(self, values: np.ndarray) -> np.ndarray:
+        """The means of values over the windows that have any, without the mean of all, shape (windows,)."""
+        difference = np.where(np.isfinite(self.logged["u_total"]), values, np.nan)
+        parts = difference[: len(difference) // self.width * self.width].reshape(-1, self.width)
+        means = parts[np.isfinite(parts).any(axis=1)]
+        if not means.size:
+            return np.zeros(0)
+        averages = np.nanmean(means, axis=1)
+        return averages - averages.mean()
+
+    def at(self, factor: float, offset: float = 0.0) -> np.ndarray:
+        """The averaged difference for (y - offset) / factor, shape (windows,)."""
+        return self.averaged(self.logged["u_total"] - self.command(factor, offset))
+
+
+class ScaledOutput(NamedTuple):
+    """What to say of an output with a wrong scale, and the controller's command for the right one."""
+
+    hint: Hint
+    command: np.ndarray
+
+
+def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> ScaledOutput | None:
+    """Find out whether an output is logged too large or too small; None if nothing is certain.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, with y and u_total, each of shape (samples,).
+        command: The controller's command for them, shape (samples,).
+    """
+    difference = rms(logged["u_total"] - command)
+    if not ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
+        return None
+    averaged = AveragedDifference(replay, logged)
+    scale = fitted_scale(averaged)
+    if scale is None:
+        return None
+    channel = replay.study.loop.channels[replay.index]
+    u = signal_name(channel, "u_total")
+    unit = replay.study.units[replay.index].of("u")
+    size = "large" if scale.factor > 1.0 else "small"
+    text = (
+        f"is {scale.factor:.4g} ± {scale.deviation:.1g} times what the controller got, too {size}: with a scale of "
+        f"{1.0 / scale.factor:.4g} for its column the analysed controller gives the logged {u} to "
+        f"{scale.differences[1]:.3g} {unit} rms, without it to {scale.differences[0]:.3g}. A fit takes the factor for "
+        "one of the gain"
+    )
+    return ScaledOutput(Hint("wrong-scale", text), averaged.command(scale.factor))
+
+
+def has_wrong_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray], command: np.ndarray) -> bool:
+    """Whether the controller gives the logged command far better for the study's reference than for the logged one.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals, NaN where missing, with u_total, each of shape (samples,).
+        command: The controller's command for them, shape (samples,).
+    """
+    if has_study_reference(replay, logged):
+        return False
+    others = {name: values for name, values in logged.items() if not name.startswith("y_ref")}
+    by_study = replay.command(others)
+    if isinstance(by_study, str):
+        return False
+    return rms(logged["u_total"] - by_study) < EXPLAINED * rms(logged["u_total"] - command)
+
+
+def has_study_reference(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> bool:
+    """Whether the reference is the study's and differs from 0; with another one, it may be the one that is wrong."""
+    reference = replay.reference[0]
+    if not np.any(reference):
+        return False
+    column = logged.get("y_ref")
+    return column is None or not np.isfinite(column).any() or is_close(forward_filled(column), reference)
+
+
+def fitted_scale(averaged: AveragedDifference) -> Scale | None:
+    """The factor of the output with which both commands agree best; None if it is not certain, or near 1."""
+    before = averaged.at(1.0)
+    if len(before) < LEAST_WINDOWS or not rms(before) > 0.0:
+        return None
+
+    def cost(logarithm: float) -> float:
+        """The root mean square of the averaged difference for a factor."""
+        return rms(averaged.at(float(np.exp(logarithm))))
+
+    widest = float(np.log(LARGEST_FACTOR))
+    found = optimize.minimize_scalar(cost, bounds=(-widest, widest), method="bounded", options={"xatol": STEP})
+    factor = float(np.exp(found.x))
+    after = averaged.at(factor)
+    share = rms(after) / rms(before)
+    if not share < EXPLAINED or abs(found.x) > 0.95 * widest or abs(factor - 1.0) < LEAST_DIFFERENCE:
+        return None
+    slope = (averaged.at(factor * (1.0 + STEP)) - after) / (STEP * factor)
+    size = float(slope @ slope)
+    sums = np.array([part.sum() for part in np.array_split(after * slope, BATCHES)])
+    deviation = float(np.sqrt(sums @ sums * BATCHES / (BATCHES - FITTED))) / size
+    if abs(factor - 1.0) < DEVIATIONS * deviation or not rms(after) < CLEARLY * least_by_others(averaged, before):
+        return None
+    logged = averaged.logged["u_total"]
+    differences = (rms(logged - averaged.command(1.0)), rms(logged - averaged.command(factor)))
+    return Scale(factor, deviation, share, differences)
+
+
+def least_by_others(averaged: AveragedDifference, before: np.ndarray) -> float:
+    """The root mean square of the averaged difference that an offset of y, or a factor of u, leaves."""
+    size = rms(averaged.logged["y"])
+    by_offset = averaged.averaged(averaged.command(1.0, STEP * size) - averaged.command(1.0)) / (STEP * size)
+    by_factor = averaged.averaged(averaged.command(1.0))
+    return min(remaining(before, by_offset), remaining(before, by_factor))
+
+
+def remaining(values: np.ndarray, regressor: np.ndarray) -> float:
+    """The root mean square of values that a multiple of a regressor leaves; both of shape (windows,)."""
+    square = float(regressor @ regressor)
+    return rms(values - (float(values @ regressor) / square if square > 0.0 else 0.0) * regressor)

@@ -1,0 +1,98 @@
+"""Columns that seem to be wrong, as the analysed controller tells: with others it gives the logged command.
+
+Each hypothesis is the same log with exchanged columns, or with the output in place of an error. It is told where the
+controller's command then is the logged one, and is not with the columns that were given.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.channel_replay import ChannelReplay
+from dssc_jax.flight_logs.hints.conversions import FEWER, rms
+from dssc_jax.flight_logs.reading.reader import signal_name
+from dssc_jax.flight_logs.signal_warnings import Hint
+
+DESCRIBED = 0.1  # largest difference of the commands with the right columns, as a share of the command's deviation
+EXCHANGED = ("y", "y_dot", "y_ref", "u_total")
+LEAST_VALUES = 20
+
+
+class OtherColumns(NamedTuple):
+    """A channel's log in which signals come from other columns.
+
+    Args:
+        signal: A signal whose column is wrong, without the channel.
+        text: What is wrong with it, in words that follow its name.
+        signals: All signals as they would be, each of shape (samples,).
+    """
+
+    signal: str
+    text: str
+    signals: Mapping[str, np.ndarray]
+
+
+def column_hints(replay: ChannelReplay, logged: Mapping[str, np.ndarray], present_share: float) -> dict[str, Hint]:
+    """The hint about a channel's columns, by signal; empty if the analysed controller knows no better ones.
+
+    Args:
+        replay: The channel's controller.
+        logged: The channel's signals by their names without it, NaN where missing, each of shape (samples,).
+        present_share: The share by :func:`command_share` with the columns that were given; infinite without a replay.
+    """
+    if present_share <= DESCRIBED:
+        return {}
+    channel = replay.study.loop.channels[replay.index]
+    best = None
+    least_share = min(DESCRIBED, FEWER * present_share)
+    for candidate in (*errors_as_outputs(replay, logged), *exchanged_columns(replay, logged)):
+        command = replay.command(candidate.signals)
+        share = np.inf if isinstance(command, str) else command_share(candidate.signals["u_total"], command)
+        if share < least_share:
+            least_share = share
+            best = candidate
+    if best is None:
+        return {}
+    u = signal_name(channel, "u_total")
+    reason = f"with that, the analysed controller gives the logged {u} to {100 * least_share:.2g} % of what it varies"
+    return {signal_name(channel, best.signal): Hint("exchanged-columns", f"{best.text}: {reason}")}
+
+
+def command_share(logged: np.ndarray, command: np.ndarray) -> float:
+    """The difference of two commands, but for a constant, over the deviation of the logged one; both root mean squares.
+
+    Infinite with too few values, or where the logged one rests.
+    """
+    difference = logged - command
+    is_finite = np.isfinite(difference)
+    if np.count_nonzero(is_finite) < LEAST_VALUES:
+        return np.inf
+    deviation = rms(logged - np.median(logged[is_finite]))
+    if not 0.0 < deviation < np.inf:
+        return np.inf
+    return rms(difference - np.median(difference[is_finite])) / deviation
+
+
+def errors_as_outputs(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
+    """The hypotheses that the column of y holds the error, by the logged reference, or by that of the study."""
+    if "y" not in logged:
+        return
+    channel = replay.study.loop.channels[replay.index]
+    y = signal_name(channel, "y")
+    y_ref = signal_name(channel, "y_ref")
+    reference = logged.get("y_ref", replay.reference[0])
+    if len(np.unique(reference[np.isfinite(reference)])) < 2:
+        return  # without a reference that moves, the error is y with an offset
+    for error, output in ((f"{y_ref} - {y}", reference - logged["y"]), (f"{y} - {y_ref}", reference + logged["y"])):
+        yield OtherColumns("y", f"seems to hold the error {error}", {**logged, "y": output})
+
+
+def exchanged_columns(replay: ChannelReplay, logged: Mapping[str, np.ndarray]) -> Iterator[OtherColumns]:
+    """The hypotheses that two signals of a channel have each other's column."""
+    channel = replay.study.loop.channels[replay.index]
+    present = [name for name in EXCHANGED if name in logged]
+    for first, second in itertools.combinations(present, 2):
+        signals = {**logged, first: logged[second], second: logged[first]}
+        yield OtherColumns(first, f"looks exchanged with {signal_name(channel, second)}", signals)

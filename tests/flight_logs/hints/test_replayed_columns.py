@@ -1,0 +1,148 @@
+"""Wrong columns and scales of y, as the analysed controller tells them; other faults and gains are none of these."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.fit.fit import fit_log
+from dssc_jax.flight_logs.reading.reader import Column, FlightLog
+from dssc_jax.flight_logs.replay import replay_log
+
+DT = 0.02
+SAMPLES = 300
+TIME = DT * np.arange(SAMPLES)
+PULSES = (np.mod(TIME - 0.5 + 1e-9, 3.0) < 1.5).astype(float) * (TIME >= 0.5 - 1e-9)
+GAINS = (6.0, 5.0, 2.0)
+
+
+@pytest.fixture(scope="module")
+def study():
+    """A study of x'' = -a_p x' + k_p u with state feedback and an integral."""
+    k_1, k_2, k_i = GAINS
+    return dj.Study.from_table(
+        {
+            "name": "columns",
+            "seed": 1,
+            "loop": {"duration": SAMPLES * DT, "sample_time": DT},
+            "plant": {"kind": "normal_form", "k_p": {"uniform": [0.4, 0.6]}, "a_p": 0.3, "initial": [0.0, 0.0]},
+            "reference": {"kind": "pulses", "size": 1.0, "period": 3.0, "width": 1.5, "at": 0.5},
+            "controller": {"kind": "state_feedback", "k_1": k_1, "k_2": k_2, "k_i": k_i},
+        }
+    )
+
+
+def flown(seed=0, noise=0.002, gains=GAINS, force=0.0, step=0.0):
+    """The columns of a flight, by a simulation of its own.
+
+    Args:
+        seed: Seed of the sensor's noise.
+        noise: Its standard deviation.
+        gains: Gains of the flight's controller.
+        force: A constant force on the vehicle, as command.
+        step: The step to which the controller rounds its command; 0: it does not.
+    """
+    random = np.random.default_rng(seed)
+    k_1, k_2, k_i = gains
+    place, speed, integral = 0.0, 0.0, 0.0
+    columns = {name: np.zeros(SAMPLES) for name in ("y", "y_dot", "u_total")}
+    for sample in range(SAMPLES):
+        y = place + noise * random.normal()
+        y_dot = speed + 2.0 * noise * random.normal()
+        u = integral - k_1 * (y - PULSES[sample]) - k_2 * y_dot
+        if step > 0.0:
+            u = step * np.round(u / step)
+        integral -= DT * k_i * (y - PULSES[sample])
+        for name, value in (("y", y), ("y_dot", y_dot), ("u_total", u)):
+            columns[name][sample] = value
+        for _ in range(10):
+            speed += 0.1 * DT * (-0.33 * speed + 0.53 * (u + force))
+            place += 0.1 * DT * speed
+    return {**columns, "y_ref": PULSES}
+
+
+def log_of(columns):
+    """A log of columns by signal, with four decimals."""
+    return FlightLog("flight", {name: Column(TIME, np.round(values, 4)) for name, values in columns.items()}, 0.0)
+
+
+def told(study, columns):
+    """The codes of the warnings of a replay, by signal, and their texts in one."""
+    warnings = replay_log(study, log_of(columns)).warnings
+    return {warning.signal: warning.code for warning in warnings}, " ".join(warning.text for warning in warnings)
+
+
+@pytest.mark.parametrize(("first", "second"), list(combinations(("y", "y_dot", "y_ref", "u_total"), 2)))
+def test_every_two_exchanged_columns_are_named(study, first, second):
+    columns = flown()
+    codes, text = told(study, {**columns, first: columns[second], second: columns[first]})
+    assert list(codes.values()) == ["exchanged-columns"]
+    assert text.startswith((f"{first} looks exchanged with {second}", f"{second} looks exchanged with {first}"))
+
+
+def test_a_fit_refuses_exchanged_columns(study):
+    columns = flown()
+    log = log_of({**columns, "y": columns["u_total"], "u_total": columns["y"]})
+    with pytest.raises(ConfigError, match="looks exchanged with u_total: with that, the analysed controller"):
+        fit_log(study, log, replay=replay_log(study, log))
+
+
+@pytest.mark.parametrize(("sign", "words"), [(1.0, "the error y_ref - y:"), (-1.0, "the error y - y_ref:")])
+def test_an_error_in_place_of_the_output_is_named(study, sign, words):
+    columns = flown()
+    codes, text = told(study, {**columns, "y": sign * (PULSES - columns["y"])})
+    assert codes == {"y": "exchanged-columns"}
+    assert words in text
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03, 1.08])
+@pytest.mark.parametrize("flight", [{}, {"noise": 0.01}, {"force": 0.5}, {"step": 0.2}])
+def test_a_scale_of_the_output_is_told_with_the_factor(study, factor, flight):
+    columns = flown(**flight)
+    codes, text = told(study, {**columns, "y": factor * columns["y"]})
+    assert codes["y"] == "wrong-scale"
+    assert float(text.split()[2]) == pytest.approx(factor, abs=0.003)
+    assert f"a scale of {1.0 / float(text.split()[2]):.3g}"[:14] in text
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        flown(),
+        flown(seed=1, noise=0.02),
+        flown(seed=2, force=0.8),
+        flown(seed=3, step=0.2),
+        flown(seed=4, gains=(6.2, 5.0, 2.0)),
+        flown(seed=5, gains=(6.0, 5.5, 2.0)),
+        flown(seed=6, gains=(6.0, 5.0, 2.1)),
+        flown() | {"y": flown()["y"] + 0.03},
+        flown() | {"u_total": flown()["u_total"] + 0.3},
+        flown() | {"u_total": 1.03 * flown()["u_total"]},
+        flown() | {"y": flown()["y"] + 0.01 * np.random.default_rng(7).normal(size=SAMPLES)},
+    ],
+)
+def test_noise_forces_gains_and_offsets_are_no_wrong_columns(study, columns):
+    """As are a command to 0.2 N, a command times 1.03, and noise that only the log has."""
+    codes, _ = told(study, columns)
+    assert not {"wrong-scale", "exchanged-columns"} & set(codes.values())
+
+
+def test_an_offset_of_the_command_is_told_beside_a_scale(study):
+    """By the command that the controller gives for the right scale."""
+    columns = flown()
+    codes, text = told(study, {**columns, "y": 1.03 * columns["y"], "u_total": columns["u_total"] + 0.4})
+    assert codes == {"y": "wrong-scale", "u_total": "command-offset"}
+    assert "u_total lies 0.4 m/s beside" in text
+
+
+def test_an_output_in_another_unit_says_nothing_of_the_command(study):
+    codes, _ = told(study, {**flown(), "y": 100.0 * flown()["y"]})
+    assert codes == {"y": "another-unit"}
+
+
+def test_a_reference_that_is_a_multiple_has_its_factor(study):
+    codes, text = told(study, {**flown(), "y_ref": 1.03 * PULSES})
+    assert codes == {"y_ref": "wrong-scale"}
+    assert "y_ref is 1.03 times the study's: a scale of 0.9709" in text
