@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.flight_logs.fit.fit import fit_log
-from dssc_jax.flight_logs.fit.missing_forces import friction, quadratic_drag
+from dssc_jax.flight_logs.fit.missing_parts import friction, quadratic_drag
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 
 FINE = 20  # steps of integration in a sample
@@ -46,7 +46,7 @@ def test_a_small_force_against_the_speed_is_told_with_the_damping_that_it_hides(
     fitted = fit_log(linear(), flown(force, 1), predictions=predictions)
     assert abs(fitted.estimates[1] - A_P) > 5.0 * fitted.deviations[1]
     (text,) = [doubt.text for doubt in fitted.doubts if "would explain part of the residual of y" in doubt.text]
-    assert f"({word})" in text
+    assert f"({word}, " in text
     better = float(text.split(" is about ")[1].split()[0])
     number = fitted.names.index(text.split("with it, ")[1].split()[0])
     truth = (K_P, A_P)[number]
