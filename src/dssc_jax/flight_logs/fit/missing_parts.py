@@ -259,7 +259,7 @@ def part_text(part: Part, size: float, output: str, command: str) -> str:
 
 def lacking_parts(study: Study) -> list[Part]:
     """The parts that a study of one channel lacks."""
-    kinds = {str(element.kind) for element in study.config.actuator}
+    kinds = {str(element.get("kind", "none")) for element in study.config.actuator}
     kinds.add(str(study.config.unmodelled.get("kind", "none")))
     return [part for part in PARTS if not part.kinds & kinds]
 
