@@ -18,6 +18,7 @@ from dssc_jax.flight_logs.fit.missing_parts import (
     slope_half_width,
     slopes,
 )
+from dssc_jax.flight_logs.fit.refusals import Unexplained
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 
 FINE = 20  # steps of integration in a sample
@@ -173,23 +174,32 @@ def test_a_gain_that_falls_is_told_with_that_at_the_first_sample(predictions):
     assert improved(fitted, doubt.text) < 0.3
 
 
-def gusty_codes(is_limited):
-    """The codes of the parts that are told of a flight in a gust that the study declares."""
+def gusty_codes(share):
+    """The codes of the parts that are told of a flight in a gust that the study declares.
+
+    Args:
+        share: The limit of the commands, as a share of the largest one.
+    """
     study = linear(disturbance=GUST, sensor={"kind": "noisy", "position_std": 0.001})
     u = commands_of(5)[:240]
-    level = 0.7 * np.abs(u).max() if is_limited else np.inf
+    level = share * np.abs(u).max()
     log = log_of(flown(no_force, 5, np.clip(u, -level, level), gust=STD), u)
     return [doubt.code for doubt in told(fit_log(study, log))]
 
 
 def test_declared_gusts_hide_no_limit():
     """The residual is what the gusts did; the fit's own weighting shows the limit beside them."""
-    assert gusty_codes(True) == ["missing-limit"]
+    assert gusty_codes(0.85) == ["missing-limit"]
+
+
+def test_a_refusal_in_gusts_names_the_limit():
+    with pytest.raises(Unexplained, match="limits the command to"):
+        gusty_codes(0.7)
 
 
 @pytest.mark.long
 def test_declared_gusts_are_no_part():
-    assert gusty_codes(False) == []
+    assert gusty_codes(1.0) == []
 
 
 def test_the_speed_of_friction_in_gusts_is_that_which_the_log_shows():

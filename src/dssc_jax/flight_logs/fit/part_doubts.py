@@ -12,6 +12,7 @@ from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, flown, lacking_parts, part_text
 from dssc_jax.flight_logs.fit.part_fits import PartFit, fitted_part
+from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
@@ -78,6 +79,8 @@ def part_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray, h
 def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, has_delay: bool) -> PartDoubts:
     """The doubts about parts where a fit is refused, if one leaves far less of the residual.
 
+    Gusts that the study declares may make most of the residual, whatever the part, so likelihood alone decides there.
+
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
@@ -85,6 +88,8 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, has_delay: boo
     """
     deviations = np.sqrt(np.diag(np.linalg.pinv(minimum.equations.information)))[problem.fitted]
     doubts = part_doubts(problem, minimum, deviations, has_delay)
+    if not doubts.warnings or declares_noise(problem.study):
+        return doubts
     return doubts if doubts.residual < LARGE_PART * Refit(problem, minimum).residual(0) else NO_DOUBTS
 
 
