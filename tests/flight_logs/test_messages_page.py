@@ -44,7 +44,11 @@ PARTS = (
     "What it leaves open comes from",
     "newtons in place of kilograms-force",
     "each in standard deviations of its law",
-    "that grows with the square of the speed",
+    "explains it nearly as well",
+    "Give the plant that force",
+    "Give the study that lag",
+    "Give the study that limit",
+    "Log the command times the gain",
 )
 PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message
 

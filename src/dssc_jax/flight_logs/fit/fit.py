@@ -33,8 +33,8 @@ from dssc_jax.flight_logs.fit.late_outputs import delay_doubts
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem, averaged_covariance
 from dssc_jax.flight_logs.fit.log_sampling import sampled_log
 from dssc_jax.flight_logs.fit.minima import Minimum, MinimumSearch, find_minima
-from dssc_jax.flight_logs.fit.missing_forces import force_doubts
 from dssc_jax.flight_logs.fit.outliers import outlier_doubts
+from dssc_jax.flight_logs.fit.part_doubts import NO_DOUBTS, part_doubts, part_doubts_of_refusal
 from dssc_jax.flight_logs.fit.possible_values import require_plausible, require_possible
 from dssc_jax.flight_logs.fit.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.fit.refusals import (
@@ -62,6 +62,7 @@ from dssc_jax.flight_logs.reading.reader import (
     FlightLog,
 )
 from dssc_jax.flight_logs.replay import LogReplay, replay_log, require_same_signals
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
@@ -264,12 +265,27 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
     try:
         require_description(problem, best.x, results)
     except Unexplained as refusal:
-        causes = column_doubts(problem, best) or (
-            *(start_speed_doubts(problem, best) or output_start_doubts(problem, best.x, results)),
-            *outlier_doubts(problem, best.x),
-            *(dropout_doubts(problem, best) or delay_doubts(problem, best)),
-        )
+        causes = column_doubts(problem, best) or refusal_causes(problem, best, results)
         raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
+
+
+def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained]) -> tuple[SignalWarning, ...]:
+    """Likely causes of a residual that is more than noise, beside other columns."""
+    doubts_of_outliers = outlier_doubts(problem, best.x)
+    doubts_of_dropouts = dropout_doubts(problem, best)
+    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best)
+    parts = NO_DOUBTS if doubts_of_dropouts else part_doubts_of_refusal(problem, best, bool(doubts_of_delays))
+    if parts.exceeds_delays:
+        doubts_of_delays = ()
+    doubts_of_start = start_speed_doubts(problem, best, parts.residual)
+    if doubts_of_start:
+        parts = NO_DOUBTS
+    return (
+        *(doubts_of_start or output_start_doubts(problem, best.x, results)),
+        *doubts_of_outliers,
+        *doubts_of_delays,
+        *parts.warnings,
+    )
 
 
 def fitted_minimum(
@@ -296,7 +312,8 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    doubts_of_delays = dropout_doubts(problem, search.best) or delay_doubts(problem, search.best)
+    doubts_of_dropouts = dropout_doubts(problem, search.best)
+    doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, search.best)
     covariance = averaged_covariance(problem, posteriors, x)
     covariance = widening(rough) * larger_covariance(covariance, declared_covariance(problem, search.best))
     covariance = covariance[np.ix_(fitted, fitted)]
@@ -310,12 +327,18 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
-    doubts_of_forces = () if doubts_of_delays else force_doubts(problem, search.best, np.sqrt(np.diag(covariance)))
+    parts = NO_DOUBTS
+    if not doubts_of_dropouts:
+        parts = part_doubts(problem, search.best, np.sqrt(np.diag(covariance)), bool(doubts_of_delays))
+    if parts.exceeds_delays:
+        doubts_of_delays = ()
     doubts_of_outliers = outlier_doubts(problem, x)
     doubts_of_start = output_start_doubts(problem, x, results)
     is_doubtful = any(result.is_doubtful for result in results)
     if is_doubtful and not doubts_of_delays and not doubts_of_outliers:  # which another start explains in part
-        doubts_of_start = start_speed_doubts(problem, search.best) or doubts_of_start
+        doubts_of_speed = start_speed_doubts(problem, search.best, parts.residual)
+        if doubts_of_speed:
+            doubts_of_start, parts = doubts_of_speed, NO_DOUBTS
     with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
@@ -346,7 +369,7 @@ def fitted_minimum(
             *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *doubts_of_delays,
-            *doubts_of_forces,
+            *parts.warnings,
             *held_doubts(problem.log),
             *doubts_of_commands,
             *wind_doubts(study),

@@ -4,6 +4,7 @@ Another speed moves the first readings little and all later ones much, and other
 and speed of the start are fitted as well, where the residual is larger than noise.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -87,12 +88,16 @@ def shifted_residual(problem: FitProblem, minimum: Minimum) -> float:
     return float(np.sqrt(np.mean((residual - regressors @ factors) ** 2)))
 
 
-def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWarning, ...]:
+def start_speed_doubts(
+    problem: FitProblem, minimum: Minimum, residual_with_part: float = math.inf
+) -> tuple[SignalWarning, ...]:
     """The doubt about the speed at which the study begins, with the start that the output shows.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
+        residual_with_part: Root mean square of the residual with a part that the study lacks, which explains the flight
+            as well if another start leaves no less; infinite without such a part.
     """
     if problem.count.reason:
         return ()
@@ -104,7 +109,7 @@ def start_speed_doubts(problem: FitProblem, minimum: Minimum) -> tuple[SignalWar
     is_explained = found.residual < LARGE_PART * residual
     if not is_explained or abs(found.speed - start[1]) <= DEVIATIONS * found.deviation:
         return ()
-    if shifted_residual(problem, minimum) <= AS_SMALL * found.residual:
+    if min(shifted_residual(problem, minimum), residual_with_part) <= AS_SMALL * found.residual:
         return ()
     name, unit = signal_and_unit(problem, 0)
     speed_unit = problem.study.units[0].of("y/s")

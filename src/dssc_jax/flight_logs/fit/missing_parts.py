@@ -1,0 +1,312 @@
+"""The table of parts that a study of one channel may lack, each of one number: forces, a lag, a limit, a changing gain.
+
+Each part changes the commands that the study's plant gets. The size 0 of the number, or its absence, is the study.
+
+References:
+    L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), section 16.4: comparison of model structures.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.refusals import noise_between_neighbours
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.signal_warnings import WarningCode
+from dssc_jax.study import Study
+
+REST = 1e-2  # share of the largest speed below which friction passes through 0
+SPEED_ERROR = 0.05  # of the speed's root mean square: the noise of a slope of the residual that counts as speed
+PROBE = 1e-2  # size of a force at first, as a share of the command
+LAGS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # samples: the first time constants
+LEVELS = (0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35)  # of the largest command: the first limits
+MOST_CHANGE = 0.9  # largest share by which a gain falls or rises
+
+
+class Flight(NamedTuple):
+    """The course of a flight at the samples.
+
+    Args:
+        commands: Commands [u], shape (n,).
+        speed: Speeds of the output, shape (n,).
+        sample_time: Time between two samples [s].
+    """
+
+    commands: np.ndarray
+    speed: np.ndarray
+    sample_time: float
+
+
+class Part(NamedTuple):
+    """A part that a study may lack.
+
+    Args:
+        code: Code of its warning.
+        words: What it is, with ``{size}``, ``{percent}``, ``{verb}``, ``{output}`` and ``{command}`` to be filled in.
+        remedy: What to do.
+        kinds: Kinds of actuators with which the study has it.
+        commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
+        sizes: Flight -> first sizes.
+        is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
+        is_possible: (Flight, size) -> whether the size means something on this flight.
+    """
+
+    code: WarningCode
+    words: str
+    remedy: str
+    kinds: frozenset[str]
+    commands: Callable[[Flight, float], np.ndarray]
+    sizes: Callable[[Flight], tuple[float, ...]]
+    is_positive: bool
+    is_possible: Callable[[Flight, float], bool]
+
+
+def quadratic_drag(speed: np.ndarray) -> np.ndarray:
+    """The course of a force that grows with the square of the speed, and acts against it; shape (n,)."""
+    return -speed * np.abs(speed)
+
+
+def friction(speed: np.ndarray) -> np.ndarray:
+    """The course of a force of constant size against the speed, which passes through 0 at rest; shape (n,)."""
+    return -speed / np.hypot(speed, REST * float(np.abs(speed).max()) + TINY)
+
+
+def dragged(flight: Flight, size: float) -> np.ndarray:
+    """Commands with quadratic drag, whose size is that at a speed of 1."""
+    return flight.commands + size * quadratic_drag(flight.speed)
+
+
+def rubbed(flight: Flight, size: float) -> np.ndarray:
+    """Commands with friction of a size."""
+    return flight.commands + size * friction(flight.speed)
+
+
+def lagged(flight: Flight, size: float) -> np.ndarray:
+    """Means over each sample of the commands behind a first-order lag with a time constant [s], which begins at 0."""
+    decay = math.exp(-flight.sample_time / size)
+    mean_weight = size / flight.sample_time * (1.0 - decay)  # mean of the decay over a sample
+    state = 0.0
+    means = np.empty(len(flight.commands))
+    for row, command in enumerate(flight.commands.tolist()):
+        means[row] = command + (state - command) * mean_weight
+        state = command + (state - command) * decay
+    return means
+
+
+def limited(flight: Flight, size: float) -> np.ndarray:
+    """Commands limited to a size either side of 0."""
+    return np.clip(flight.commands, -size, size)
+
+
+def fading(flight: Flight, size: float) -> np.ndarray:
+    """Commands whose gain changes linearly in time, from 1 at the first sample to 1 - size at the last one."""
+    return flight.commands * np.linspace(1.0, 1.0 - size, len(flight.commands))
+
+
+def late(flight: Flight, size: float) -> np.ndarray:
+    """Commands that act later by a time [s]; the first one acts before them."""
+    return delayed(flight.commands, size / flight.sample_time)
+
+
+def on_time(flight: Flight, size: float) -> np.ndarray:
+    """The commands themselves, of a log whose outputs are late."""
+    return flight.commands
+
+
+def delayed(series: np.ndarray, samples: float) -> np.ndarray:
+    """A series that is later by a number of samples, with means between whole ones; shape (..., n)."""
+    positions = np.maximum(np.arange(series.shape[-1]) - samples, 0.0)
+    first = np.floor(positions).astype(int)
+    share = positions - first
+    following = np.minimum(first + 1, series.shape[-1] - 1)
+    return (1.0 - share) * series[..., first] + share * series[..., following]
+
+
+def drag_sizes(flight: Flight) -> tuple[float, ...]:
+    """A small drag beside the commands."""
+    return (PROBE * rms(flight.commands) / max(rms(quadratic_drag(flight.speed)), TINY),)
+
+
+def friction_sizes(flight: Flight) -> tuple[float, ...]:
+    """A small friction beside the commands."""
+    return (PROBE * rms(flight.commands),)
+
+
+def lag_sizes(flight: Flight) -> tuple[float, ...]:
+    """Time constants [s] from half a sample on, which are short beside the flight."""
+    return tuple(flight.sample_time * samples for samples in LAGS if 10.0 * samples < len(flight.commands))
+
+
+def limit_sizes(flight: Flight) -> tuple[float, ...]:
+    """Limits that the commands reach."""
+    largest = float(np.abs(flight.commands).max())
+    return tuple(largest * level for level in LEVELS)
+
+
+def fading_sizes(flight: Flight) -> tuple[float, ...]:
+    """A small fall of the gain."""
+    return (PROBE,)
+
+
+def is_against(flight: Flight, size: float) -> bool:
+    """Whether a force acts against the speed."""
+    return size > 0.0
+
+
+def is_reached(flight: Flight, size: float) -> bool:
+    """Whether commands reach a limit."""
+    return 0.0 < size < float(np.abs(flight.commands).max())
+
+
+def is_short(flight: Flight, size: float) -> bool:
+    """Whether a lag is short beside the flight."""
+    return 0.0 < size < 0.2 * flight.sample_time * len(flight.commands)
+
+
+def is_moderate(flight: Flight, size: float) -> bool:
+    """Whether a change of the gain leaves most of it."""
+    return abs(size) < MOST_CHANGE
+
+
+PARTS = (
+    Part(
+        code="missing-force",
+        words="a force against the speed that grows with the square of the speed (drag, {size:.3g} {command} at "
+        "1 {output}/s)",
+        remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
+        kinds=frozenset(),
+        commands=dragged,
+        sizes=drag_sizes,
+        is_positive=False,
+        is_possible=is_against,
+    ),
+    Part(
+        code="missing-force",
+        words="a force against the speed of constant size (friction, {size:.3g} {command})",
+        remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
+        kinds=frozenset(),
+        commands=rubbed,
+        sizes=friction_sizes,
+        is_positive=False,
+        is_possible=is_against,
+    ),
+    Part(
+        code="missing-lag",
+        words="a first-order lag of the actuator of {size:.3g} s",
+        remedy='Give the study that lag with a law (unmodelled, kind = "lag")',
+        kinds=frozenset({"lag", "transfer_function", "rational"}),
+        commands=lagged,
+        sizes=lag_sizes,
+        is_positive=True,
+        is_possible=is_short,
+    ),
+    Part(
+        code="missing-limit",
+        words="an actuator that limits the command to {size:.3g} {command} either side of 0",
+        remedy='Give the study that limit (unmodelled, kind = "saturation"), or log the command behind it',
+        kinds=frozenset({"saturation"}),
+        commands=limited,
+        sizes=limit_sizes,
+        is_positive=True,
+        is_possible=is_reached,
+    ),
+    Part(
+        code="changing-gain",
+        words="a gain of the command that {verb} by {percent:.3g} % from the first sample to the last, as with a "
+        "battery",
+        remedy="Log the command times the gain, such as thrust in place of throttle, or fit a shorter part of the "
+        "flight",
+        kinds=frozenset(),
+        commands=fading,
+        sizes=fading_sizes,
+        is_positive=False,
+        is_possible=is_moderate,
+    ),
+)
+
+
+LATE_OUTPUT = Part(
+    code="delayed-output",
+    words="an output that is {size:.3g} s late",
+    remedy="",
+    kinds=frozenset(),
+    commands=on_time,
+    sizes=lag_sizes,
+    is_positive=True,
+    is_possible=is_short,
+)
+LATE_COMMAND = LATE_OUTPUT._replace(
+    code="delayed-command", words="a command that acts {size:.3g} s late", commands=late
+)
+
+
+def part_text(part: Part, size: float, output: str, command: str) -> str:
+    """What a part is, in words.
+
+    Args:
+        part: The part.
+        size: Its size.
+        output: Unit of the output.
+        command: Unit of the command.
+    """
+    verb = "falls" if size > 0.0 else "rises"
+    return part.words.format(size=size, percent=100.0 * abs(size), verb=verb, output=output, command=command)
+
+
+def lacking_parts(study: Study) -> list[Part]:
+    """The parts that a study of one channel lacks."""
+    kinds = {str(element.get("kind", "none")) for element in study.config.actuator}
+    kinds.add(str(study.config.unmodelled.get("kind", "none")))
+    return [part for part in PARTS if not part.kinds & kinds]
+
+
+def flown(problem: FitProblem, minimum: Minimum) -> Flight:
+    """The flight at a minimum of a problem of one channel.
+
+    The speed is that of the predicted output, and of the residual where this is more than noise: gusts that the study
+    declares move the vehicle, too.
+    """
+    sample_time = problem.study.loop.sample_time
+    (readings,) = problem.readings
+    predicted, _ = problem.predict(problem.values(minimum.x), problem.log.commands)
+    output = predicted[readings.channel]
+    speed = np.gradient(output, sample_time)
+    residual = readings.values - readings.interpolate(output)
+    noise = noise_between_neighbours(readings.times, residual)
+    times = sample_time * np.arange(len(output))
+    spacing = max(len(output) / len(readings.times), 1.0)  # samples from one reading to the next
+    half_width = slope_half_width(noise, sample_time * spacing, SPEED_ERROR * rms(speed))
+    sampled = np.interp(times, readings.times, residual)
+    speed = speed + slopes(sampled, round(half_width * spacing)) / sample_time
+    return Flight(problem.log.commands[readings.channel], speed, sample_time)
+
+
+def slope_half_width(noise: float, gap: float, error: float) -> int:
+    """Readings either side of which a line through all has a slope of a standard deviation of at most ``error``.
+
+    A line through 2 h + 1 readings at equal gaps d has a slope of the variance 3 s^2/(h (h + 1) (2 h + 1) d^2).
+
+    Args:
+        noise: Standard deviation s of white noise of the readings.
+        gap: Time d from one reading to the next [s].
+        error: The largest standard deviation of the slope.
+    """
+    product = 3.0 * (noise / (gap * max(error, TINY))) ** 2
+    return max(1, math.ceil((min(product, 1e12) / 2.0) ** (1.0 / 3.0)))
+
+
+def slopes(series: np.ndarray, half_width: int) -> np.ndarray:
+    """Slopes of lines through each sample and some either side, per sample; shape (n,).
+
+    Args:
+        series: The samples, shape (n,).
+        half_width: Number of samples either side; fewer in a short series. The ends are repeated.
+    """
+    half_width = min(half_width, max(1, len(series) // 2))
+    positions = np.arange(-half_width, half_width + 1)
+    extended = np.pad(series, half_width, mode="edge")
+    return np.correlate(extended, positions.astype(float), mode="valid") / float(np.sum(positions**2))

@@ -1,0 +1,127 @@
+"""What a fit says of a part that the study lacks: the best one, those that explain the flight nearly as well, and why.
+
+A delay and a lag of the same time move the outputs alike, so a delay that has been told is compared with the parts.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.fit.least_squares import FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, flown, lacking_parts, part_text
+from dssc_jax.flight_logs.fit.part_fits import PartFit, fitted_part
+from dssc_jax.flight_logs.fit.prediction import declares_noise
+from dssc_jax.flight_logs.fit.refits import Refit
+from dssc_jax.flight_logs.fit.refusals import signal_and_unit
+from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
+from dssc_jax.flight_logs.signal_warnings import SignalWarning
+
+NEARLY = 10.0  # difference of twice the log likelihood (Kass and Raftery's very strong evidence) between two causes
+LARGE_PART = 0.5  # share of a refused residual that may be left if a part explains it
+DELAYS = (LATE_OUTPUT, LATE_COMMAND)
+
+
+class PartDoubts(NamedTuple):
+    """The doubts about parts that a study lacks.
+
+    Args:
+        warnings: The warnings; none, or that of the best part.
+        residual: Root mean square of the residual with that part; infinite without one.
+        exceeds_delays: Whether that part explains the flight clearly better than any delay.
+    """
+
+    warnings: tuple[SignalWarning, ...] = ()
+    residual: float = math.inf
+    exceeds_delays: bool = False
+
+
+NO_DOUBTS = PartDoubts()
+
+
+def part_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray, has_delay: bool) -> PartDoubts:
+    """The doubts about parts that the study lacks, in a study of one channel, with the remedy.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        deviations: Standard deviations of the fitted coordinates, shape (f,).
+        has_delay: Whether a delay has been told, which then is compared with the parts.
+    """
+    if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.reason:
+        return NO_DOUBTS
+    flight = flown(problem, minimum)
+    certain = []
+    for part in lacking_parts(problem.study):
+        fit = fitted_part(problem, minimum, flight, part)
+        if fit is None or not fit.p_value < SIGNIFICANCE:
+            continue
+        if largest_move(problem, minimum, fit, deviations) > LARGE_MOVE:
+            certain.append(fit)
+    if not certain:
+        return NO_DOUBTS
+    delays = []
+    for part in DELAYS if has_delay else ():
+        fit = fitted_part(problem, minimum, flight, part)
+        if fit is not None:
+            delays.append(fit)
+    best = max(certain, key=lambda fit: fit.gain)
+    delay_gain = max((fit.gain for fit in delays), default=-math.inf)
+    if best.gain < delay_gain - NEARLY:
+        return NO_DOUBTS
+    rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
+    rivals.sort(key=lambda fit: -fit.gain)
+    warning = doubt_of(problem, minimum, deviations, best, rivals)
+    return PartDoubts((warning,), best.residual, best.gain > delay_gain + NEARLY)
+
+
+def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, has_delay: bool) -> PartDoubts:
+    """The doubts about parts where a fit is refused, if one leaves far less of the residual.
+
+    Gusts that the study declares may make most of the residual, whatever the part, so likelihood alone decides there.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+        has_delay: Whether a delay has been told.
+    """
+    deviations = np.sqrt(np.diag(np.linalg.pinv(minimum.equations.information)))[problem.fitted]
+    doubts = part_doubts(problem, minimum, deviations, has_delay)
+    if not doubts.warnings or declares_noise(problem.study):
+        return doubts
+    return doubts if doubts.residual < LARGE_PART * Refit(problem, minimum).residual(0) else NO_DOUBTS
+
+
+def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations: np.ndarray) -> float:
+    """The largest distance by which a part moves a fitted number, in standard deviations."""
+    return float(np.max(np.abs(fit.x - minimum.x)[problem.fitted] / deviations))
+
+
+def doubt_of(
+    problem: FitProblem, minimum: Minimum, deviations: np.ndarray, best: PartFit, rivals: list[PartFit]
+) -> SignalWarning:
+    """The warning of the best part, with those that explain the flight nearly as well.
+
+    Args:
+        problem: The problem.
+        minimum: The minimum without a part.
+        deviations: Standard deviations of the fitted coordinates, shape (f,).
+        best: The fit with the best part.
+        rivals: The fits with the others, the best first.
+    """
+    place = problem.fitted[int(np.argmax(np.abs(best.x - minimum.x)[problem.fitted] / deviations))]
+    signal, _ = signal_and_unit(problem, 0)
+    output, command = problem.study.units[0].output, problem.study.units[0].command
+    name = problem.names[place]
+    others = ""
+    for rival in rivals:
+        words = part_text(rival.part, rival.size, output, command)
+        others += f"; {words} explains it nearly as well, with a {name} of {problem.values(rival.x)[place]:.4g}"
+    text = (
+        f"{part_text(best.part, best.size, output, command)}, which the study lacks, would explain part of the "
+        f"residual of {signal} (p = {best.p_value:.1g}): with it, {name} is about "
+        f"{problem.values(best.x)[place]:.4g} in place of {problem.values(minimum.x)[place]:.4g}{others}. Estimates "
+        f"are wrong by more than their intervals. {best.part.remedy}"
+    )
+    return SignalWarning(signal, best.part.code, text)

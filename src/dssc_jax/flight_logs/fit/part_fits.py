@@ -1,0 +1,229 @@
+"""Fits of a log with a part that the study lacks: which one explains the residual best, and the estimates with it.
+
+The number of the part joins the least squares. Steps of Gauss and Newton go from the best of some sizes, weighted by
+the noise of the fit without the part. Both fits then have the noise of their residual, and the logarithms of their
+likelihoods tell whether the part is there. Parts have one number each, so that their likelihoods compare as they are.
+
+References:
+    R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical Association 90 (1995) 773-795.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
+from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Flight, Part, delayed, lacking_parts
+from dssc_jax.flight_logs.fit.shifts import likelihood_of_cost, linear_cost
+from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.statistics.correlated_noise import Noise, weighted_products
+
+STEPS = 6  # of Gauss and Newton
+HALVINGS = 4  # of a step that does not lower the sum of squares
+DIFFERENCE = 1e-3  # relative step of the derivative by a size
+LEAST_SCREENED = 4.0  # gain of twice the log likelihood under the noise without a part, below which it is not there
+
+
+class PartPoint(NamedTuple):
+    """A point of the least squares with a part.
+
+    Args:
+        x: Coordinates of the numbers, shape (p,).
+        scale: Size of the part for the scaled size 1.
+        scaled: The scaled size z: the size is scale exp(z) of positive sizes, scale z of others.
+    """
+
+    x: np.ndarray
+    scale: float
+    scaled: float
+
+
+class PartFit(NamedTuple):
+    """The fit of a log with a part.
+
+    Args:
+        part: The part.
+        size: Its size.
+        x: Coordinates of the numbers with it, shape (p,).
+        gain: How much it adds to twice the logarithm of the likelihood.
+        p_value: Largest probability of as large a gain by one of the parts, if none is there.
+        residual: Root mean square of the residual with it.
+    """
+
+    part: Part
+    size: float
+    x: np.ndarray
+    gain: float
+    p_value: float
+    residual: float
+
+
+class PartProblem:
+    """The least squares of a log of one channel with a part that the study lacks.
+
+    Args:
+        problem: The problem without the part, with the noise of its minimum.
+        flight: The flight.
+        part: The part.
+    """
+
+    def __init__(self, problem: FitProblem, flight: Flight, part: Part) -> None:
+        self.problem = problem
+        self.flight = flight
+        self.part = part
+
+    def size(self, point: PartPoint) -> float:
+        """The size of the part at a point."""
+        return point.scale * (math.exp(point.scaled) if self.part.is_positive else point.scaled)
+
+    def is_possible(self, point: PartPoint) -> bool:
+        """Whether the numbers at a point are in their ranges, and the size of the part means something."""
+        size = self.size(point)
+        in_range = self.problem.is_admissible(self.problem.values(point.x))
+        return in_range and (not self.part.is_positive or self.part.is_possible(self.flight, size))
+
+    def columns(self, point: PartPoint) -> np.ndarray:
+        """Residual and slopes at a point, of the numbers and of the scaled size, shape (n, 2 + p)."""
+        columns = self.residual_columns(point)
+        moved = self.residual_columns(point._replace(scaled=point.scaled + DIFFERENCE))
+        return np.column_stack([columns, (columns[:, 0] - moved[:, 0]) / DIFFERENCE])
+
+    def residual_columns(self, point: PartPoint) -> np.ndarray:
+        """Residual and slopes by the numbers at a point, shape (n, 1 + p)."""
+        (columns,) = self.problem.columns(point.x, self.commands(point))
+        return columns
+
+    def commands(self, point: PartPoint) -> np.ndarray:
+        """The commands that a plant with the part gets, shape (1, samples)."""
+        return self.part.commands(self.flight, self.size(point))[None, :]
+
+    def products(self, noise: Noise, columns: np.ndarray) -> np.ndarray:
+        """Weighted products of columns."""
+        (readings,) = self.problem.readings
+        if not np.isfinite(columns).all():
+            return np.full((columns.shape[1],) * 2, math.inf)
+        return weighted_products(noise, readings.times, columns)[0]
+
+    def start(self, x: np.ndarray) -> PartPoint:
+        """The best of the first sizes, after one step of the numbers."""
+        noise, variance = self.problem.noises[0], self.problem.variances[0]
+        sizes = self.part.sizes(self.flight)
+        if not self.part.is_positive:
+            return PartPoint(x, sizes[0], 0.0)
+        costs = []
+        points = []
+        for size in sizes:
+            point = PartPoint(x, size, 0.0)
+            products = self.products(noise, self.residual_columns(point)) / variance
+            step = bounded_step(products, self.problem.prior, x)
+            cost = linear_cost(products) if np.isfinite(products).all() else math.inf
+            costs.append(cost)
+            points.append(point._replace(x=x + step))
+        return points[int(np.argmin(costs))]
+
+    def minimum(self, point: PartPoint, noise: Noise, variance: float) -> PartPoint:
+        """Steps of Gauss and Newton from a point on, under a noise; one that does not lower the squares is halved."""
+        prior = np.append(self.problem.prior, 0.0)
+        cost = self.cost(point, noise, variance)
+        for _ in range(STEPS):
+            products = self.products(noise, self.columns(point)) / variance
+            if not np.isfinite(products).all():
+                break
+            step = bounded_step(products, prior, np.append(point.x, 0.0))
+            for _ in range(HALVINGS):
+                trial = point._replace(x=point.x + step[:-1], scaled=point.scaled + float(step[-1]))
+                if self.is_possible(trial):
+                    trial_cost = self.cost(trial, noise, variance)
+                    if trial_cost < cost:
+                        break
+                step = 0.5 * step
+            else:
+                break
+            is_small = cost - trial_cost < 1e-3
+            point, cost = trial, trial_cost
+            if is_small:
+                break
+        return point
+
+    def cost(self, point: PartPoint, noise: Noise, variance: float) -> float:
+        """Weighted sum of squares at a point, with the laws that count."""
+        products = self.products(noise, self.residual_columns(point)[:, :1])
+        return float(products[0, 0]) / variance + float(self.problem.prior @ point.x**2)
+
+
+class LateOutputProblem(PartProblem):
+    """The least squares of a log whose outputs are late by the size [s]."""
+
+    def residual_columns(self, point: PartPoint) -> np.ndarray:
+        """Residual and slopes by the numbers at a point, shape (n, 1 + p); the predicted output is late."""
+        samples = self.size(point) / self.flight.sample_time
+
+        def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """The prediction, later."""
+            predicted, slopes = self.problem.predict(values, commands)
+            return delayed(predicted, samples), delayed(slopes, samples)
+
+        (columns,) = replace(self.problem, predict=predict).columns(point.x)
+        return columns
+
+
+def part_problem_of(problem: FitProblem, flight: Flight, part: Part) -> PartProblem:
+    """The least squares with a part."""
+    kind = LateOutputProblem if part is LATE_OUTPUT else PartProblem
+    return kind(problem, flight, part)
+
+
+def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The step of Gauss and Newton by products of the residual and its slopes, of at most 2 in any coordinate.
+
+    Args:
+        products: The products over the variance, shape (1 + p, 1 + p).
+        prior: Information of the laws that count, shape (p,).
+        x: Coordinates, shape (p,).
+    """
+    if not np.isfinite(products).all():
+        return np.zeros(len(prior))
+    information = products[1:, 1:] + np.diag(prior)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), TINY))
+    scaled = information * np.outer(scale, scale)
+    step = scale * np.linalg.lstsq(scaled, scale * (products[1:, 0] - prior * x), rcond=1e-12)[0]
+    return step * min(1.0, 2.0 / max(float(np.abs(step[: len(x)]).max()), TINY))
+
+
+def fitted_part(problem: FitProblem, minimum: Minimum, flight: Flight, part: Part) -> PartFit | None:
+    """Fit a log with a part; None if it does not explain the residual, or with a size that means nothing.
+
+    Args:
+        problem: The problem of one channel, with the noise of its minimum.
+        minimum: The minimum.
+        flight: The flight.
+        part: The part.
+    """
+    (readings,) = problem.readings
+    noise, variance = problem.noises[0], problem.variances[0]
+    part_problem = part_problem_of(problem, flight, part)
+    point = part_problem.minimum(part_problem.start(minimum.x), noise, variance)
+    if minimum.cost - part_problem.cost(point, noise, variance) < LEAST_SCREENED:
+        return None
+    if not part.is_possible(flight, part_problem.size(point)):
+        return None
+    simulated = problem.disturbances.simulate(
+        problem.study, problem.names, problem.values(minimum.x), problem.log.commands
+    )
+    (columns,) = problem.columns(minimum.x)
+    products, log_det = weighted_products(noise, readings.times, columns)
+    unextended = likelihood_of_cost(readings, linear_cost(products), log_det)
+    noise, fit = problem.noise_search(0, part_problem.columns(point), simulated).likeliest()
+    point = part_problem.minimum(point, noise, fit.variance)
+    columns = part_problem.columns(point)
+    products, log_det = weighted_products(noise, readings.times, columns)
+    gain = 2.0 * (likelihood_of_cost(readings, linear_cost(products), log_det) - unextended)
+    p_value = len(lacking_parts(problem.study)) * float(stats.chi2.sf(max(gain, 0.0), 1))
+    size = part_problem.size(point)
+    if not math.isfinite(gain) or not part.is_possible(flight, size):
+        return None
+    return PartFit(part, size, point.x, gain, min(1.0, p_value), rms(columns[:, 0]))
