@@ -335,7 +335,8 @@ def fitted_minimum(
     doubts_of_outliers = outlier_doubts(problem, x)
     doubts_of_start = output_start_doubts(problem, x, results)
     is_doubtful = any(result.is_doubtful for result in results)
-    if is_doubtful and not doubts_of_delays and not doubts_of_outliers:  # which another start explains in part
+    is_noise = parts.residual <= results[0].limit  # with a part, which leaves nothing to another start
+    if is_doubtful and not is_noise and not doubts_of_delays and not doubts_of_outliers:  # which a start explains
         doubts_of_speed = start_speed_doubts(problem, search.best, parts.residual)
         if doubts_of_speed:
             doubts_of_start, parts = doubts_of_speed, NO_DOUBTS
