@@ -183,7 +183,7 @@ def row(case: Case, found: Limit) -> str:
 TEXT = """Cycles of one core for a sample of one vector of lanes. *Ports*: the busiest of the processor's pipes has that
 much to do, so no order of the same instructions takes less. *Latencies*: a simulation of the loop, in which an
 instruction also waits for its operands, and at most 256 are in flight. Both are llvm-mca's model of Zen 3, which is
-too slow for the axis. *Measured* is the fastest of {rounds} turns: a neighbour on the core's second thread slows it down.
+too slow for the axis. *Measured* is the fastest of {rounds} turns, because neighbours on the core slow it down.
 The shares are the model's cycles over the measured ones.
 
 {table}
