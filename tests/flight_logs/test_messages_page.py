@@ -46,6 +46,8 @@ PARTS = (
     "each in standard deviations of its law",
     "explains it nearly as well",
     "Give the plant that force",
+    "Give the study that force",
+    "Give the study that dead zone",
     "Give the study that lag",
     "Give the study that limit",
     "Log the command times the gain",

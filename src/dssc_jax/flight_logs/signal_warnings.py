@@ -35,6 +35,7 @@ WarningCode: TypeAlias = Literal[
     "invalid-values",
     "large-residual",
     "level-start",
+    "missing-dead-zone",
     "missing-force",
     "missing-lag",
     "missing-limit",
@@ -60,16 +61,16 @@ WarningCode: TypeAlias = Literal[
 """What a warning is about, for scripts; docs/log_fits.md lists the codes beside the messages."""
 
 EFFECTS: tuple[WarningCode, ...] = (
+    "initial-output",
     "command-offset",
     "another-reference",
     "another-command",
     "output-likeness",
-    "initial-output",
     "noisy-output",
     "large-residual",
     "estimate-outside-law",
 )
-"""Warnings that tell an effect, which the cause in another warning of the same log usually explains."""
+"""Warnings that tell an effect, which the cause in another warning of the same log usually explains; nearest first."""
 
 
 class Hint(NamedTuple):
@@ -103,8 +104,13 @@ def signal_warnings(hints: Mapping[str, Hint]) -> tuple[SignalWarning, ...]:
 
 
 def causes_first(warnings: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:
-    """Order warnings: those that name a cause stand before those that tell an effect; otherwise the order stays."""
-    return tuple(sorted(warnings, key=lambda warning: warning.code in EFFECTS))
+    """Order warnings: those of a cause first, then those of effects as in :data:`EFFECTS`; else the order stays."""
+
+    def rank(warning: SignalWarning) -> int:
+        """Place of a warning: 0 of a cause, from 1 on of an effect."""
+        return EFFECTS.index(warning.code) + 1 if warning.code in EFFECTS else 0
+
+    return tuple(sorted(warnings, key=rank))
 
 
 def joined_warnings(of_replay: Iterable[SignalWarning], of_fit: Iterable[SignalWarning]) -> tuple[SignalWarning, ...]:

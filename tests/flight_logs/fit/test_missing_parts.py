@@ -119,6 +119,46 @@ def test_a_small_force_against_the_speed_is_told_with_the_damping_that_it_hides(
     assert improved(fitted, doubt.text) < 0.3
 
 
+def test_a_steady_wind_is_told_as_a_constant_force(predictions):
+    u = commands_of(6)
+    fitted = fit_log(linear(), log_of(flown(lambda speed: 0.02, 6, u), u), predictions=predictions)
+    (doubt,) = told(fitted)
+    assert doubt.code == "missing-force"
+    size = float(doubt.text.split("a constant force (")[1].split()[0])
+    assert abs(size - 0.02 / K_P) < 0.002
+    assert improved(fitted, doubt.text) < 0.3
+    study = linear(disturbance={"kind": "constant", "value": {"uniform": [-0.1, 0.1]}})
+    assert not any("constant force" in part.words for part in lacking_parts(study))
+
+
+def test_a_dead_zone_and_a_limited_rate_are_told_with_their_sizes(predictions):
+    u = commands_of(7)
+    behind_zone = flown(no_force, 7, u - np.clip(u, -0.1, 0.1))
+    (doubt,) = told(fit_log(linear(), log_of(behind_zone, u), predictions=predictions))
+    assert doubt.code == "missing-dead-zone"
+    assert abs(float(doubt.text.split("less than ")[1].split()[0]) - 0.1) < 0.005
+    state = u[0]
+    rows = []
+    for command in np.repeat(u, FINE):
+        state += np.clip(command - state, -20.0 * DT / FINE, 20.0 * DT / FINE)
+        rows.append(state)
+    fitted = fit_log(linear(), log_of(flown(no_force, 7, np.reshape(rows, (len(u), FINE))), u), predictions=predictions)
+    (doubt,) = told(fitted)
+    assert doubt.code == "missing-limit"
+    assert abs(float(doubt.text.split("command to ")[1].split()[0]) - 20.0) < 1.0
+    assert not any(doubt.code.startswith("delayed") for doubt in fitted.doubts)
+
+
+def test_a_part_that_leaves_more_than_noise_proposes_no_estimate(predictions):
+    """A jump of the gain is none of the parts; a fall that is linear in time resembles it."""
+    u = commands_of(7)
+    gains = np.where(np.arange(len(u)) < len(u) // 2, K_P, 0.8 * K_P)
+    fitted = fit_log(linear(), log_of(flown(no_force, 7, u, gains), u), predictions=predictions)
+    (doubt,) = told(fitted)
+    assert " remain, where noise explains 0.00" in doubt.text
+    assert " is about " not in doubt.text
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_flight_without_such_a_part_has_no_warning(predictions, seed):
     u = commands_of(seed)
@@ -239,9 +279,15 @@ def test_the_parts_change_the_commands():
 
 def test_a_study_with_a_part_gets_no_second_one():
     codes = [part.code for part in lacking_parts(linear())]
-    assert codes == ["missing-force", "missing-force", "missing-lag", "missing-limit", "changing-gain"]
+    limits = ["missing-limit", "missing-limit", "missing-dead-zone"]
+    assert codes == ["missing-force", "missing-force", "missing-force", "missing-lag", *limits, "changing-gain"]
     with_lag = linear(unmodelled={"kind": "lag", "mu": 0.05})
     assert "missing-lag" not in [part.code for part in lacking_parts(with_lag)]
-    chain = [{"kind": "saturation", "limit": 2.0}, {"kind": "lag", "mu": 0.05}]
+    chain = [
+        {"kind": "saturation", "limit": 2.0},
+        {"kind": "lag", "mu": 0.05},
+        {"kind": "rate_limit", "rate": 20.0},
+        {"kind": "dead_zone", "half_width": 0.1},
+    ]
     codes = [part.code for part in lacking_parts(linear(actuator=chain))]
-    assert codes == ["missing-force", "missing-force", "changing-gain"]
+    assert codes == ["missing-force", "missing-force", "missing-force", "changing-gain"]

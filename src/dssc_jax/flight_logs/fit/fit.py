@@ -47,6 +47,7 @@ from dssc_jax.flight_logs.fit.refusals import (
     require_description,
     require_identifiable,
     require_unique_minimum,
+    strength_hint,
 )
 from dssc_jax.flight_logs.fit.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.fit.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
@@ -266,7 +267,8 @@ def require_explained(problem: FitProblem, best: Minimum, results: list[Explaine
         require_description(problem, best.x, results)
     except Unexplained as refusal:
         causes = column_doubts(problem, best) or refusal_causes(problem, best, results)
-        raise Unexplained(f"{refusal}{''.join(f'. {doubt.text}' for doubt in causes)}") from None
+        reasons = "".join(f". {doubt.text}" for doubt in causes) or strength_hint(problem.study)
+        raise Unexplained(f"{refusal}{reasons}") from None
 
 
 def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained]) -> tuple[SignalWarning, ...]:
@@ -274,7 +276,9 @@ def refusal_causes(problem: FitProblem, best: Minimum, results: list[Explained])
     doubts_of_outliers = outlier_doubts(problem, best.x)
     doubts_of_dropouts = dropout_doubts(problem, best)
     doubts_of_delays = doubts_of_dropouts or delay_doubts(problem, best)
-    parts = NO_DOUBTS if doubts_of_dropouts else part_doubts_of_refusal(problem, best, bool(doubts_of_delays))
+    parts = (
+        NO_DOUBTS if doubts_of_dropouts else part_doubts_of_refusal(problem, best, results[0], bool(doubts_of_delays))
+    )
     if parts.exceeds_delays:
         doubts_of_delays = ()
     doubts_of_start = start_speed_doubts(problem, best, parts.residual)
@@ -329,7 +333,8 @@ def fitted_minimum(
     require_unique_minimum(problem, search, information)
     parts = NO_DOUBTS
     if not doubts_of_dropouts:
-        parts = part_doubts(problem, search.best, np.sqrt(np.diag(covariance)), bool(doubts_of_delays))
+        deviations = np.sqrt(np.diag(covariance))
+        parts = part_doubts(problem, search.best, deviations, results[0], bool(doubts_of_delays))
     if parts.exceeds_delays:
         doubts_of_delays = ()
     doubts_of_outliers = outlier_doubts(problem, x)

@@ -1,4 +1,4 @@
-"""The table of parts that a study of one channel may lack, each of one number: forces, a lag, a limit, a changing gain.
+"""The table of parts that a study of one channel may lack, each of one number: forces, parts of an actuator, gains.
 
 Each part changes the commands that the study's plant gets. The size 0 of the number, or its absence, is the study.
 
@@ -24,6 +24,8 @@ SPEED_ERROR = 0.05  # of the speed's root mean square: the noise of a slope of t
 PROBE = 1e-2  # size of a force at first, as a share of the command
 LAGS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # samples: the first time constants
 LEVELS = (0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35)  # of the largest command: the first limits
+WIDTHS = (0.02, 0.05, 0.1, 0.2)  # of the largest command: the first dead zones
+RATES = (0.8, 0.4, 0.2, 0.1, 0.05)  # of the largest change in a sample: the first limits of the rate
 MOST_CHANGE = 0.9  # largest share by which a gain falls or rises
 
 
@@ -48,7 +50,7 @@ class Part(NamedTuple):
         code: Code of its warning.
         words: What it is, with ``{size}``, ``{percent}``, ``{verb}``, ``{output}`` and ``{command}`` to be filled in.
         remedy: What to do.
-        kinds: Kinds of actuators with which the study has it.
+        kinds: Kinds of actuators and disturbances with which the study has it.
         commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
         sizes: Flight -> first sizes.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
@@ -85,6 +87,11 @@ def rubbed(flight: Flight, size: float) -> np.ndarray:
     return flight.commands + size * friction(flight.speed)
 
 
+def pushed(flight: Flight, size: float) -> np.ndarray:
+    """Commands beside a constant force of a size."""
+    return flight.commands + size
+
+
 def lagged(flight: Flight, size: float) -> np.ndarray:
     """Means over each sample of the commands behind a first-order lag with a time constant [s], which begins at 0."""
     decay = math.exp(-flight.sample_time / size)
@@ -100,6 +107,24 @@ def lagged(flight: Flight, size: float) -> np.ndarray:
 def limited(flight: Flight, size: float) -> np.ndarray:
     """Commands limited to a size either side of 0."""
     return np.clip(flight.commands, -size, size)
+
+
+def without_small(flight: Flight, size: float) -> np.ndarray:
+    """Commands behind a dead zone of a half width."""
+    return flight.commands - np.clip(flight.commands, -size, size)
+
+
+def slewed(flight: Flight, size: float) -> np.ndarray:
+    """Means over each sample of an input that follows the commands at a limited rate, from the first of them on."""
+    sample_time = flight.sample_time
+    state = float(flight.commands[0])
+    means = np.empty(len(flight.commands))
+    for row, command in enumerate(flight.commands.tolist()):
+        moving_time = min(abs(command - state) / size, sample_time)
+        move = math.copysign(size * moving_time, command - state)
+        means[row] = state + move * (1.0 - 0.5 * moving_time / sample_time)
+        state += move
+    return means
 
 
 def fading(flight: Flight, size: float) -> np.ndarray:
@@ -131,8 +156,8 @@ def drag_sizes(flight: Flight) -> tuple[float, ...]:
     return (PROBE * rms(flight.commands) / max(rms(quadratic_drag(flight.speed)), TINY),)
 
 
-def friction_sizes(flight: Flight) -> tuple[float, ...]:
-    """A small friction beside the commands."""
+def force_sizes(flight: Flight) -> tuple[float, ...]:
+    """A small force beside the commands."""
     return (PROBE * rms(flight.commands),)
 
 
@@ -147,6 +172,22 @@ def limit_sizes(flight: Flight) -> tuple[float, ...]:
     return tuple(largest * level for level in LEVELS)
 
 
+def dead_zone_sizes(flight: Flight) -> tuple[float, ...]:
+    """Half widths that are small beside the commands."""
+    largest = float(np.abs(flight.commands).max())
+    return tuple(largest * width for width in WIDTHS)
+
+
+def rate_sizes(flight: Flight) -> tuple[float, ...]:
+    """Rates that the commands exceed."""
+    return tuple(largest_rate(flight) * share for share in RATES)
+
+
+def largest_rate(flight: Flight) -> float:
+    """The largest change of the command from one sample to the next, over their time."""
+    return float(np.abs(np.diff(flight.commands)).max()) / flight.sample_time
+
+
 def fading_sizes(flight: Flight) -> tuple[float, ...]:
     """A small fall of the gain."""
     return (PROBE,)
@@ -157,9 +198,24 @@ def is_against(flight: Flight, size: float) -> bool:
     return size > 0.0
 
 
+def is_any(flight: Flight, size: float) -> bool:
+    """Any size means something."""
+    return True
+
+
 def is_reached(flight: Flight, size: float) -> bool:
     """Whether commands reach a limit."""
     return 0.0 < size < float(np.abs(flight.commands).max())
+
+
+def is_narrow(flight: Flight, size: float) -> bool:
+    """Whether a dead zone leaves the larger commands."""
+    return 0.0 < size < 0.5 * float(np.abs(flight.commands).max())
+
+
+def is_exceeded(flight: Flight, size: float) -> bool:
+    """Whether commands change faster than a rate."""
+    return 0.0 < size < largest_rate(flight)
 
 
 def is_short(flight: Flight, size: float) -> bool:
@@ -190,9 +246,19 @@ PARTS = (
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
         kinds=frozenset(),
         commands=rubbed,
-        sizes=friction_sizes,
+        sizes=force_sizes,
         is_positive=False,
         is_possible=is_against,
+    ),
+    Part(
+        code="missing-force",
+        words="a constant force ({size:.3g} {command}, as of a steady wind)",
+        remedy='Give the study that force with a law (disturbance, kind = "constant")',
+        kinds=frozenset({"constant", "step"}),
+        commands=pushed,
+        sizes=force_sizes,
+        is_positive=False,
+        is_possible=is_any,
     ),
     Part(
         code="missing-lag",
@@ -213,6 +279,26 @@ PARTS = (
         sizes=limit_sizes,
         is_positive=True,
         is_possible=is_reached,
+    ),
+    Part(
+        code="missing-limit",
+        words="an actuator that limits the rate of the command to {size:.3g} {command}/s",
+        remedy='Give the study that limit (unmodelled, kind = "rate_limit"), or log the command behind it',
+        kinds=frozenset({"rate_limit"}),
+        commands=slewed,
+        sizes=rate_sizes,
+        is_positive=True,
+        is_possible=is_exceeded,
+    ),
+    Part(
+        code="missing-dead-zone",
+        words="an actuator that leaves out commands of less than {size:.3g} {command}",
+        remedy='Give the study that dead zone (unmodelled, kind = "dead_zone"), or log the command behind it',
+        kinds=frozenset({"dead_zone"}),
+        commands=without_small,
+        sizes=dead_zone_sizes,
+        is_positive=True,
+        is_possible=is_narrow,
     ),
     Part(
         code="changing-gain",
@@ -259,8 +345,10 @@ def part_text(part: Part, size: float, output: str, command: str) -> str:
 
 def lacking_parts(study: Study) -> list[Part]:
     """The parts that a study of one channel lacks."""
-    kinds = {str(element.get("kind", "none")) for element in study.config.actuator}
-    kinds.add(str(study.config.unmodelled.get("kind", "none")))
+    disturbances = study.config.disturbance
+    tables = [*study.config.actuator, study.config.unmodelled]
+    tables += disturbances if isinstance(disturbances, list) else [disturbances]
+    kinds = {str(table.get("kind", "none")) for table in tables}
     return [part for part in PARTS if not part.kinds & kinds]
 
 

@@ -14,7 +14,7 @@ from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, fl
 from dssc_jax.flight_logs.fit.part_fits import PartFit, fitted_part
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
-from dssc_jax.flight_logs.fit.refusals import signal_and_unit
+from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
 from dssc_jax.flight_logs.fit.shifts import LARGE_MOVE, SIGNIFICANCE
 from dssc_jax.flight_logs.signal_warnings import SignalWarning
 
@@ -40,13 +40,16 @@ class PartDoubts(NamedTuple):
 NO_DOUBTS = PartDoubts()
 
 
-def part_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray, has_delay: bool) -> PartDoubts:
+def part_doubts(
+    problem: FitProblem, minimum: Minimum, deviations: np.ndarray, result: Explained, has_delay: bool
+) -> PartDoubts:
     """The doubts about parts that the study lacks, in a study of one channel, with the remedy.
 
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
+        result: How well the study describes the readings of the first channel.
         has_delay: Whether a delay has been told, which then is compared with the parts.
     """
     if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.reason:
@@ -72,11 +75,11 @@ def part_doubts(problem: FitProblem, minimum: Minimum, deviations: np.ndarray, h
         return NO_DOUBTS
     rivals = [fit for fit in (*certain, *delays) if fit is not best and fit.gain > best.gain - NEARLY]
     rivals.sort(key=lambda fit: -fit.gain)
-    warning = doubt_of(problem, minimum, deviations, best, rivals)
+    warning = doubt_of(problem, minimum, deviations, result, best, rivals)
     return PartDoubts((warning,), best.residual, best.gain > delay_gain + NEARLY)
 
 
-def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, has_delay: bool) -> PartDoubts:
+def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, result: Explained, has_delay: bool) -> PartDoubts:
     """The doubts about parts where a fit is refused, if one leaves far less of the residual.
 
     Gusts that the study declares may make most of the residual, whatever the part, so likelihood alone decides there.
@@ -84,10 +87,11 @@ def part_doubts_of_refusal(problem: FitProblem, minimum: Minimum, has_delay: boo
     Args:
         problem: The problem, with the noise of the minimum.
         minimum: The minimum.
+        result: How well the study describes the readings of the first channel.
         has_delay: Whether a delay has been told.
     """
     deviations = np.sqrt(np.diag(np.linalg.pinv(minimum.equations.information)))[problem.fitted]
-    doubts = part_doubts(problem, minimum, deviations, has_delay)
+    doubts = part_doubts(problem, minimum, deviations, result, has_delay)
     if not doubts.warnings or declares_noise(problem.study):
         return doubts
     return doubts if doubts.residual < LARGE_PART * Refit(problem, minimum).residual(0) else NO_DOUBTS
@@ -99,7 +103,12 @@ def largest_move(problem: FitProblem, minimum: Minimum, fit: PartFit, deviations
 
 
 def doubt_of(
-    problem: FitProblem, minimum: Minimum, deviations: np.ndarray, best: PartFit, rivals: list[PartFit]
+    problem: FitProblem,
+    minimum: Minimum,
+    deviations: np.ndarray,
+    result: Explained,
+    best: PartFit,
+    rivals: list[PartFit],
 ) -> SignalWarning:
     """The warning of the best part, with those that explain the flight nearly as well.
 
@@ -107,6 +116,7 @@ def doubt_of(
         problem: The problem.
         minimum: The minimum without a part.
         deviations: Standard deviations of the fitted coordinates, shape (f,).
+        result: How well the study describes the readings.
         best: The fit with the best part.
         rivals: The fits with the others, the best first.
     """
@@ -118,10 +128,20 @@ def doubt_of(
     for rival in rivals:
         words = part_text(rival.part, rival.size, output, command)
         others += f"; {words} explains it nearly as well, with a {name} of {problem.values(rival.x)[place]:.4g}"
-    text = (
-        f"{part_text(best.part, best.size, output, command)}, which the study lacks, would explain part of the "
-        f"residual of {signal} (p = {best.p_value:.1g}): with it, {name} is about "
-        f"{problem.values(best.x)[place]:.4g} in place of {problem.values(minimum.x)[place]:.4g}{others}. Estimates "
-        f"are wrong by more than their intervals. {best.part.remedy}"
+    words = part_text(best.part, best.size, output, command)
+    explains = (
+        f"{words}, which the study lacks, would explain part of the residual of {signal} (p = {best.p_value:.1g})"
     )
+    if best.residual > MUCH_LARGER * result.limit:
+        text = (
+            f"{explains}{others}. But {best.residual:.3g} {output} rms remain, where noise explains {result.noise:.3g} "
+            f"{output}: the cause is probably another part, which this one resembles. Estimates are wrong by more than "
+            "their intervals"
+        )
+    else:
+        text = (
+            f"{explains}: with it, {name} is about {problem.values(best.x)[place]:.4g} in place of "
+            f"{problem.values(minimum.x)[place]:.4g}{others}. Estimates are wrong by more than their intervals. "
+            f"{best.part.remedy}"
+        )
     return SignalWarning(signal, best.part.code, text)

@@ -254,7 +254,7 @@ def require_description(problem: FitProblem, x: np.ndarray, results: Sequence[Ex
         if result.least_unexplained > MOST_UNEXPLAINED:
             channel = problem.study.loop.channels[readings.channel]
             unit = problem.study.units[readings.channel].output
-            require_explained(channel, unit, result, conversion_hint(problem, x, place) + strength_hint(problem.study))
+            require_explained(channel, unit, result, conversion_hint(problem, x, place))
 
 
 def direction_text(names: Sequence[str], direction: np.ndarray) -> str:

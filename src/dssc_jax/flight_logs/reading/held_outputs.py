@@ -8,7 +8,9 @@ import numpy as np
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.reading.reader import Column
 
-LEAST_STUCK = 10  # equal readings in a row of a noisy output: fewer may be chance
+LEAST_STUCK = 5  # equal readings in a row of a noisy output: fewer may be chance
+CHANCE = 1e-3  # most runs of equal readings that chance gives in a log, by the share of equal ones elsewhere
+LEAST_MOVES = 10  # other readings that differ from the one before: fewer do not tell noise
 NOISY = 0.9  # share of the other readings that differ from the one before
 TURNING = 0.3  # share of their changes that have another sign than the one before: fewer are those of a smooth output
 AT_SPEED = 0.5  # share of the usual change between two readings: a smaller one is nearly rest
@@ -59,7 +61,10 @@ def stuck_span(column: Column) -> tuple[float, float] | None:
     longest = int(np.argmax(ends - begins))
     others = np.delete(changes, np.s_[begins[longest] : ends[longest]])
     moves = others[others != 0.0]
-    if len(moves) <= max(LEAST_STUCK, NOISY * len(others)):
+    if len(moves) <= max(LEAST_MOVES, NOISY * len(others)):
+        return None
+    equal_share = 1.0 - (len(moves) - 1) / len(others)
+    if len(changes) * equal_share ** int(ends[longest] - begins[longest]) > CHANCE:
         return None
     is_noisy = np.mean(np.diff(np.sign(moves)) != 0.0) >= TURNING
     if not is_noisy and not stops_at_speed(changes, int(begins[longest]), int(ends[longest])):
