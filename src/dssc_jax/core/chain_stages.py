@@ -124,7 +124,11 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
     follow = model.follow or follow_mean(model)
 
     def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
-        """The element's state after the step, and its output, for an input that is straight between the nodes."""
+        """The element's state after the step, and its output, for an input that is straight between the nodes.
+
+        Where the input is constant, each node is reached from the step's beginning, and the output may have exact
+        moments.
+        """
         begin = states[index]
         start = source.nodes[0]
         state = model.step(params, begin, start, 0.0)  # after a time of 0: an element may react at once

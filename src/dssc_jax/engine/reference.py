@@ -170,8 +170,11 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
                 spreads[name] = np.maximum(spreads[name], spread)
         resting = resting_metrics(study, sizes, spreads)
         table[np.isin(names, resting)] = 0.0
-        moving = [spread for name, spread in spreads.items() if name not in resting]
-        allowed[is_doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(moving, axis=0))
+        largest_spread = np.zeros(np.count_nonzero(is_doubtful))
+        for name, spread in spreads.items():
+            if name not in resting:
+                largest_spread = np.maximum(largest_spread, spread)
+        allowed[is_doubtful] = np.maximum(rounding, ROUNDING_FACTOR * largest_spread)
     return Agreement(table.max(0), names[table.argmax(0)], allowed)
 
 

@@ -112,9 +112,15 @@ class RestingLoop:
         return (jax.lax.fori_loop(0, self.study.loop.steps, advance, vectors["state"]),)
 
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
-        """The states after the first sample, which controllers may treat unlike all others, shape (n, states)."""
-        (states,) = self.initial_states(values, {}, indices)
-        return self.linearise.next_states(values, indices, states, FIRST_SAMPLE, self.smooth(len(indices)))
+        """The states after the first sample, which controllers may treat unlike all others, shape (n, states).
+
+        Args:
+            values: Numbers of n draws, shape (n,) each.
+            indices: Indices of the draws, shape (n,).
+        """
+        (initial_states,) = self.initial_states(values, {}, indices)  # {}: it takes no vectors
+        smooth_parts = self.smooth(len(indices))  # each part is taken as it is
+        return self.linearise.next_states(values, indices, initial_states, FIRST_SAMPLE, smooth_parts)
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Which states the loop's signals depend on if every part is within its boundaries, shape (n, states).

@@ -42,8 +42,11 @@ def slopes_of(
 ) -> Slopes[jax.Array]:
     """Outputs of a part and their derivatives along a direction, at a point near its operating point.
 
+    A part with a kink, such as a limit, also has an inner side: a substitute model, whose derivative holds within it.
+    Any other part has the same derivative on both sides.
+
     Args:
-        place: The part's place in the loop.
+        place: The part's place in the loop; it tells whether there is an inner side.
         part_map: The part as a function of its state and inputs.
         part: The model.
         params: Its parameters.
@@ -63,10 +66,10 @@ def slopes_of(
         return jax.jvp(outputs, (point,), (axis,))
 
     value, slope = value_and_slope(part, params)
-    inner = slope
+    inner_slope = slope
     if place.has_inner_side:
-        _, inner = value_and_slope(*place.inner_side(params))
-    return Slopes(value, slope, inner)
+        _, inner_slope = value_and_slope(*place.inner_side(params))
+    return Slopes(value, slope, inner_slope)
 
 
 def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:

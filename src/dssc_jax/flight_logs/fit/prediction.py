@@ -83,6 +83,13 @@ def simulated_outputs(
     require_steps_in_any_order(study, "the prediction of a logged flight")
 
     def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
+        """The readings of each channel at all samples, with the logged commands in place of the controllers'.
+
+        Args:
+            values: The numbers ``names``.
+            commands: Logged commands, shape (channels, samples).
+            index: Index of the draw, which selects its noise.
+        """
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
         loop = replace(study.loop, settled=None, sensor=channel_sensors, controller=tuple(controllers))
         params = study.params({**fixed, **dict(zip(names, values, strict=True))})
@@ -90,6 +97,7 @@ def simulated_outputs(
         advance = held_between_samples(loop, params)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], tuple[Scalar, ...]]:
+            """One sample: the state after it with the next sample's number, and each channel's reading."""
             state, k = carry
             next_state, recorded = step(loop, params, key, state, k, advance)
             readings = []

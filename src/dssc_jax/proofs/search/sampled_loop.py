@@ -179,17 +179,23 @@ def resting_zeta(problem: ProofProblem, u: float) -> np.ndarray:
 
 
 def measured_rows(problem: ProofProblem) -> np.ndarray:
-    """Signals as rows over z: the measured e, e itself, the measured sigma, and sigma - s; shape (4, n)."""
+    """Rows c of the signals c z: the measured e, the true e, the measured sigma, and sigma - s; shape (4, n).
+
+    The state z begins with the error e and its rate e', and ends with s, the controller's sliding variable. A sensor
+    with a lag shows (1 - kappa) y + m of a signal y; its memories m of e and of e' are the part ``memory`` of z. Sigma
+    is e' + l_0 e.
+    """
     _, memory, n = state_layout(problem)
-    unit = np.eye(n)
-    true_e, speed, *_, s = unit
-    e = true_e
-    if problem.sensor_lag:  # it shows (1 - kappa) y + m
+    state_rows = np.eye(n)
+    true_e, true_rate, *_, s = state_rows
+    measured_e = true_e
+    measured_rate = true_rate
+    if problem.sensor_lag:
         kappa, _ = sensor_weights(problem)
-        e = (1.0 - kappa) * true_e + unit[memory.start]
-        speed = (1.0 - kappa) * speed + unit[memory.start + 1]
-    sigma = speed + problem.l0 * e
-    return np.stack([e, true_e, sigma, sigma - s])
+        measured_e = (1.0 - kappa) * true_e + state_rows[memory.start]
+        measured_rate = (1.0 - kappa) * true_rate + state_rows[memory.start + 1]
+    sigma = measured_rate + problem.l0 * measured_e
+    return np.stack([measured_e, true_e, sigma, sigma - s])
 
 
 def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:

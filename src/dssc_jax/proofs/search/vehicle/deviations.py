@@ -31,8 +31,11 @@ Slopes = tuple[float, float, float, float]
 class ChannelDeviations:
     """Bounds of how far a channel's functions are from straight lines over a region of |sigma|.
 
+    phi_1(sigma) deviates from k_1 sigma. The sum q, which integrates phi_2, deviates by omega_r from that of k_2 sigma,
+    and the command by omega_u. All that drives q is omega_q = omega_r + s_q omega_u.
+
     Args:
-        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q.
+        slopes: Slopes k_1, k_2, k_3 of the lines, and the share s_q of the command's deviation that drives q.
         distance: D_1, D_2 and D_b: the largest |phi_1 - k_1 sigma|, |omega_r| and |omega_u|.
         ratio: d_1, d_2 and d_b: the largest values of the same over |sigma|.
         steepest: The largest K_P and K_I [1/s] in the region, and the largest 1 + tau_av/T_s.
@@ -56,10 +59,10 @@ class ChannelDeviations:
         return min(distance_2, ratio_2 * sigma)
 
     def of_start(self, start: str, start_sigma: float, sample_time: float) -> float:
-        """Bound of what q_(-1), the sum before the first sample, deviates by from that of straight lines.
+        """Bound of how far q_(-1), the sum before the first sample, is from that of straight lines.
 
-        q_(-1) is 0 for the start ``zero``, -phi_1(sigma_0) for ``matched``, and T_s/2 phi_2(sigma_0) less for
-        ``midpoint``, which deviates by all of omega_q.
+        By the start of the predictor, q_(-1) is 0 for ``zero``, which is exact, -phi_1(sigma_0) for ``matched``, and
+        -phi_1(sigma_0) - T_s/2 phi_2(sigma_0) for ``midpoint``, whose last term deviates by T_s/2 omega_q.
 
         Args:
             start: Start of the predictor.

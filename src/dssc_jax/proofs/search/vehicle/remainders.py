@@ -114,14 +114,17 @@ def lag_remainders(
 
 
 def turn_of_plane(attitude: Attitude, yaw_acceleration: float) -> float:
-    """Bound of |psi'' K b + 2 psi' K b' + psi'^2 b| [rad/s^2], the part of b'' by the turn of the plane.
+    """Bound of the part of b'', of the tilt vector b, that arises because the yaw psi turns the plane of b [rad/s^2].
+
+    The part is psi'' K b + 2 psi' K b' + psi'^2 b, with K a quarter turn in that plane.
 
     Args:
-        attitude: Bounds of the attitude.
+        attitude: Bounds of |b|, |b'| and |psi'|: ``tilt``, ``tilt_rate`` and ``yaw_rate``.
         yaw_acceleration: psi_2, bound of |psi''| [rad/s^2].
     """
-    s = attitude.tilt
-    return yaw_acceleration * s + 2.0 * attitude.yaw_rate * attitude.tilt_rate + attitude.yaw_rate**2 * s
+    by_acceleration = yaw_acceleration * attitude.tilt
+    by_rates = 2.0 * attitude.yaw_rate * attitude.tilt_rate
+    return by_acceleration + by_rates + attitude.yaw_rate**2 * attitude.tilt
 
 
 def coupled_torque(problem: VehicleProblem, bounds: Signals, attitude: Attitude, couplings: Couplings | None) -> float:

@@ -167,7 +167,16 @@ def require_cells(problem: VehicleProblem, content: object) -> None:
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
-    """Reject anything but a linear channel and positive bounds of its signals."""
+    """Reject a channel's proof without an admissible linear channel, or without a positive bound of each signal.
+
+    Args:
+        problem: The problem, which tells the channel's signals.
+        name: Name of the channel.
+        content: The channel's part of the certificate, not yet checked.
+
+    Raises:
+        Rejected: An entry is missing, unknown or not admissible.
+    """
     proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
     require_middle(problem, name, proof)
     names = signal_names(name, lagging=problem["rotor_lag"] > 0)
