@@ -120,7 +120,7 @@ def slewed(flight: Flight, size: float) -> np.ndarray:
     state = float(flight.commands[0])
     means = np.empty(len(flight.commands))
     for row, command in enumerate(flight.commands.tolist()):
-        moving_time = min(abs(command - state) / size, sample_time)
+        moving_time = min(abs(command - state) / max(size, TINY), sample_time)
         move = math.copysign(size * moving_time, command - state)
         means[row] = state + move * (1.0 - 0.5 * moving_time / sample_time)
         state += move
