@@ -47,9 +47,7 @@ PARTS = (
     "explains it nearly as well",
     "Give the plant that force",
     "Give the study that force",
-    "Give the study that dead zone",
-    "Give the study that lag",
-    "Give the study that limit",
+    "Give the study that {} with a law",
     "Log the command times the gain",
 )
 PASSED_ON = ("output-likeness", "clock-rate", "row-numbers", "repeated-times")  # other modules word the message

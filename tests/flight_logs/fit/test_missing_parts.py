@@ -2,23 +2,23 @@
 
 import numpy as np
 import pytest
-from scipy import integrate
 
 from dssc_jax.flight_logs.fit import part_doubts
+from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
 from dssc_jax.flight_logs.fit.fit import fit_log
 from dssc_jax.flight_logs.fit.missing_parts import (
+    STEADY_WIND,
     Flight,
     delayed,
     fading,
     friction,
     lacking_parts,
-    lagged,
-    limited,
     quadratic_drag,
     slope_half_width,
     slopes,
 )
 from dssc_jax.flight_logs.fit.refusals import Unexplained
+from dssc_jax.study.actuators import acting_elements
 from tests.flight_logs.fit.test_fit import DT, linear, log_of
 
 FINE = 20  # steps of integration in a sample
@@ -128,7 +128,8 @@ def test_a_steady_wind_is_told_as_a_constant_force(predictions):
     assert abs(size - 0.02 / K_P) < 0.002
     assert improved(fitted, doubt.text) < 0.3
     study = linear(disturbance={"kind": "constant", "value": {"uniform": [-0.1, 0.1]}})
-    assert not any("constant force" in part.words for part in lacking_parts(study))
+    assert STEADY_WIND not in lacking_parts(study)
+    assert STEADY_WIND in lacking_parts(linear(disturbance=GUST))
 
 
 def test_a_dead_zone_and_a_limited_rate_are_told_with_their_sizes(predictions):
@@ -137,7 +138,7 @@ def test_a_dead_zone_and_a_limited_rate_are_told_with_their_sizes(predictions):
     (doubt,) = told(fit_log(linear(), log_of(behind_zone, u), predictions=predictions))
     assert doubt.code == "missing-dead-zone"
     assert abs(float(doubt.text.split("less than ")[1].split()[0]) - 0.1) < 0.005
-    state = u[0]
+    state = 0.0
     rows = []
     for command in np.repeat(u, FINE):
         state += np.clip(command - state, -20.0 * DT / FINE, 20.0 * DT / FINE)
@@ -258,23 +259,47 @@ def test_the_forces_act_against_the_speed():
     np.testing.assert_allclose(friction(speed), [1.0, 0.0, -1.0], atol=1e-3)
 
 
-def test_the_parts_change_the_commands():
+def test_the_gain_and_a_delay_change_the_commands():
     flight = Flight(np.array([1.0, -2.0, 3.0]), np.zeros(3), DT)
-    np.testing.assert_allclose(limited(flight, 1.5), [1.0, -1.5, 1.5])
     np.testing.assert_allclose(fading(flight, 0.2), [1.0, -1.8, 2.4])
     np.testing.assert_allclose(delayed(flight.commands, 1.5), [1.0, 1.0, -0.5])
+
+
+@pytest.mark.parametrize(
+    ("table", "slope"),
+    [
+        ({"kind": "lag", "mu": LAG}, lambda z, u: (u - z) / LAG),
+        ({"kind": "rate_limit", "rate": 20.0}, lambda z, u: 20.0 * np.clip((u - z) / 1e-9, -1.0, 1.0)),
+    ],
+)
+def test_commands_behind_an_actuator_are_the_means_of_its_output(table, slope):
+    """By Euler's method with 20,000 steps in a sample."""
+    ((element, params),) = elements_of(linear(unmodelled=table))
+    commands = np.array([1.0, -2.0, 3.0, 3.0])
+    steps = 20_000
     state = 0.0
-    for command, mean in zip(flight.commands, lagged(flight, LAG), strict=True):
-        solved = integrate.solve_ivp(
-            lambda time, values, held: [(held - values[0]) / LAG, values[0] / DT],
-            (0.0, DT),
-            [state, 0.0],
-            args=(command,),
-            rtol=1e-10,
-            atol=1e-12,
-        )
-        state = solved.y[0, -1]
-        np.testing.assert_allclose(mean, solved.y[1, -1], rtol=1e-7)
+    for command, mean in zip(commands, actuated_commands(element.model, params, commands, DT), strict=True):
+        total = 0.0
+        for _ in range(steps):
+            change = DT / steps * slope(state, command)
+            if abs(change) > abs(command - state):
+                change = command - state
+            total += (state + 0.5 * change) / steps
+            state += change
+        np.testing.assert_allclose(mean, total, rtol=1e-4)
+
+
+def elements_of(study):
+    """The actuators of a study with their parameters."""
+    return acting_elements(study.table, study.config)
+
+
+def test_commands_behind_a_limit_and_a_dead_zone():
+    commands = np.array([1.0, -2.0, 3.0])
+    ((limit, params),) = elements_of(linear(unmodelled={"kind": "saturation", "limit": 1.5}))
+    np.testing.assert_allclose(actuated_commands(limit.model, params, commands, DT), [1.0, -1.5, 1.5])
+    ((zone, params),) = elements_of(linear(unmodelled={"kind": "dead_zone", "half_width": 0.4}))
+    np.testing.assert_allclose(actuated_commands(zone.model, params, commands, DT), [0.6, -1.6, 2.6])
 
 
 def test_a_study_with_a_part_gets_no_second_one():

@@ -12,13 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.flight_logs.fit.actuated_commands import actuated_commands
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
+from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refusals import noise_between_neighbours
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.flight_logs.signal_warnings import WarningCode
+from dssc_jax.models.actuators.dead_zone import DEAD_ZONE
+from dssc_jax.models.actuators.lag import Order, lag
+from dssc_jax.models.actuators.rate_limit import RATE_LIMIT
+from dssc_jax.models.actuators.saturation import SATURATION
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import acting_elements
 
+ABSENT = {"kind": "none"}  # table of a disturbance that a study does not have
 REST = 1e-2  # share of the largest speed below which friction passes through 0
 SPEED_ERROR = 0.05  # of the speed's root mean square: the noise of a slope of the residual that counts as speed
 PROBE = 1e-2  # size of a force at first, as a share of the command
@@ -50,7 +59,7 @@ class Part(NamedTuple):
         code: Code of its warning.
         words: What it is, with ``{size}``, ``{percent}``, ``{verb}``, ``{output}`` and ``{command}`` to be filled in.
         remedy: What to do.
-        kinds: Kinds of actuators and disturbances with which the study has it.
+        actuator: Its model, if it is one of an actuator.
         commands: (Flight, size) -> commands that a plant with the part gets, shape (n,).
         sizes: Flight -> first sizes.
         is_positive: Whether only positive sizes are possible, whose logarithms are fitted.
@@ -60,7 +69,7 @@ class Part(NamedTuple):
     code: WarningCode
     words: str
     remedy: str
-    kinds: frozenset[str]
+    actuator: Unmodelled | None
     commands: Callable[[Flight, float], np.ndarray]
     sizes: Callable[[Flight], tuple[float, ...]]
     is_positive: bool
@@ -92,39 +101,9 @@ def pushed(flight: Flight, size: float) -> np.ndarray:
     return flight.commands + size
 
 
-def lagged(flight: Flight, size: float) -> np.ndarray:
-    """Means over each sample of the commands behind a first-order lag with a time constant [s], which begins at 0."""
-    decay = math.exp(-flight.sample_time / size)
-    mean_weight = size / flight.sample_time * (1.0 - decay)  # mean of the decay over a sample
-    state = 0.0
-    means = np.empty(len(flight.commands))
-    for row, command in enumerate(flight.commands.tolist()):
-        means[row] = command + (state - command) * mean_weight
-        state = command + (state - command) * decay
-    return means
-
-
-def limited(flight: Flight, size: float) -> np.ndarray:
-    """Commands limited to a size either side of 0."""
-    return np.clip(flight.commands, -size, size)
-
-
-def without_small(flight: Flight, size: float) -> np.ndarray:
-    """Commands behind a dead zone of a half width."""
-    return flight.commands - np.clip(flight.commands, -size, size)
-
-
-def slewed(flight: Flight, size: float) -> np.ndarray:
-    """Means over each sample of an input that follows the commands at a limited rate, from the first of them on."""
-    sample_time = flight.sample_time
-    state = float(flight.commands[0])
-    means = np.empty(len(flight.commands))
-    for row, command in enumerate(flight.commands.tolist()):
-        moving_time = min(abs(command - state) / max(size, TINY), sample_time)
-        move = math.copysign(size * moving_time, command - state)
-        means[row] = state + move * (1.0 - 0.5 * moving_time / sample_time)
-        state += move
-    return means
+def behind(model: Unmodelled) -> Callable[[Flight, float], np.ndarray]:
+    """(Flight, size) -> means over each sample of the output of an actuator, whose first parameter is the size."""
+    return lambda flight, size: actuated_commands(model, model.params(size), flight.commands, flight.sample_time)
 
 
 def fading(flight: Flight, size: float) -> np.ndarray:
@@ -228,13 +207,46 @@ def is_moderate(flight: Flight, size: float) -> bool:
     return abs(size) < MOST_CHANGE
 
 
+def actuator_part(
+    code: WarningCode,
+    words: str,
+    noun: str,
+    model: Unmodelled,
+    sizes: Callable[[Flight], tuple[float, ...]],
+    is_possible: Callable[[Flight, float], bool],
+) -> Part:
+    """A part of an actuator of the package, whose first parameter is its positive size.
+
+    Args:
+        code: As of :class:`Part`, like ``words``, ``sizes`` and ``is_possible``.
+        words: What it is.
+        noun: Its name in the remedy.
+        model: The actuator.
+        sizes: First sizes.
+        is_possible: Whether a size means something.
+    """
+    remedy = f"Give the study that {noun} with a law ([unmodelled] or [[actuator]]), or log the command behind it"
+    return Part(code, words, remedy, model, behind(model), sizes, is_positive=True, is_possible=is_possible)
+
+
+STEADY_WIND = Part(
+    code="missing-force",
+    words="a constant force ({size:.3g} {command}, as of a steady wind)",
+    remedy='Give the study that force with a law (disturbance, kind = "constant")',
+    actuator=None,
+    commands=pushed,
+    sizes=force_sizes,
+    is_positive=False,
+    is_possible=is_any,
+)
+
 PARTS = (
     Part(
         code="missing-force",
         words="a force against the speed that grows with the square of the speed (drag, {size:.3g} {command} at "
         "1 {output}/s)",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
-        kinds=frozenset(),
+        actuator=None,
         commands=dragged,
         sizes=drag_sizes,
         is_positive=False,
@@ -244,61 +256,39 @@ PARTS = (
         code="missing-force",
         words="a force against the speed of constant size (friction, {size:.3g} {command})",
         remedy="Give the plant that force (docs/extending.md), or fly at the speeds that count",
-        kinds=frozenset(),
+        actuator=None,
         commands=rubbed,
         sizes=force_sizes,
         is_positive=False,
         is_possible=is_against,
     ),
-    Part(
-        code="missing-force",
-        words="a constant force ({size:.3g} {command}, as of a steady wind)",
-        remedy='Give the study that force with a law (disturbance, kind = "constant")',
-        kinds=frozenset({"constant", "step"}),
-        commands=pushed,
-        sizes=force_sizes,
-        is_positive=False,
-        is_possible=is_any,
+    STEADY_WIND,
+    actuator_part(
+        "missing-lag", "a first-order lag of the actuator of {size:.3g} s", "lag", lag(Order.ONE), lag_sizes, is_short
     ),
-    Part(
-        code="missing-lag",
-        words="a first-order lag of the actuator of {size:.3g} s",
-        remedy='Give the study that lag with a law (unmodelled, kind = "lag")',
-        kinds=frozenset({"lag", "transfer_function", "rational"}),
-        commands=lagged,
-        sizes=lag_sizes,
-        is_positive=True,
-        is_possible=is_short,
+    actuator_part(
+        "missing-limit",
+        "an actuator that limits the command to {size:.3g} {command} either side of 0",
+        "limit",
+        SATURATION,
+        limit_sizes,
+        is_reached,
     ),
-    Part(
-        code="missing-limit",
-        words="an actuator that limits the command to {size:.3g} {command} either side of 0",
-        remedy='Give the study that limit (unmodelled, kind = "saturation"), or log the command behind it',
-        kinds=frozenset({"saturation"}),
-        commands=limited,
-        sizes=limit_sizes,
-        is_positive=True,
-        is_possible=is_reached,
+    actuator_part(
+        "missing-limit",
+        "an actuator that limits the rate of the command to {size:.3g} {command}/s",
+        "limit of the rate",
+        RATE_LIMIT,
+        rate_sizes,
+        is_exceeded,
     ),
-    Part(
-        code="missing-limit",
-        words="an actuator that limits the rate of the command to {size:.3g} {command}/s",
-        remedy='Give the study that limit (unmodelled, kind = "rate_limit"), or log the command behind it',
-        kinds=frozenset({"rate_limit"}),
-        commands=slewed,
-        sizes=rate_sizes,
-        is_positive=True,
-        is_possible=is_exceeded,
-    ),
-    Part(
-        code="missing-dead-zone",
-        words="an actuator that leaves out commands of less than {size:.3g} {command}",
-        remedy='Give the study that dead zone (unmodelled, kind = "dead_zone"), or log the command behind it',
-        kinds=frozenset({"dead_zone"}),
-        commands=without_small,
-        sizes=dead_zone_sizes,
-        is_positive=True,
-        is_possible=is_narrow,
+    actuator_part(
+        "missing-dead-zone",
+        "an actuator that leaves out commands of less than {size:.3g} {command}",
+        "dead zone",
+        DEAD_ZONE,
+        dead_zone_sizes,
+        is_narrow,
     ),
     Part(
         code="changing-gain",
@@ -306,7 +296,7 @@ PARTS = (
         "battery",
         remedy="Log the command times the gain, such as thrust in place of throttle, or fit a shorter part of the "
         "flight",
-        kinds=frozenset(),
+        actuator=None,
         commands=fading,
         sizes=fading_sizes,
         is_positive=False,
@@ -319,7 +309,7 @@ LATE_OUTPUT = Part(
     code="delayed-output",
     words="an output that is {size:.3g} s late",
     remedy="",
-    kinds=frozenset(),
+    actuator=None,
     commands=on_time,
     sizes=lag_sizes,
     is_positive=True,
@@ -344,12 +334,20 @@ def part_text(part: Part, size: float, output: str, command: str) -> str:
 
 
 def lacking_parts(study: Study) -> list[Part]:
-    """The parts that a study of one channel lacks."""
-    disturbances = study.config.disturbance
-    tables = [*study.config.actuator, study.config.unmodelled]
-    tables += disturbances if isinstance(disturbances, list) else [disturbances]
-    kinds = {str(table.get("kind", "none")) for table in tables}
-    return [part for part in PARTS if not part.kinds & kinds]
+    """The parts that a study of one channel lacks, by what its models declare.
+
+    An actuator that is linear is taken for a lag. A disturbance that is not random is taken for a constant force.
+    """
+    models = [element.model for element, _ in acting_elements(study.table, study.config)]
+    has_linear_actuator = any(model.linear is not None for model in models)
+    has_force = study.config.disturbance != ABSENT and not declares_noise(study)
+    parts = []
+    for part in PARTS:
+        is_lag = part.actuator is not None and part.actuator.linear is not None
+        has_actuator = any(model is part.actuator for model in models) or (is_lag and has_linear_actuator)
+        if not has_actuator and not (part is STEADY_WIND and has_force):
+            parts.append(part)
+    return parts
 
 
 def flown(problem: FitProblem, minimum: Minimum) -> Flight:
