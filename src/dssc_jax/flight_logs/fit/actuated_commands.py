@@ -46,7 +46,7 @@ def means(model: Unmodelled, params: Params, commands: jax.Array, sample_time: S
 
 def sample(
     model: Unmodelled, params: Params, sample_time: Scalar, state: State, command: Scalar
-) -> tuple[State, Scalar]:
+) -> tuple[State, jax.Array]:
     """The actuator's state after a sample, and the mean of its output over it."""
     if model.moments is None:  # an output that is constant within the sample
         mean = model.output(params, state, command)
@@ -57,7 +57,7 @@ def sample(
 
 def linear_sample(
     model: Unmodelled, params: Params, sample_time: Scalar, state: State, command: Scalar
-) -> tuple[State, Scalar]:
+) -> tuple[State, jax.Array]:
     """As :func:`sample` of a linear actuator: the exact integral of its output over the sample tells the mean."""
     assert model.linear is not None
     system = series(model.linear(params), INTEGRATOR)

@@ -11,7 +11,7 @@ import numpy as np
 from dssc_jax.flight_logs.fit.least_squares import FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
 from dssc_jax.flight_logs.fit.missing_parts import LATE_COMMAND, LATE_OUTPUT, flown, lacking_parts, part_text
-from dssc_jax.flight_logs.fit.part_fits import PartFit, fitted_part
+from dssc_jax.flight_logs.fit.part_fits import PartFit, fit_without_part, fitted_part
 from dssc_jax.flight_logs.fit.prediction import declares_noise
 from dssc_jax.flight_logs.fit.refits import Refit
 from dssc_jax.flight_logs.fit.refusals import MUCH_LARGER, Explained, signal_and_unit
@@ -55,9 +55,11 @@ def part_doubts(
     if len(problem.study.loop.channels) > 1 or len(problem.readings) != 1 or problem.count.reason:
         return NO_DOUBTS
     flight = flown(problem, minimum)
+    parts = lacking_parts(problem.study)
+    without = fit_without_part(problem, minimum, len(parts))
     certain = []
-    for part in lacking_parts(problem.study):
-        fit = fitted_part(problem, minimum, flight, part)
+    for part in parts:
+        fit = fitted_part(problem, without, flight, part)
         if fit is None or not fit.p_value < SIGNIFICANCE:
             continue
         if largest_move(problem, minimum, fit, deviations) > LARGE_MOVE:
@@ -66,7 +68,7 @@ def part_doubts(
         return NO_DOUBTS
     delays = []
     for part in DELAYS if has_delay else ():
-        fit = fitted_part(problem, minimum, flight, part)
+        fit = fitted_part(problem, without, flight, part)
         if fit is not None:
             delays.append(fit)
     best = max(certain, key=lambda fit: fit.gain)

@@ -17,7 +17,7 @@ from scipy import stats
 
 from dssc_jax.flight_logs.fit.least_squares import TINY, FitProblem
 from dssc_jax.flight_logs.fit.minima import Minimum
-from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Flight, Part, delayed, lacking_parts
+from dssc_jax.flight_logs.fit.missing_parts import LATE_OUTPUT, Flight, Part, delayed
 from dssc_jax.flight_logs.fit.shifts import likelihood_of_cost, linear_cost
 from dssc_jax.flight_logs.hints.conversions import rms
 from dssc_jax.statistics.correlated_noise import Noise, weighted_products
@@ -40,6 +40,40 @@ class PartPoint(NamedTuple):
     x: np.ndarray
     scale: float
     scaled: float
+
+
+class FitWithoutPart(NamedTuple):
+    """What all fits with a part are compared with.
+
+    Args:
+        minimum: The minimum without a part.
+        likelihood: Logarithm of the likelihood there, under its noise.
+        simulated: What simulated disturbances and winds add to the outputs; None if the study has none.
+        candidates: Number of parts that are tried.
+    """
+
+    minimum: Minimum
+    likelihood: float
+    simulated: np.ndarray | None
+    candidates: int
+
+
+def fit_without_part(problem: FitProblem, minimum: Minimum, candidates: int) -> FitWithoutPart:
+    """What fits with one of several candidates are compared with.
+
+    Args:
+        problem: The problem of one channel, with the noise of its minimum.
+        minimum: The minimum.
+        candidates: Number of parts that are tried.
+    """
+    (readings,) = problem.readings
+    (columns,) = problem.columns(minimum.x)
+    products, log_det = weighted_products(problem.noises[0], readings.times, columns)
+    likelihood = likelihood_of_cost(readings, linear_cost(products), log_det)
+    simulated = problem.disturbances.simulate(
+        problem.study, problem.names, problem.values(minimum.x), problem.log.commands
+    )
+    return FitWithoutPart(minimum, likelihood, simulated, candidates)
 
 
 class PartFit(NamedTuple):
@@ -194,35 +228,29 @@ def bounded_step(products: np.ndarray, prior: np.ndarray, x: np.ndarray) -> np.n
     return step * min(1.0, 2.0 / max(float(np.abs(step[: len(x)]).max()), TINY))
 
 
-def fitted_part(problem: FitProblem, minimum: Minimum, flight: Flight, part: Part) -> PartFit | None:
+def fitted_part(problem: FitProblem, without: FitWithoutPart, flight: Flight, part: Part) -> PartFit | None:
     """Fit a log with a part; None if it does not explain the residual, or with a size that means nothing.
 
     Args:
         problem: The problem of one channel, with the noise of its minimum.
-        minimum: The minimum.
+        without: The fit without a part.
         flight: The flight.
         part: The part.
     """
     (readings,) = problem.readings
     noise, variance = problem.noises[0], problem.variances[0]
     part_problem = part_problem_of(problem, flight, part)
-    point = part_problem.minimum(part_problem.start(minimum.x), noise, variance)
-    if minimum.cost - part_problem.cost(point, noise, variance) < LEAST_SCREENED:
+    point = part_problem.minimum(part_problem.start(without.minimum.x), noise, variance)
+    if without.minimum.cost - part_problem.cost(point, noise, variance) < LEAST_SCREENED:
         return None
     if not part.is_possible(flight, part_problem.size(point)):
         return None
-    simulated = problem.disturbances.simulate(
-        problem.study, problem.names, problem.values(minimum.x), problem.log.commands
-    )
-    (columns,) = problem.columns(minimum.x)
-    products, log_det = weighted_products(noise, readings.times, columns)
-    unextended = likelihood_of_cost(readings, linear_cost(products), log_det)
-    noise, fit = problem.noise_search(0, part_problem.columns(point), simulated).likeliest()
+    noise, fit = problem.noise_search(0, part_problem.columns(point), without.simulated).likeliest()
     point = part_problem.minimum(point, noise, fit.variance)
     columns = part_problem.columns(point)
     products, log_det = weighted_products(noise, readings.times, columns)
-    gain = 2.0 * (likelihood_of_cost(readings, linear_cost(products), log_det) - unextended)
-    p_value = len(lacking_parts(problem.study)) * float(stats.chi2.sf(max(gain, 0.0), 1))
+    gain = 2.0 * (likelihood_of_cost(readings, linear_cost(products), log_det) - without.likelihood)
+    p_value = without.candidates * float(stats.chi2.sf(max(gain, 0.0), 1))
     size = part_problem.size(point)
     if not math.isfinite(gain) or not part.is_possible(flight, size):
         return None

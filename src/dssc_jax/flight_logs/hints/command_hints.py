@@ -8,7 +8,7 @@ controller.
 import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
-from dssc_jax.flight_logs.hints.conversions import FEWER, conversion_text, multiple_of, rms
+from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, FEWER, conversion_text, multiple_of, rms
 from dssc_jax.flight_logs.hints.lost_commands import lost_commands, lost_commands_hint
 from dssc_jax.flight_logs.hints.rounded_commands import command_rounding, rounded_hint
 from dssc_jax.flight_logs.reading.held_outputs import drop_repeats, usual_hold
@@ -31,7 +31,6 @@ MOST_SPIKES = 12  # single values of a log that are told
 NAMED_SPIKES = 3  # whose times are told
 MUCH_LARGER = 5.0  # factor on the jump of the replay: a larger one of the log is that of a spike
 MOST_SPANS = 3  # in which a command sticks
-ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 
 
 def rate_hint(command: Column, sample_time: float) -> Hint | None:
@@ -109,7 +108,7 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     deviation = rms(logged - np.median(logged[has_both]))
     largest_residual = EXPLAINED * deviation
     difference = rms(logged - replayed)
-    if difference <= ROUNDING * rms(logged):
+    if difference <= COMMAND_ROUNDING * rms(logged):
         return None
     spikes = spike_rows(logged, replayed)
     if spikes:
@@ -214,7 +213,7 @@ def stuck_spans(logged: np.ndarray, replayed: np.ndarray) -> list[tuple[int, int
     """
     difference = np.abs(logged - replayed)
     usual_difference = float(np.median(difference[np.isfinite(difference)]))
-    least_difference = max(STUCK * usual_difference, ROUNDING * rms(logged))
+    least_difference = max(STUCK * usual_difference, COMMAND_ROUNDING * rms(logged))
     is_outside = np.isfinite(difference)
     spans = []
     for begin, end in zip(*flag_runs(np.diff(logged) == 0.0), strict=True):

@@ -16,6 +16,8 @@ DELAY_SHARE = 0.05  # of the samples, likewise
 SHIFTED = 0.1  # largest deviation of an output from the shifted one, as a share of the shift
 FOLLOWED = 0.7  # share of a reference's root mean square: closer, a converted output follows it
 IN_PHASE = 0.2  # relative difference of the part in phase with a reference from a multiple of it
+COMMAND_ROUNDING = 1e-3
+"""Share of a command's root mean square: no smaller difference of two commands says anything."""
 FEWER = 1.0 / 3.0  # share of the present distance: a conversion that leaves more says nothing
 
 

@@ -5,14 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.flag_runs import flag_runs
-from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, rms
 from dssc_jax.flight_logs.signal_warnings import Hint
 
 LEAST_REPEATS = 2  # samples of a span: one repeated value may be that of rounding
 LONGEST = 25  # samples that repeat a command in one span: more are a controller that rests
 MOST_REPEATED = 0.3  # share of the samples in such spans: with more, the controller itself is slow
 BESIDE = 10.0  # factor on the difference elsewhere: a larger one beside repeated values is that of a lost command
-ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 NAMED = 3  # spans that a message names
 
 
@@ -44,7 +43,7 @@ def lost_commands(logged: np.ndarray, replayed: np.ndarray) -> list[LostCommands
     if not is_outside.any():
         return []
     usual_difference = float(np.median(difference[is_outside]))
-    least_difference = max(BESIDE * usual_difference, ROUNDING * rms(logged))
+    least_difference = max(BESIDE * usual_difference, COMMAND_ROUNDING * rms(logged))
     limits = (np.nanmin(logged), np.nanmax(logged))
     spans = []
     for begin, end in zip(*flag_runs(np.diff(logged, prepend=np.nan) == 0.0), strict=True):

@@ -11,11 +11,10 @@ import numpy as np
 from scipy import optimize
 
 from dssc_jax.flight_logs.channel_replay import ChannelReplay, is_close
-from dssc_jax.flight_logs.hints.conversions import rms
+from dssc_jax.flight_logs.hints.conversions import COMMAND_ROUNDING, rms
 from dssc_jax.flight_logs.reading.reader import forward_filled, signal_name
 from dssc_jax.flight_logs.signal_warnings import Hint
 
-ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 LARGEST = 1e100  # difference of two commands: squares of larger ones overflow
 LARGEST_FACTOR = 1.4  # of a scale that is sought, and its inverse
 WINDOW = 0.5  # s over which differences are averaged: noise of y in a derivative has no longer memory
@@ -97,7 +96,7 @@ def scaled_output(replay: ChannelReplay, logged: Mapping[str, np.ndarray], comma
         command: The controller's command for them, shape (samples,).
     """
     difference = rms(logged["u_total"] - command)
-    if not ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
+    if not COMMAND_ROUNDING * rms(logged["u_total"]) < difference < LARGEST or not has_study_reference(replay, logged):
         return None
     averaged = AveragedDifference(replay, logged)
     scale = fitted_scale(averaged)
