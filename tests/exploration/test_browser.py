@@ -64,6 +64,15 @@ def headline(tab):
     return tab.get_by_text(HEADLINE).first
 
 
+def wait_until(tab, condition):
+    """Wait for a condition of the served page: what the browser sends, and the run for it, arrive in their own time."""
+    waited = 0
+    while not condition():
+        assert waited < PATIENCE
+        tab.wait_for_timeout(50)
+        waited += 50
+
+
 def test_a_slider_by_keyboard(served, tab):
     """The arrow key moves the focused slider; the headline changes to what the page's own run says."""
     tab.goto(served.url)
@@ -71,13 +80,14 @@ def test_a_slider_by_keyboard(served, tab):
     page = served.pages[-1]
     shown = headline(tab).inner_text()
     slider = next(widget for slider, widget in page.sliders.items() if slider.key == "unmodelled.mu")
-    tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider)).focus()
+    handle = tab.locator(".noUi-handle").nth(list(page.sliders.values()).index(slider))
+    handle.focus()
     for _ in range(20):
         tab.keyboard.press("ArrowRight")
     tab.get_by_text(shown).wait_for(state="detached")
-    tab.wait_for_timeout(300)
-    assert page.wait(60)
-    assert page.now.study.leaves()["unmodelled.mu"] == slider.value > 0.02
+    last = list(slider.options.values())[round(float(handle.get_attribute("aria-valuenow")))]
+    assert last > 0.02
+    wait_until(tab, lambda: page.now.study.leaves()["unmodelled.mu"] == last == slider.value and page.wait(0))
     tab.get_by_text(page.now.statement).wait_for()
     assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
@@ -107,9 +117,7 @@ def test_two_tabs_are_two_sessions(served, tab, chromium):
     assert first.positions == first.live.start
     tab.locator(".noUi-handle").nth(5).focus()
     tab.keyboard.press("ArrowRight")
-    tab.wait_for_timeout(500)
-    assert first.wait(60)
-    assert first.positions != first.live.start
+    wait_until(tab, lambda: first.positions != first.live.start and first.wait(0))
 
 
 def test_a_tab_closed_during_a_run(served, tab, chromium):
