@@ -19,7 +19,6 @@ from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, 
 from dssc_jax.engine import kernels
 from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
 from dssc_jax.engine.kernels import Start
-from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.hints.references import median_values
 from dssc_jax.models.sensors import IDEAL
@@ -117,6 +116,8 @@ def prediction(
 ) -> Prediction:
     """Compile the prediction: the output without noise and random disturbances, and its derivatives in forward mode.
 
+    XLA fuses the few operations that a plant of one channel has in a sample into a few kernels.
+
     Args:
         study: The study, without a sweep.
         names: The numbers.
@@ -135,7 +136,7 @@ def prediction(
         predicted, slopes = jax.vmap(slope)(jnp.eye(len(names)))
         return predicted[0], slopes
 
-    compiled = jax.jit(with_slopes, compiler_options=plain_options())
+    compiled = jax.jit(with_slopes)
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with arithmetic(study.config.loop.precision):
