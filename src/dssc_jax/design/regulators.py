@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy import optimize
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
@@ -15,8 +16,8 @@ FILTER_RATIO = 4.0
 """Ratio of the filter's bandwidth to the regulator's."""
 PLACES = 9
 """Decades on either side of a guess in which a weight is sought."""
-CROSSING_HALVINGS = 80
-"""Halvings of the interval of a weight's logarithm."""
+CROSSING_TOLERANCE = 1e-12
+"""Tolerance of a weight's logarithm."""
 FITS = 1e-9
 """Share of the regulator's gains that measured signals may leave out."""
 STILL = 1e-12
@@ -272,30 +273,28 @@ def gains_of_output(problem: DesignProblem, signal_gains: np.ndarray, forward: f
 
 
 def crossing(size: Callable[[float], float], guess: float) -> float:
-    """The positive weight at which a loop gain is 1, by bisection of the weight's logarithm.
+    """The positive weight at which a loop gain is 1.
 
     Args:
         size: (weight) -> loop gain, which falls with the weight.
-        guess: A weight from which the bracket grows by decades on either side, since a Riccati equation far from it may
-            have no solution in floating point.
+        guess: A weight from which the bracket grows by decades, since a Riccati equation far from it may have no
+            solution in floating point.
 
     Raises:
         ConfigError: The loop gain does not cross 1 within :data:`PLACES` decades.
     """
-    low = high = guess
-    for _ in range(PLACES):
-        if not size(low) > 1.0:
-            low *= 0.1
-        if not size(high) < 1.0:
-            high *= 10.0
-    if not size(low) > 1.0 > size(high):
-        raise ConfigError(
-            "`bandwidth`", "is out of reach of every weight for this plant; ask for another one, or sample faster"
-        )
-    for _ in range(CROSSING_HALVINGS):
-        middle = math.sqrt(low * high)
-        if size(middle) > 1.0:
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(low * high)
+
+    def excess(log_weight: float) -> float:
+        """By how much the loop gain exceeds 1."""
+        return size(math.exp(log_weight)) - 1.0
+
+    start = math.log(guess)
+    excess_at_start = excess(start)
+    step = math.log(10.0) if excess_at_start > 0.0 else -math.log(10.0)
+    for place in range(1, PLACES + 1):
+        end = start + place * step
+        if excess_at_start * excess(end) <= 0.0:  # not where a gain is not a number
+            return math.exp(optimize.brentq(excess, end - step, end, xtol=CROSSING_TOLERANCE))
+    raise ConfigError(
+        "`bandwidth`", "is out of reach of every weight for this plant; ask for another one, or sample faster"
+    )
